@@ -1,0 +1,1 @@
+"""Headway's environments. They import only the contracts and work without the engine."""

@@ -1,0 +1,146 @@
+"""An experiment as frozen records. Every default of the engine stands here and nowhere else."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise ValueError(message)
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """Which environment, with which arguments and wrappers."""
+
+    id: str = "bus"
+    """Name in the registry: see `headway list envs`."""
+    args: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of that environment; its own record validates them."""
+
+
+@dataclass(frozen=True)
+class RolloutConfig:
+    """How experience is collected. These numbers are part of a run's plan: they decide its draws."""
+
+    copies: int = 8
+    """E: environment copies of one seed."""
+    steps: int = 512
+    """T: steps of each copy in one iteration; an iteration is copies x steps environment steps."""
+    block: int = 4
+    """Copies whose actions are computed in one piece; divides `copies`. Worker processes get whole blocks."""
+
+    def __post_init__(self) -> None:
+        _require(self.copies >= 1, "copies must be at least 1")
+        _require(self.steps >= 1, "steps must be at least 1")
+        _require(self.block >= 1, "block must be at least 1")
+        _require(self.copies % self.block == 0, f"block {self.block} must divide copies {self.copies}")
+
+
+@dataclass(frozen=True)
+class BackendConfig:
+    """Where rollouts run and how many seeds train at once. No result depends on it."""
+
+    name: Literal["serial", "process"] = "process"
+    """`serial`: in the training process itself; `process`: in worker processes."""
+    workers: int | None = None
+    """Worker processes of each training process; null: what the machine's cores allow."""
+    parallel: int | None = None
+    """Training processes at once; null: one per core, at most one per seed."""
+    stack: int = 1
+    """Seeds trained in one process as one stack (for GPUs; on a CPU processes are faster)."""
+
+    def __post_init__(self) -> None:
+        _require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
+        _require(self.parallel is None or self.parallel >= 1, "parallel must be at least 1, or null")
+        _require(self.stack >= 1, "stack must be at least 1")
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """Episodes on fixed seeds of their own, the same for every run, algorithm and rule."""
+
+    episodes: int = 10
+    """Episodes at each evaluation."""
+    every: int = 10
+    """Iterations between evaluations; the first is before training, the last after it."""
+    modes: tuple[Literal["greedy", "sampled"], ...] = ("greedy", "sampled")
+    """`greedy`: the distribution's mode; `sampled`: as in training."""
+    final_episodes: int = 30
+    """Episodes of the last evaluation and of the rules, for the paired comparison."""
+    seed: int = 1_000_003
+    """Root of the evaluation seeds, kept apart from every training seed."""
+    rules: tuple[str, ...] = ()
+    """Rules of the environment evaluated beside the learner."""
+
+    def __post_init__(self) -> None:
+        _require(self.episodes >= 1, "episodes must be at least 1")
+        _require(self.every >= 1, "every must be at least 1")
+        _require(self.final_episodes >= 1, "final_episodes must be at least 1")
+        _require(len(self.modes) >= 1, "modes must name at least one of greedy, sampled")
+
+
+@dataclass(frozen=True)
+class StoreConfig:
+    """Where runs are kept."""
+
+    root: str = "runs"
+    """Folder of run folders, the MLflow database and the index."""
+    tracking_uri: str | None = None
+    """MLflow tracking URI; null: SQLite in the root."""
+    curve_points: int = 200
+    """Points of each metric's curve sent to MLflow; the Parquet log keeps all."""
+    checkpoint_every: int = 20
+    """Iterations between checkpoints; the log is made durable with each."""
+
+    def __post_init__(self) -> None:
+        _require(self.curve_points >= 2, "curve_points must be at least 2")
+        _require(self.checkpoint_every >= 1, "checkpoint_every must be at least 1")
+
+
+@dataclass(frozen=True)
+class EnergyConfig:
+    """Energy and CO2 by CodeCarbon, offline."""
+
+    enabled: bool = True
+    country: str = "BRA"
+    """ISO 3166 three-letter code of the grid's country."""
+    interval_s: float = 5.0
+    """Seconds between measurements."""
+
+    def __post_init__(self) -> None:
+        _require(self.interval_s > 0, "interval_s must be above 0")
+
+
+@dataclass(frozen=True)
+class ExperimentConfig:
+    """One experiment: an algorithm on an environment, over seeds."""
+
+    study: str = "default"
+    """Groups runs in the store (an MLflow experiment)."""
+    seed: tuple[int, ...] = (0,)
+    """Training seeds: `7`, `0,1,2` or `0..49`."""
+    env_steps: int = 100_000
+    """Environment steps of each seed (one step moves all agents of one copy)."""
+    device: str = "auto"
+    """`cpu`, `cuda`, or `auto`: a GPU if there is one."""
+    env: EnvConfig = field(default_factory=EnvConfig)
+    algo: Mapping[str, Any] = field(default_factory=dict)
+    """`name` and hyper-parameters; the algorithm's own record validates them."""
+    rollout: RolloutConfig = field(default_factory=RolloutConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    store: StoreConfig = field(default_factory=StoreConfig)
+    energy: EnergyConfig = field(default_factory=EnergyConfig)
+
+    def __post_init__(self) -> None:
+        _require(len(self.seed) >= 1, "seed must name at least one seed")
+        _require(all(seed >= 0 for seed in self.seed), "seeds must be at least 0")
+        _require(len(set(self.seed)) == len(self.seed), "seeds must differ from each other")
+        _require(self.env_steps >= 1, "env_steps must be at least 1")
+
+    @property
+    def iterations(self) -> int:
+        """Iterations that reach `env_steps` (rounded up)."""
+        return -(-self.env_steps // (self.rollout.copies * self.rollout.steps))

@@ -1,0 +1,38 @@
+"""What crosses the seams of Headway. Environments and algorithms import nothing else of the engine.
+
+Axes have one name each, here and everywhere:
+R replicas (seeds trained together), T steps, C copies of the environment over all replicas
+(replica-major: the copies of replica r are rows r*E to (r+1)*E), E copies of one replica, N agents,
+K policies of one replica, P = R x K stacked policies, A actions, D observation size, S state size,
+M episode metrics.
+"""
+
+from headway.contracts.acting import ActingPolicy
+from headway.contracts.entries import AlgoEntry, EnvEntry, Rule
+from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
+from headway.contracts.errors import HeadwayError
+from headway.contracts.learning import Learner
+from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
+from headway.contracts.streams import child_seeds, generator
+from headway.contracts.trajectory import Trajectory, TrajectoryLayout
+
+__all__ = [
+    "ActingPolicy",
+    "ActionSpace",
+    "AlgoEntry",
+    "BatchedEnv",
+    "Box",
+    "Discrete",
+    "EnvEntry",
+    "EnvSpec",
+    "HeadwayError",
+    "Learner",
+    "MultiDiscrete",
+    "Observed",
+    "Outcome",
+    "Rule",
+    "Trajectory",
+    "TrajectoryLayout",
+    "child_seeds",
+    "generator",
+]

@@ -1,0 +1,58 @@
+"""Registry entries: a name tied to objects. Third parties add theirs by entry point
+(`headway.envs`, `headway.algos`), each a mapping from name to entry."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from headway.contracts.acting import ActingPolicy
+from headway.contracts.environment import BatchedEnv, EnvSpec, Observed
+from headway.contracts.learning import Learner
+
+
+class Rule(Protocol):
+    """A classical controller. It may look into the environment, not only at the observations."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
+        """Actions for every copy and agent, shaped as `BatchedEnv.step` takes them."""
+        ...
+
+
+@dataclass(frozen=True)
+class EnvEntry:
+    """An environment by name."""
+
+    summary: str
+    """One line for `headway list envs`."""
+    config: type
+    """Frozen dataclass of its arguments (the keys of `env.args`), each field with a docstring; its
+    `__post_init__` raises ValueError for impossible values."""
+    make: Callable[[Any, int], BatchedEnv]
+    """(prepared, copies) -> batched environment. Runs in light workers: no pandas, no torch."""
+    prepare: Callable[[Any], Any] = lambda config: config
+    """(config) -> what all copies share (tables read, networks built), once in the parent; picklable.
+    Raises HeadwayError for data that cannot be used."""
+    parallel_env: Callable[[Any], Any] | None = None
+    """(config) -> the same as a PettingZoo ParallelEnv."""
+    rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
+    """Name -> (prepared) -> rule."""
+    preload: tuple[str, ...] = ()
+    """Modules that worker processes import once, before forking (compiled kernels)."""
+
+
+@dataclass(frozen=True)
+class AlgoEntry:
+    """An algorithm by name. Neither the entry nor `acting_policy` imports torch; `learner` does."""
+
+    summary: str
+    source: str
+    """Paper, with its arXiv number."""
+    config: type
+    """Frozen dataclass of its hyper-parameters, as for environments."""
+    acting_policy: Callable[[Any, EnvSpec], ActingPolicy]
+    learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
+    """(config, spec, seeds of the replicas, device) -> learner."""
+    refuses: Callable[[Any, EnvSpec], str | None] = lambda config, spec: None
+    """One line why it cannot run on that environment, or None."""

@@ -1,0 +1,116 @@
+"""The batched environment: C copies stepped at once with arrays."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts.spaces import ActionSpace
+
+
+@dataclass(frozen=True)
+class EnvSpec:
+    """What an environment is: all that an algorithm may know before the first step."""
+
+    name: str
+    agents: tuple[str, ...]
+    """Names of the N agents (slots, where vehicles come and go), in array order."""
+    observation_size: int
+    """D: every agent's observation is a float32 vector of this length."""
+    action_space: ActionSpace
+    state_size: int = 0
+    """S: length of the global state for central critics; 0 if the environment gives none."""
+    groups: tuple[str, ...] = ()
+    """The group of each agent (a bus line, say) for `policies: groups`; empty: all in one group."""
+    shared_reward: bool = False
+    """Every agent is given the same reward."""
+    has_action_mask: bool = False
+    agents_come_and_go: bool = False
+    """`alive` can be false before the episode ends."""
+    metrics: tuple[str, ...] = ()
+    """Names of the M episode metrics."""
+    max_copies_per_process: int | None = None
+    snapshots: bool = False
+    """`snapshot` and `restore` work, so that resuming and re-collection are exact."""
+
+    @property
+    def num_agents(self) -> int:
+        """N."""
+        return len(self.agents)
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What the agents of C copies face now. The arrays belong to the environment, which overwrites them
+    at its next step: whoever keeps them copies them. Rows of agents not alive may hold anything."""
+
+    observations: NDArray[np.float32]
+    """(C, N, D)"""
+    states: NDArray[np.float32]
+    """(C, S); S is 0 where the environment gives no state."""
+    alive: NDArray[np.bool_]
+    """(C, N): the agent exists now."""
+    action_masks: NDArray[np.bool_] | None = None
+    """(C, N, A): which actions are allowed; every row of a live agent allows at least one. None: all are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the step just taken led to. Arrays are overwritten at the next step.
+
+    `terminated` and `truncated` are per agent: an agent's stream of experience ends where either is set.
+    After a terminated step the return is over; after a truncated one it goes on from
+    `final_observations`, which hold the last observation before any reset and are valid exactly where
+    `truncated` or `terminated` is set. An agent that is merely not alive for a while (a bus at the
+    depot) sets neither: its stream goes on when it returns. A copy whose episode ended has every agent
+    terminated or truncated, and what `step` returns as Observed is already the next episode's start.
+    """
+
+    rewards: NDArray[np.float32]
+    """(C, N)"""
+    terminated: NDArray[np.bool_]
+    """(C, N)"""
+    truncated: NDArray[np.bool_]
+    """(C, N)"""
+    acting: NDArray[np.bool_]
+    """(C, N): the action just given was used."""
+    episode_ended: NDArray[np.bool_]
+    """(C,)"""
+    final_observations: NDArray[np.float32]
+    """(C, N, D)"""
+    final_states: NDArray[np.float32]
+    """(C, S): valid where episode_ended."""
+    metrics: NDArray[np.float64]
+    """(C, M): valid where episode_ended."""
+
+
+class BatchedEnv(Protocol):
+    """C independent copies of an environment, stepped together; copies reset themselves (autoreset)."""
+
+    @property
+    def spec(self) -> EnvSpec: ...
+
+    @property
+    def num_copies(self) -> int:
+        """C."""
+        ...
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        """Begin episode 0 of every copy; seeds (C,). All randomness of copy c's episode i follows from
+        (seeds[c], i) alone, whatever the other copies are."""
+        ...
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        """Apply actions, (C, N) int64 or (C, N, size) float32. Actions of agents not alive are ignored."""
+        ...
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the engine, picklable
+        """A picklable value from which `restore` continues bit for bit (only if spec.snapshots)."""
+        ...
+
+    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401
+        """Continue from a snapshot; returns what was observed when it was taken."""
+        ...
+
+    def close(self) -> None: ...

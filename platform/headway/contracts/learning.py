@@ -1,0 +1,29 @@
+"""What the training loop asks of an algorithm."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts.trajectory import Trajectory
+
+
+class Learner(Protocol):
+    """All learnable tensors of R replicas x K policies, and how experience changes them."""
+
+    def acting_parameters(self) -> dict[str, NDArray[Any]]:
+        """What the acting policy needs, each with leading axis P. The caller copies them."""
+        ...
+
+    def update(
+        self, trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        """Learn from one iteration's experience; `progress` is the share of the budget already used, for
+        schedules. Returns metrics by `group/name`, each of shape (R,)."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on exactly: tensors, numbers, strings, lists and dicts of these."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...

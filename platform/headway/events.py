@@ -1,0 +1,81 @@
+"""What a training process tells its session, over a pipe; every record is picklable.
+
+A training process trains one stack of seeds: `seeds` of its job, in order; tuples "one a seed" follow it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+Row = Mapping[str, float | int | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """Training has begun (or goes on, from `iteration`)."""
+
+    iteration: int
+    process_ids: tuple[int, ...]
+    """The training process and its workers."""
+
+
+@dataclass(frozen=True, slots=True)
+class IterationFinished:
+    """One iteration of collecting and learning."""
+
+    iteration: int
+    """Counted from 1."""
+    env_steps: int
+    """Environment steps of each seed so far."""
+    cpu_seconds: float
+    """CPU seconds of the training process and its workers, dead ones included, since they started."""
+    memory_bytes: int
+    """Proportional memory of the training process and its workers."""
+    curve: tuple[Row, ...]
+    """One a seed: `iteration`, `env_steps`, `wall_s` and metrics by `group/name`."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationFinished:
+    """Evaluation episodes of every seed at one point of training."""
+
+    iteration: int
+    env_steps: int
+    mode: str
+    final: bool
+    curve: tuple[Row, ...]
+    """One a seed: `iteration`, `env_steps`, `wall_s` and means by `evaluation_MODE/name`."""
+    episodes: tuple[tuple[Row, ...], ...]
+    """One tuple a seed, one row an episode: `episode_seed`, `length`, `return` and the episode metrics."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckpointSaved:
+    """Everything up to `iteration` is durable in the run folders."""
+
+    iteration: int
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """One line for the user: a worker replaced, a checkpoint skipped."""
+
+    line: str
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """The last event of a job that ended as meant; `stopped` when it was asked to stop before its budget."""
+
+    iteration: int
+    stopped: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The last event of a job that could not go on."""
+
+    line: str
+    traceback: str
+
+
+Event = Started | IterationFinished | EvaluationFinished | CheckpointSaved | Notice | Finished | Failed
