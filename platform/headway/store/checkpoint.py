@@ -1,0 +1,177 @@
+"""Checkpoints: whole or recognised as broken, and loadable without running anything from the file.
+
+A file is a magic line, the SHA-256 of the rest, and what `torch.save` wrote.
+"""
+
+import hashlib
+import io
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from headway.contracts import HeadwayError
+from headway.store.durable import make_folder, remove_partial, sync_folder, write_durably
+
+_MAGIC = b"headway checkpoint 1\n"
+_NAME = re.compile(r"checkpoint-(\d{6,})\.pt")
+_KEPT = 2
+_KIND = "__headway__"
+
+
+def save_checkpoint(directory: Path, iteration: int, state: Mapping[str, Any]) -> Path:
+    """Write `state` durably as the checkpoint of `iteration` and keep the last two.
+
+    `state` holds tensors, numpy arrays and scalars, numbers, strings, bytes, None, and lists, tuples and
+    dicts of these. Raises ValueError, naming its place, for anything else; HeadwayError if it cannot be
+    written, and then the earlier checkpoints are untouched.
+    """
+    import torch
+
+    payload = io.BytesIO()
+    torch.save(_encoded(state, "state"), payload)
+    content = payload.getbuffer()
+    path = directory / f"checkpoint-{iteration:06d}.pt"
+
+    def write(stream: IO[bytes]) -> None:
+        stream.write(_MAGIC)
+        stream.write(hashlib.sha256(content).digest())
+        stream.write(content)
+
+    make_folder(directory)
+    remove_partial(directory, "checkpoint-")
+    write_durably(path, write)
+    for _, older in _checkpoints(directory)[_KEPT:]:
+        older.unlink(missing_ok=True)
+    sync_folder(directory)
+    return path
+
+
+def load_latest(directory: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
+    """(iteration, state, notices) of the newest whole checkpoint; tensors are on the CPU.
+
+    A notice is one line about a checkpoint that had to be passed over. Raises HeadwayError if none is whole.
+    """
+    notices: list[str] = []
+    for iteration, path in _checkpoints(directory):
+        try:
+            return iteration, _load(path), tuple(notices)
+        except (OSError, ValueError) as error:
+            notices.append(f"checkpoint {path.name} is broken ({error}) and was passed over")
+    if notices:
+        raise HeadwayError(
+            f"no checkpoint in {directory} is whole: start the run anew ({'; '.join(notices)})"
+        )
+    raise HeadwayError(f"there is no checkpoint in {directory}: start the run anew")
+
+
+def latest_iteration(directory: Path) -> int | None:
+    """Iteration of the newest checkpoint by name, without reading it; None if there is none."""
+    checkpoints = _checkpoints(directory)
+    return checkpoints[0][0] if checkpoints else None
+
+
+def _checkpoints(directory: Path) -> list[tuple[int, Path]]:
+    matches = ((_NAME.fullmatch(path.name), path) for path in directory.glob("checkpoint-*.pt"))
+    return sorted(((int(match[1]), path) for match, path in matches if match), reverse=True)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    import pickle
+
+    import torch
+
+    content = path.read_bytes()
+    header = len(_MAGIC) + hashlib.sha256().digest_size
+    if not content.startswith(_MAGIC):
+        raise ValueError("it does not begin as a checkpoint does")
+    if hashlib.sha256(memoryview(content)[header:]).digest() != content[len(_MAGIC) : header]:
+        raise ValueError("its checksum does not match")
+    try:
+        state = torch.load(io.BytesIO(memoryview(content)[header:]), map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        raise ValueError("torch refuses it: " + str(error).splitlines()[0]) from error
+    decoded = _decoded(state)
+    if not isinstance(decoded, dict):
+        raise ValueError("it holds no state")
+    return decoded
+
+
+def _encoded(value: Any, place: str) -> Any:  # noqa: ANN401 - any allowed leaf or container
+    import torch
+
+    match value:
+        case torch.Tensor():
+            # A view would drag its whole storage into the file.
+            return value.detach().cpu().clone()
+        case np.ndarray() | np.generic():
+            return _encoded_array(value, place)
+        case bytes() | bytearray():
+            return {_KIND: "bytes", "data": _byte_tensor(bytes(value))}
+        case None | bool() | int() | float() | str():
+            return value
+        case Mapping():
+            return {
+                _encoded_key(key, place): _encoded(item, f"{place}[{key!r}]") for key, item in value.items()
+            }
+        case list() | tuple():
+            items = [_encoded(item, f"{place}[{index}]") for index, item in enumerate(value)]
+            return items if isinstance(value, list) else tuple(items)
+    raise ValueError(
+        f"{place} is a {type(value).__name__}: a checkpoint holds tensors, arrays, numbers, strings, bytes, "
+        "and lists, tuples and dicts of these"
+    )
+
+
+def _encoded_key(key: Any, place: str) -> Any:  # noqa: ANN401
+    if key == _KIND or not isinstance(key, str | int | float | bool | tuple):
+        raise ValueError(f"{place} has the key {key!r}: keys are strings or numbers")
+    return key
+
+
+def _encoded_array(value: "np.ndarray[Any, Any] | np.generic", place: str) -> dict[str, Any]:
+    array = np.asarray(value)
+    if array.dtype.hasobject or array.dtype.names is not None:
+        raise ValueError(f"{place} is an array of {array.dtype}: give arrays of numbers or strings")
+    return {
+        _KIND: "array" if isinstance(value, np.ndarray) else "scalar",
+        "dtype": array.dtype.str,
+        "shape": tuple(array.shape),
+        "data": _byte_tensor(np.ascontiguousarray(array).tobytes()),
+    }
+
+
+def _byte_tensor(content: bytes) -> Any:  # noqa: ANN401 - torch is imported only where needed
+    import torch
+
+    if not content:
+        return torch.empty(0, dtype=torch.uint8)
+    return torch.frombuffer(bytearray(content), dtype=torch.uint8)
+
+
+def _decoded(value: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, dict):
+        decode = _DECODERS.get(value.get(_KIND, ""))
+        return decode(value) if decode else {key: _decoded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_decoded(item) for item in value]
+    if isinstance(value, tuple):
+        return tuple(_decoded(item) for item in value)
+    return value
+
+
+def _array(value: dict[str, Any]) -> "np.ndarray[Any, Any]":
+    return np.frombuffer(bytearray(_bytes(value)), np.dtype(value["dtype"])).reshape(value["shape"])
+
+
+def _scalar(value: dict[str, Any]) -> Any:  # noqa: ANN401
+    return _array(value)[()]
+
+
+def _bytes(value: dict[str, Any]) -> bytes:
+    return bytes(value["data"].numpy().tobytes())
+
+
+_DECODERS: dict[str, Callable[[dict[str, Any]], Any]] = {"bytes": _bytes, "array": _array, "scalar": _scalar}

@@ -1,0 +1,88 @@
+"""Checkpoints come back exactly, and broken ones are recognised."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from headway.contracts import HeadwayError
+from headway.store.checkpoint import latest_iteration, load_latest, save_checkpoint
+
+
+def _state() -> dict[str, object]:
+    generator = np.random.Generator(np.random.Philox(7))
+    return {
+        "weights": torch.randn(3, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64),
+        "adam": {0: {"step": 3, "moment": torch.zeros(2, dtype=torch.bfloat16)}},
+        "numpy": np.arange(6, dtype=np.uint64).reshape(2, 3),
+        "names": np.array(["ä", "bc"]),
+        "scalar": np.float32(0.1),
+        "empty": np.zeros((0, 4)),
+        "snapshot": b"\x00\xffraw",
+        "mixed": [1, 2.5, "three", None, True, (4, 1 << 90)],
+        "stream": generator.bit_generator.state,
+    }
+
+
+def test_state_comes_back_exactly(tmp_path: Path) -> None:
+    state = _state()
+    save_checkpoint(tmp_path, 20, state)
+    iteration, loaded, notices = load_latest(tmp_path)
+    assert (iteration, notices) == (20, ())
+    assert set(loaded) == set(state)
+    assert torch.equal(loaded["weights"], state["weights"])  # type: ignore[arg-type] # known to be a tensor
+    assert loaded["adam"][0]["step"] == 3
+    assert loaded["adam"][0]["moment"].dtype == torch.bfloat16
+    for name in ("numpy", "names", "empty"):
+        np.testing.assert_array_equal(loaded[name], state[name])
+        assert loaded[name].dtype == np.asarray(state[name]).dtype
+    assert type(loaded["scalar"]) is np.float32
+    assert loaded["scalar"] == np.float32(0.1)
+    assert loaded["snapshot"] == state["snapshot"]
+    assert loaded["mixed"] == state["mixed"]
+    revived = np.random.Generator(np.random.Philox())
+    revived.bit_generator.state = loaded["stream"]
+    assert revived.random() == np.random.Generator(np.random.Philox(7)).random()
+
+
+def test_the_last_two_are_kept(tmp_path: Path) -> None:
+    for iteration in (20, 40, 60):
+        save_checkpoint(tmp_path, iteration, {"at": iteration})
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "checkpoint-000040.pt",
+        "checkpoint-000060.pt",
+    ]
+    assert latest_iteration(tmp_path) == 60
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
+def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, damage: str) -> None:
+    save_checkpoint(tmp_path, 20, {"at": 20})
+    path = save_checkpoint(tmp_path, 40, {"at": 40, "weights": torch.ones(1000)})
+    content = bytearray(path.read_bytes())
+    if damage == "flip":
+        content[-100] ^= 1
+    path.write_bytes(content[: {"cut": len(content) // 2, "flip": len(content), "empty": 0}[damage]])
+    iteration, state, notices = load_latest(tmp_path)
+    assert (iteration, state) == (20, {"at": 20})
+    assert len(notices) == 1
+    assert "checkpoint-000040.pt" in notices[0]
+
+
+def test_none_whole_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(HeadwayError, match="no checkpoint in"):
+        load_latest(tmp_path)
+    (tmp_path / "checkpoint-000020.pt").write_bytes(b"half")
+    with pytest.raises(HeadwayError, match="is whole: start the run anew"):
+        load_latest(tmp_path)
+
+
+def test_nothing_in_a_checkpoint_is_run(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"state\['env'\]\[0\] is a PosixPath"):
+        save_checkpoint(tmp_path, 1, {"env": [tmp_path]})
+
+
+def test_a_view_does_not_drag_its_storage_along(tmp_path: Path) -> None:
+    path = save_checkpoint(tmp_path, 1, {"row": torch.zeros(1_000_000)[:10]})
+    assert path.stat().st_size < 10_000
