@@ -1,0 +1,126 @@
+"""The `headway` command. Nothing heavy is imported before a command needs it."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import NoReturn, Protocol, cast
+
+from headway.configuration import suggestion
+from headway.contracts.errors import HeadwayError
+
+_EXAMPLES = """\
+examples:
+  headway list experiments
+  headway run experiment=bus_mappo seed=0..4 algo.lr=3e-4
+  headway runs
+  headway browse
+
+headway COMMAND --help shows more. Errors are one line; --debug adds the traceback.
+"""
+
+
+@dataclass(frozen=True)
+class _Command:
+    summary: str
+    module: str
+
+
+class _CommandModule(Protocol):
+    """What a module of `headway_launch.commands` defines."""
+
+    EXAMPLES: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None: ...
+
+    def execute(self, arguments: argparse.Namespace) -> int:
+        """Do it; returns the exit code."""
+        ...
+
+
+_COMMANDS = {
+    "run": _Command("train an experiment, all its seeds", "run"),
+    "sweep": _Command("train an experiment over many seeds", "run"),
+    "resume": _Command("go on with runs that were stopped or killed", "resume"),
+    "runs": _Command("table of the runs in the store", "runs"),
+    "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),
+    "browse": _Command("browse the store in MLflow's pages", "browse"),
+    "list": _Command("environments, algorithms, rules, experiments, presets, keys", "listing"),
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise HeadwayError(f"{message}; see {self.prog} --help")
+
+
+def main() -> None:
+    """Entry point of the `headway` script: runs the command line and exits with its code."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line; returns its exit code: 0 done, 2 an error (one line on stderr), 130 stopped."""
+    words = [word for word in arguments if word != "--debug"]
+    debug = len(words) < len(arguments)
+    try:
+        return _dispatch(words, debug)
+    except HeadwayError as error:
+        if debug:
+            raise
+        print(f"headway: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        if debug:
+            raise
+        print("headway: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # `headway runs | head`
+        sys.stderr.close()
+        return 0
+
+
+def _dispatch(words: Sequence[str], debug: bool) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        _top_parser().print_help()
+        return 0
+    if words[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"headway {version('headway')}")
+        return 0
+    name = words[0]
+    if name not in _COMMANDS:
+        raise HeadwayError(f"{name!r} is no command; {suggestion(name, _COMMANDS, 'headway ')}")
+    command = _COMMANDS[name]
+    module = cast(_CommandModule, import_module(f"headway_launch.commands.{command.module}"))
+    parser = _Parser(
+        prog=f"headway {name}",
+        description=command.summary[0].upper() + command.summary[1:] + ".",
+        epilog=module.EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    try:
+        parsed = parser.parse_intermixed_args(words[1:])
+    except SystemExit as done:  # --help
+        return int(done.code or 0)
+    parsed.command, parsed.debug = name, debug
+    return module.execute(parsed)
+
+
+def _top_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="headway",
+        usage="headway COMMAND ...",
+        description="Multi-agent reinforcement-learning experiments in transport.",
+        epilog="commands:\n"
+        + "".join(f"  {name:<10}{command.summary}\n" for name, command in _COMMANDS.items())
+        + "\n"
+        + _EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser.add_argument("--version", action="store_true", help="show the version")
+    return parser

@@ -1,0 +1,101 @@
+"""`headway list`: what names there are, and what keys they take."""
+
+import argparse
+from collections.abc import Callable, Mapping
+
+from headway.configuration import describe, suggestion
+from headway.contracts.errors import HeadwayError
+from headway.registry import algo_entries, algo_entry, env_entries, env_entry
+from headway_launch.composing import configs_folder, groups, summary_of
+from headway_launch.tables import print_table
+
+EXAMPLES = """\
+examples:
+  headway list envs            all environments
+  headway list envs bus        the arguments of one (env.args.KEY=VALUE)
+  headway list algos mappo     its hyper-parameters (algo.KEY=VALUE)
+  headway list experiments     what `headway run experiment=NAME` takes
+  headway list keys            every other key of an experiment
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """KIND and NAME."""
+    parser.add_argument("kind", metavar="KIND", help=", ".join(_KINDS))
+    parser.add_argument("name", metavar="NAME", nargs="?", help="show one of them in full")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Print the list, or one item of it."""
+    if arguments.kind not in _KINDS:
+        raise HeadwayError(
+            f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, _KINDS, 'headway list ')}"
+        )
+    _KINDS[arguments.kind](arguments.name)
+    return 0
+
+
+def _list_envs(name: str | None) -> None:
+    if name is None:
+        entries = env_entries()
+        rows = [(key, entry.summary, ", ".join(entry.rules)) for key, entry in entries.items()]
+        print_table(("environment", "what it is", "rules"), rows)
+        return
+    _print_keys(env_entry(name).config, "env.args")
+
+
+def _list_algos(name: str | None) -> None:
+    if name is None:
+        rows = [(key, entry.summary, entry.source) for key, entry in algo_entries().items()]
+        print_table(("algorithm", "what it is", "source"), rows)
+        return
+    _print_keys(algo_entry(name).config, "algo")
+
+
+def _list_rules(name: str | None) -> None:
+    if name is None:
+        rows = [(env, rule) for env, entry in env_entries().items() for rule in entry.rules]
+    else:
+        rows = [(name, rule) for rule in env_entry(name).rules]
+    print_table(("environment", "rule"), rows)
+
+
+def _list_keys(name: str | None) -> None:
+    from headway.config import ExperimentConfig
+
+    if name is None:
+        _print_keys(ExperimentConfig, "")
+        return
+    rows = [row for row in describe(ExperimentConfig) if row.key == name or row.key.startswith(f"{name}.")]
+    if not rows:
+        keys = [row.key for row in describe(ExperimentConfig)]
+        raise HeadwayError(f"{name!r} is no key; {suggestion(name, keys)}")
+    print_table(("key", "type", "default", "meaning"), [(r.key, r.type, r.default, r.doc) for r in rows])
+
+
+def _list_group(group: str) -> Callable[[str | None], None]:
+    def show(name: str | None) -> None:
+        options = groups()[group]
+        if name is None:
+            print_table((group, "what it is"), [(option, summary_of(group, option)) for option in options])
+        elif name in options:
+            print((configs_folder() / group / f"{name}.yaml").read_text(encoding="utf-8"), end="")
+        else:
+            raise HeadwayError(f"{name!r} is no {group}; {suggestion(name, options)}")
+
+    return show
+
+
+def _print_keys(record: type, path: str) -> None:
+    rows = [(row.key, row.type, row.default, row.doc) for row in describe(record, path)]
+    print_table(("key", "type", "default", "meaning"), rows)
+
+
+_KINDS: Mapping[str, Callable[[str | None], None]] = {
+    "envs": _list_envs,
+    "algos": _list_algos,
+    "rules": _list_rules,
+    "experiments": _list_group("experiment"),
+    "presets": _list_group("preset"),
+    "keys": _list_keys,
+}

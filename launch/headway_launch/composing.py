@@ -1,0 +1,204 @@
+"""From names and `key=value` overrides to one validated experiment, by Hydra's composition."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from headway.config import ExperimentConfig
+from headway.configuration import build, nearest, parse_seeds, refuse_targets, suggestion
+from headway.contracts.entries import AlgoEntry, EnvEntry
+from headway.contracts.environment import EnvSpec
+from headway.contracts.errors import HeadwayError
+from headway.registry import algo_entries, algo_entry, env_entries, env_entry
+
+_OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A valid configuration with the objects that its names stand for."""
+
+    config: ExperimentConfig
+    env: EnvEntry
+    env_config: Any
+    algo: AlgoEntry
+    algo_config: Any
+
+    @property
+    def algo_name(self) -> str:
+        """The algorithm's name in the registry."""
+        return str(self.config.algo["name"])
+
+    def prepare(self) -> tuple[Any, EnvSpec]:
+        """What all environment copies share, and what the environment is.
+
+        Raises HeadwayError for data that cannot be used, an unknown rule, and an algorithm that cannot
+        run on this environment.
+        """
+        for rule in self.config.evaluation.rules:
+            if rule not in self.env.rules:
+                raise HeadwayError(
+                    f"evaluation.rules: {rule!r} is no rule of {self.config.env.id}; "
+                    f"{suggestion(rule, self.env.rules)}"
+                )
+        prepared = self.env.prepare(self.env_config)
+        env = self.env.make(prepared, 1)
+        spec = env.spec
+        env.close()
+        if reason := self.algo.refuses(self.algo_config, spec):
+            raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
+        return prepared, spec
+
+
+def compose(overrides: Sequence[str]) -> Experiment:
+    """The experiment that `overrides` describe (`experiment=bus_mappo algo.lr=3e-4 seed=0..4`).
+
+    Overrides follow Hydra's grammar; `key=value` may set any key, whether or not a YAML file has it.
+    A preset's values stand below everything else but the defaults. Raises HeadwayError for whatever
+    cannot be used.
+    """
+    mapping = _compose_mapping([_prepared(override) for override in overrides])
+    return resolve(_with_preset(mapping))
+
+
+def resolve(mapping: Mapping[str, Any]) -> Experiment:
+    """Validate a whole experiment, given as nested mappings (a composed or a stored configuration)."""
+    refuse_targets(mapping)
+    values = dict(mapping)
+    if "seed" in values:
+        values["seed"] = parse_seeds(values["seed"])
+    config = build(ExperimentConfig, values)
+    env = env_entry(config.env.id)
+    hyper_parameters = dict(config.algo)
+    name = hyper_parameters.pop("name", None)
+    if not isinstance(name, str):
+        raise HeadwayError(f"algo.name is missing; choose one of {', '.join(algo_entries())}")
+    algo = algo_entry(name)
+    if any(field.name == "name" for field in fields(algo.config)):
+        hyper_parameters["name"] = name
+    return Experiment(
+        config=config,
+        env=env,
+        env_config=build(env.config, config.env.args, "env.args", config.env.id),
+        algo=algo,
+        algo_config=build(algo.config, hyper_parameters, "algo", name),
+    )
+
+
+def configs_folder() -> Path:
+    """The project's `configs`, or the copy packaged with an installed Headway."""
+    in_project = Path(__file__).resolve().parents[2] / "configs"
+    packaged = Path(__file__).resolve().parent / "packaged_configs"
+    for folder in (in_project, packaged):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise HeadwayError(f"there are no configurations in {in_project}; reinstall headway")
+
+
+def groups() -> dict[str, tuple[str, ...]]:
+    """The groups of configuration files, each with its options."""
+    folders = sorted(folder for folder in configs_folder().iterdir() if folder.is_dir())
+    return {
+        folder.name: tuple(
+            sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+        )
+        for folder in folders
+    }
+
+
+def summary_of(group: str, option: str) -> str:
+    """The first comment of a configuration file that is not an instruction to Hydra."""
+    for line in (configs_folder() / group / f"{option}.yaml").read_text(encoding="utf-8").splitlines():
+        text = line.removeprefix("#").strip()
+        if line.startswith("#") and text and not text.startswith("@"):
+            return text
+    return ""
+
+
+def _prepared(override: str) -> str:
+    """An override as Hydra must see it: seeds spelt out, values added where no file has them."""
+    parts = _OVERRIDE.fullmatch(override)
+    if parts is None:
+        if override.startswith("~"):
+            return override
+        raise HeadwayError(f"{override!r} is not an override; write key=value{_meant_experiment(override)}")
+    prefix, key, value = parts["prefix"], parts["key"].strip(), parts["value"]
+    if key == "seed":
+        return f"++seed=[{','.join(str(seed) for seed in parse_seeds(value))}]"
+    if prefix:
+        return override
+    known = groups()
+    if key not in known:
+        return f"++{override}"
+    if "," in value and not value.startswith(("[", "{", "'", '"')):
+        raise HeadwayError(f"{override}: one option at a time; only seed takes several values")
+    if value not in known[key]:
+        return _option_without_file(key, value, known[key])
+    return override
+
+
+def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
+    """A registered environment or algorithm needs no file of its own."""
+    if group == "env" and option in env_entries():
+        return f"++env={{id:{option}}}"
+    if group == "algo" and option in algo_entries():
+        return f"++algo={{name:{option}}}"
+    raise HeadwayError(
+        f"{group}={option}: there is no such {group}; {suggestion(option, options, f'{group}=')}"
+    )
+
+
+def _meant_experiment(word: str) -> str:
+    near = nearest(word, groups().get("experiment", ()))
+    return f"; did you mean experiment={near}?" if near else " (such as experiment=bus_mappo)"
+
+
+def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
+    from hydra import compose as hydra_compose
+    from hydra import initialize_config_dir
+    from hydra.errors import HydraException
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
+
+    try:
+        with initialize_config_dir(str(configs_folder()), version_base="1.3"):
+            composed = hydra_compose("config", overrides=list(overrides))
+        mapping = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
+        raise HeadwayError(_one_line(error)) from error
+    assert isinstance(mapping, dict)
+    return {str(key): value for key, value in mapping.items()}
+
+
+def _one_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    kept = [line for line in lines if not line.lower().startswith(("see https", "set the environment"))]
+    return "the configuration cannot be composed: " + "; ".join(kept[:3])
+
+
+def _with_preset(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay the experiment over the values that its preset has for its algorithm."""
+    values = dict(mapping)
+    preset = values.pop("preset", None) or {}
+    name = (values.get("algo") or {}).get("name")
+    if not preset:
+        return values
+    if name not in preset:
+        raise HeadwayError(
+            f"the preset has no values for algo={name}; it has them for {', '.join(sorted(preset))} "
+            "(preset=none leaves the defaults)"
+        )
+    return _merged(preset[name], values)
+
+
+def _merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(lower)
+    for key, value in upper.items():
+        below = merged.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            value = _merged(below, value)
+        merged[key] = value
+    return merged
