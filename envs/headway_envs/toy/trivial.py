@@ -1,0 +1,163 @@
+"""The cheapest environment that can still be learnt: it measures what everything around it costs.
+
+Every step shows each agent four fresh numbers; the right action is the index of the largest of the
+first three. All agents get the share of agents that were right.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+
+OBSERVATION_SIZE = 4
+NUM_ACTIONS = 3
+
+
+@dataclass(frozen=True)
+class TrivialConfig:
+    """Its size. A perfect episode returns `steps` to every agent, random play a third of that."""
+
+    agents: int = 10
+    """N."""
+    steps: int = 200
+    """Steps of an episode, which is then truncated."""
+
+    def __post_init__(self) -> None:
+        if self.agents < 1:
+            raise ValueError(f"agents must be at least 1, not {self.agents}")
+        if self.steps < 1:
+            raise ValueError(f"steps must be at least 1, not {self.steps}")
+
+
+def episode_generator(seed: int, episode: int) -> np.random.Generator:
+    """The generator of all draws of one episode, shared by the batched and the dictionary form."""
+    return generator(seed, "trivial", episode)
+
+
+def agent_names(count: int) -> tuple[str, ...]:
+    """agent_0, agent_1, ..."""
+    return tuple(f"agent_{index}" for index in range(count))
+
+
+class Trivial:
+    """C copies. All have the same length, so they stand at the same step and one index serves them all."""
+
+    def __init__(self, config: TrivialConfig, copies: int) -> None:
+        self._steps, agents = config.steps, config.agents
+        self._spec = EnvSpec(
+            name="trivial",
+            agents=agent_names(agents),
+            observation_size=OBSERVATION_SIZE,
+            action_space=Discrete(NUM_ACTIONS),
+            state_size=agents * OBSERVATION_SIZE,
+            shared_reward=True,
+            metrics=("accuracy",),
+            snapshots=True,
+        )
+        self._seeds = np.zeros(copies, dtype=np.uint64)
+        self._episode = 0
+        self._step = 0
+        self._table = np.zeros((config.steps + 1, copies, agents, OBSERVATION_SIZE), dtype=np.float32)
+        self._right = np.zeros((config.steps + 1, copies, agents), dtype=np.int64)
+        self._matches = np.zeros((copies, agents), dtype=np.bool_)
+        self._counts = np.zeros(copies, dtype=np.int64)
+        self._total = np.zeros(copies, dtype=np.int64)
+        self._alive = np.ones((copies, agents), dtype=np.bool_)
+        self._outcome = Outcome(
+            rewards=np.zeros((copies, agents), dtype=np.float32),
+            terminated=np.zeros((copies, agents), dtype=np.bool_),
+            truncated=np.zeros((copies, agents), dtype=np.bool_),
+            acting=self._alive,
+            episode_ended=np.zeros(copies, dtype=np.bool_),
+            final_observations=np.zeros((copies, agents, OBSERVATION_SIZE), dtype=np.float32),
+            final_states=np.zeros((copies, agents * OBSERVATION_SIZE), dtype=np.float32),
+            metrics=np.zeros((copies, 1), dtype=np.float64),
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return len(self._seeds)
+
+    @property
+    def right_actions(self) -> NDArray[np.int64]:
+        """(C, N): the actions that are right now."""
+        right: NDArray[np.int64] = self._right[self._step]
+        return right
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        self._seeds[:] = seeds
+        self._begin(episode=0)
+        return self._observed()
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        outcome = self._outcome
+        if self._step == 0:
+            outcome.truncated.fill(False)
+            outcome.episode_ended.fill(False)
+        np.equal(actions, self._right[self._step], out=self._matches)
+        np.add.reduce(self._matches, axis=1, dtype=np.int64, out=self._counts)
+        np.divide(self._counts[:, None], self._spec.num_agents, out=outcome.rewards, casting="unsafe")
+        self._total += self._counts
+        self._step += 1
+        if self._step == self._steps:
+            self._end()
+        return outcome, self._observed()
+
+    def snapshot(self) -> tuple[NDArray[np.uint64], int, int, NDArray[np.int64]]:
+        return self._seeds.copy(), self._episode, self._step, self._total.copy()
+
+    def restore(self, snapshot: tuple[NDArray[np.uint64], int, int, NDArray[np.int64]]) -> Observed:
+        seeds, episode, step, total = snapshot
+        self._seeds[:] = seeds
+        self._begin(episode)
+        self._step = step
+        self._total[:] = total
+        self._outcome.truncated.fill(False)
+        self._outcome.episode_ended.fill(False)
+        return self._observed()
+
+    def close(self) -> None:
+        pass
+
+    def _begin(self, episode: int) -> None:
+        self._episode, self._step = episode, 0
+        self._total.fill(0)
+        shape = (self._steps + 1, self._spec.num_agents, OBSERVATION_SIZE)
+        for copy, seed in enumerate(self._seeds):
+            drawn = episode_generator(int(seed), episode).random(shape, dtype=np.float32)
+            self._table[:, copy] = drawn
+        self._table *= 2
+        self._table -= 1
+        first, second, third = (self._table[..., index] for index in range(NUM_ACTIONS))
+        # As argmax, ties to the lower index, several times faster over so short an axis.
+        np.copyto(self._right, second > first)
+        self._right[third > np.maximum(first, second)] = 2
+
+    def _end(self) -> None:
+        outcome, last = self._outcome, self._table[self._steps]
+        outcome.truncated.fill(True)
+        outcome.episode_ended.fill(True)
+        outcome.final_observations[:] = last
+        outcome.final_states[:] = last.reshape(self.num_copies, -1)
+        outcome.metrics[:, 0] = self._total / (self._steps * self._spec.num_agents)
+        self._begin(self._episode + 1)
+
+    def _observed(self) -> Observed:
+        observations = self._table[self._step]
+        return Observed(observations, observations.reshape(self.num_copies, -1), self._alive)
+
+
+class OptimalTrivial:
+    """Always right: returns `steps`."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        """(C, N)"""
+        actions: NDArray[np.int64] = np.argmax(observed.observations[..., :NUM_ACTIONS], axis=-1)
+        return actions

@@ -1,0 +1,78 @@
+"""A single-agent Gymnasium environment as a batch of copies with N = 1."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.adapters.pettingzoo import ParallelEnvBatch
+from headway.adapters.spaces import Space
+
+AGENT = "agent"
+
+
+class SingleAgent:
+    """A Gymnasium environment with the face of a ParallelEnv of one agent; infos pass through."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        self._env = env
+        self.possible_agents = [AGENT]
+        self.agents: list[str] = []
+        self.metadata = env.metadata
+
+    def observation_space(self, agent: str) -> Space:
+        return self._env.observation_space
+
+    def action_space(self, agent: str) -> Space:
+        return self._env.action_space
+
+    def reset(self, seed: int | None = None) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        observation, info = self._env.reset(seed=seed)
+        self.agents = [AGENT]
+        return {AGENT: observation}, {AGENT: info}
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        observation, reward, terminated, truncated, info = self._env.step(actions[AGENT])
+        if terminated or truncated:
+            self.agents = []
+        return (
+            {AGENT: observation},
+            {AGENT: float(reward)},
+            {AGENT: bool(terminated)},
+            {AGENT: bool(truncated)},
+            {AGENT: info},
+        )
+
+    def state(self) -> NDArray[np.float32]:
+        """Raises NotImplementedError: the agent's observation is all there is."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        self._env.close()
+
+
+class GymnasiumBatch(ParallelEnvBatch):
+    """C copies of a Gymnasium environment as a `BatchedEnv`; rules, seeds and errors as `ParallelEnvBatch`."""
+
+    def __init__(
+        self,
+        make_env: Callable[[], gymnasium.Env[Any, Any]],
+        copies: int,
+        name: str,
+        *,
+        metrics: Sequence[str] | None = None,
+        max_copies_per_process: int | None = None,
+    ) -> None:
+        super().__init__(
+            lambda: SingleAgent(make_env()),
+            copies,
+            name,
+            shared_reward=True,
+            agents_come_and_go=False,
+            metrics=metrics,
+            max_copies_per_process=max_copies_per_process,
+        )
