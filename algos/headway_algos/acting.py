@@ -1,0 +1,134 @@
+"""The numpy twin of the actor, for workers that never import torch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Observed
+from headway.contracts.acting import Parameters
+from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
+
+OBSERVATION_CLIP = 10.0
+"""Normalised observations are cut at this many standard deviations, as on-policy MAPPO does."""
+
+
+def layer_sizes(input_size: int, hidden: Sequence[int], output_size: int) -> list[tuple[int, int]]:
+    """(output, input) sizes of each layer of a multilayer perceptron."""
+    sizes = [input_size, *hidden, output_size]
+    return [(sizes[i + 1], sizes[i]) for i in range(len(sizes) - 1)]
+
+
+def actor_outputs(spec: EnvSpec) -> int:
+    """Numbers that the actor's network gives for one agent: logits, or a Gaussian's mean."""
+    match spec.action_space:
+        case Discrete(n=n):
+            return n
+        case Box(low=low):
+            return len(low)
+        case _:
+            raise HeadwayError(
+                f"{spec.name} has MultiDiscrete actions; choose one with Discrete or Box actions"
+            )
+
+
+@dataclass(frozen=True)
+class StackedActingPolicy:
+    """P multilayer perceptrons evaluated at once, then a masked categorical or a diagonal Gaussian."""
+
+    spec: EnvSpec
+    grouping: Grouping
+    hidden: tuple[int, ...]
+    activation: str
+    precision: str
+
+    @classmethod
+    def of(cls, config: AlgoConfig, spec: EnvSpec) -> "StackedActingPolicy":
+        """The policy of an algorithm's config on an environment."""
+        actor_outputs(spec)
+        grouping = Grouping.of(config.policies, spec)
+        return cls(spec, grouping, config.model.hidden, config.model.activation, config.precision)
+
+    def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+        """Names are those of the actor's tensors, besides the observation normaliser's mean and scale."""
+        stack, size, dtype = replicas * self.grouping.num_policies, self.spec.observation_size, self.precision
+        outputs = actor_outputs(self.spec)
+        shapes: dict[str, tuple[int, ...]] = {
+            "observation_mean": (stack, 1, size),
+            "observation_scale": (stack, 1, size),
+        }
+        for i, (out, in_) in enumerate(layer_sizes(size, self.hidden, outputs)):
+            shapes[f"weight_{i}"] = (stack, out, in_)
+            shapes[f"bias_{i}"] = (stack, out, 1)
+        if isinstance(self.spec.action_space, Box):
+            shapes["log_std"] = (stack, outputs, 1)
+        return {name: (shape, np.dtype(dtype)) for name, shape in shapes.items()}
+
+    def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
+        """Uniforms (T, N) for Discrete actions, standard normals (T, N, A) for Box."""
+        if isinstance(self.spec.action_space, Discrete):
+            return generator.random((steps, self.spec.num_agents))
+        return generator.standard_normal((steps, self.spec.num_agents, actor_outputs(self.spec)))
+
+    def act(
+        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action."""
+        stack = parameters["observation_mean"].shape[0]
+        replicas = stack // self.grouping.num_policies
+        rows = self.grouping.gather(observed.observations[None], replicas)
+        if self.spec.agents_come_and_go:
+            rows[~self.grouping.gather(observed.alive[None], replicas)] = 0
+        outputs = self.grouping.scatter(self._forward(parameters, rows), replicas, steps=1)[0]
+        if isinstance(self.spec.action_space, Discrete):
+            masks = observed.action_masks
+            if masks is not None and self.spec.agents_come_and_go:
+                masks = masks | ~observed.alive[..., None]
+            return _sample_categorical(outputs, masks, noise)
+        log_std = np.repeat(parameters["log_std"][..., 0][:, None], rows.shape[1], axis=1)
+        return _sample_gaussian(outputs, self.grouping.scatter(log_std, replicas, steps=1)[0], noise)
+
+    def _forward(self, parameters: Parameters, rows: NDArray[np.float32]) -> NDArray[Any]:
+        """Network outputs (P, B, outputs) of observations (P, B, D)."""
+        x = (rows - parameters["observation_mean"]) * parameters["observation_scale"]
+        x = np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP, out=x).swapaxes(1, 2)
+        last = len(self.hidden)
+        for i in range(last + 1):
+            x = np.matmul(parameters[f"weight_{i}"], x)
+            x += parameters[f"bias_{i}"]
+            if i < last:
+                x = np.tanh(x, out=x) if self.activation == "tanh" else np.maximum(x, 0, out=x)
+        return x.swapaxes(1, 2)
+
+
+def _sample_categorical(
+    logits: NDArray[Any], masks: NDArray[np.bool_] | None, uniforms: NDArray[np.float64] | None
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Actions by inverting the distribution function; forbidden actions have probability exactly 0."""
+    if masks is not None:
+        logits = np.where(masks, logits, -np.inf)
+    shifted = logits - logits.max(axis=-1, keepdims=True)
+    probabilities = np.exp(shifted)
+    cumulative = probabilities.cumsum(axis=-1)
+    total = cumulative[..., -1:]
+    if uniforms is None:
+        actions = logits.argmax(axis=-1)
+    else:
+        actions = (cumulative <= uniforms[..., None] * total).sum(axis=-1)
+    chosen = np.take_along_axis(shifted, actions[..., None], axis=-1)
+    return actions, (chosen - np.log(total))[..., 0].astype(np.float64)
+
+
+def _sample_gaussian(
+    mean: NDArray[Any], log_std: NDArray[Any], normals: NDArray[np.float64] | None
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Actions, not clipped to the bounds (the environment clips), and their log-densities."""
+    if normals is None:
+        normals = np.zeros(mean.shape)
+    actions = (mean + np.exp(log_std) * normals).astype(np.float32)
+    standard = (actions - mean) / np.exp(log_std)
+    log_prob = -0.5 * standard**2 - log_std - 0.5 * np.log(2 * np.pi)
+    return actions, log_prob.sum(axis=-1, dtype=np.float64)

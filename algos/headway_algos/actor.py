@@ -1,0 +1,63 @@
+"""The stacked policies, as torch sees them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from headway.contracts import Box, EnvSpec
+from headway_algos.acting import OBSERVATION_CLIP, actor_outputs
+from headway_algos.config import ModelConfig
+from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks import StackedMLP
+from headway_algos.normalisation import RunningMoments
+
+
+class Actor(nn.Module):
+    """P policies: observation normaliser, multilayer perceptron, action distribution."""
+
+    def __init__(
+        self, model: ModelConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, dtype: torch.dtype
+    ) -> None:
+        super().__init__()
+        outputs = actor_outputs(spec)
+        sizes = (spec.observation_size, model.hidden, outputs)
+        self.network = StackedMLP(seeds, policies, "actor", sizes, model.activation, model.actor_gain, dtype)
+        self.moments = RunningMoments(len(seeds) * policies, spec.observation_size)
+        self.log_std: nn.Parameter | None = None
+        if isinstance(spec.action_space, Box):
+            shape = (len(seeds) * policies, outputs, 1)
+            self.log_std = nn.Parameter(torch.full(shape, model.log_std, dtype=dtype))
+
+    def normalise(self, observations: Tensor) -> Tensor:
+        """Observations (P, B, D) in units of the running mean and standard deviation, cut at 10."""
+        mean, scale = self.moments.mean, self.moments.scale
+        scaled = (observations - mean.to(observations.dtype)) * scale.to(observations.dtype)
+        return scaled.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
+
+    def forward(self, rows: Tensor, masks: Tensor | None) -> MaskedCategorical | DiagonalGaussian:
+        """Distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
+        outputs = self.network(rows)
+        if self.log_std is None:
+            return MaskedCategorical.of_logits(outputs, masks)
+        return DiagonalGaussian(outputs, self.log_std)
+
+    def trainable(self) -> list[nn.Parameter]:
+        """The tensors that gradients reach."""
+        return list(self.parameters())
+
+    def acting_parameters(self) -> dict[str, NDArray[Any]]:
+        """What `StackedActingPolicy` needs, by its names."""
+        dtype = self.network.weights[0].dtype
+        tensors = {
+            "observation_mean": self.moments.mean.to(dtype),
+            "observation_scale": self.moments.scale.to(dtype),
+        }
+        for i, (weight, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
+            tensors[f"weight_{i}"], tensors[f"bias_{i}"] = weight, bias
+        if self.log_std is not None:
+            tensors["log_std"] = self.log_std
+        return {name: np.asarray(tensor.detach().cpu()) for name, tensor in tensors.items()}

@@ -1,0 +1,43 @@
+"""Generalised advantage estimation (Schulman et al. 2015, arXiv:1506.02438)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def generalised_advantages(
+    rewards: Array,
+    values: Array,
+    final_values: Array,
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+    present: NDArray[np.bool_],
+    gamma: float,
+    gae_lambda: float,
+) -> Array:
+    """Advantages (T, C, N) from rewards (T, C, N) and values (T + 1, C, N).
+
+    delta_t = r_t + gamma V_{t+1} (1 - terminated_t) - V_t and
+    A_t = delta_t + gamma lambda (1 - done_t) A_{t+1}, where V_{t+1} after a truncated step is
+    `final_values[t]`, the value of the observation the stream really ended in.
+
+    While an agent is absent (`present` (T + 1, C, N) false) but its stream goes on, time passes: what it
+    is paid meanwhile, discounted, belongs to its last action before (a semi-Markov step: Sutton, Precup
+    and Singh 1999). Entries of absent steps are 0 and the numbers found there are never used. An agent
+    absent after the last step is given a value of 0.
+    """
+    rewards = np.where(np.isfinite(rewards), rewards, 0)
+    advantages = np.zeros_like(rewards)
+    next_value = np.where(present[-1], values[-1], 0)
+    next_advantage = np.zeros_like(next_value)
+    for t in range(rewards.shape[0] - 1, -1, -1):
+        ended = terminated[t] | truncated[t]
+        after = np.where(ended, np.where(truncated[t] & ~terminated[t], final_values[t], 0), next_value)
+        returns = rewards[t] + gamma * after
+        carried = np.where(ended, 0, next_advantage)
+        delta = returns - np.where(present[t], values[t], 0)
+        advantages[t] = np.where(present[t], delta + gamma * gae_lambda * carried, 0)
+        next_value = np.where(present[t], values[t], returns)
+        next_advantage = np.where(present[t], advantages[t], gamma * carried)
+    return advantages

@@ -1,0 +1,92 @@
+"""What an algorithm is, as one frozen record: three choices (critic, update, order) and its numbers."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise ValueError(message)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Networks: one multilayer perceptron for the actor, another of the same form for the critic."""
+
+    hidden: tuple[int, ...] = (64, 64)
+    """Sizes of the hidden layers."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    actor_gain: float = 0.01
+    """Gain of the orthogonal initialisation of the actor's last layer."""
+    log_std: float = -0.5
+    """Initial log standard deviation of a Box action's Gaussian."""
+
+    def __post_init__(self) -> None:
+        _require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
+        _require(self.actor_gain > 0, "actor_gain must be above 0")
+
+
+@dataclass(frozen=True)
+class AlgoConfig:
+    """An on-policy algorithm. A named algorithm fixes defaults of the first three; all can be set."""
+
+    name: str = "custom"
+    critic: Literal["local", "central"] = "local"
+    """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state."""
+    update: Literal["ppo"] = "ppo"
+    """How a policy is improved from its advantages."""
+    order: Literal["simultaneous"] = "simultaneous"
+    """Whether agents are updated all at once or one after another."""
+    policies: Literal["independent", "shared", "groups"] = "independent"
+    """One policy an agent, one for all, or one for each group the environment names."""
+    model: ModelConfig = field(default_factory=ModelConfig)
+    gamma: float = 0.99
+    """Discount factor a step."""
+    gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation."""
+    lr: float = 5e-4
+    """Learning rate of the actor (Adam)."""
+    critic_lr: float | None = None
+    """Learning rate of the critic; null: as the actor's."""
+    lr_end: float = 1.0
+    """Share of the learning rates left at the end of training (linear); 1: constant."""
+    epochs: int = 5
+    """Passes over an iteration's experience."""
+    minibatches: int = 8
+    """Minibatches a pass; 1: the whole batch."""
+    clip: float = 0.2
+    """PPO's clip of the probability ratio."""
+    kl_coeff: float = 0.0
+    """Initial coefficient of the adaptive KL penalty; 0: none."""
+    kl_target: float = 0.01
+    """KL divergence that the adaptive coefficient aims at."""
+    entropy_coeff: float = 0.01
+    value_clip: float | None = None
+    """Bound of the critic's squared error, as RLlib's vf_clip_param; null: none."""
+    grad_clip: float | None = 0.5
+    """Bound of the gradient's norm, for each policy and each critic; null: none."""
+    normalise_advantages: bool = True
+    """Standardise advantages per policy."""
+    normalise_observations: bool = True
+    """Running mean and standard deviation per policy, part of the parameters."""
+    normalise_values: bool = True
+    """The critic learns returns in units of their running mean and standard deviation."""
+    precision: Literal["float32", "float64"] = "float32"
+    piece_rows: int = 512
+    """Rows of a policy worked on at once, so that activations stay in the cache. No effect on results
+    beyond rounding."""
+
+    def __post_init__(self) -> None:
+        _require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
+        _require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
+        _require(self.lr > 0, "lr must be above 0")
+        _require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
+        _require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
+        _require(self.epochs >= 1, "epochs must be at least 1")
+        _require(self.minibatches >= 1, "minibatches must be at least 1")
+        _require(self.clip > 0, "clip must be above 0")
+        _require(self.kl_coeff >= 0, "kl_coeff must be at least 0")
+        _require(self.kl_target > 0, "kl_target must be above 0")
+        _require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
+        _require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
+        _require(self.piece_rows >= 1, "piece_rows must be at least 1")

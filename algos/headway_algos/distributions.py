@@ -1,0 +1,98 @@
+"""Action distributions of stacked policies, with actions' axis second: (P, A, B).
+
+Proven equal to torch.distributions in the tests; these skip its checks and keep rows contiguous.
+"""
+
+from dataclasses import dataclass
+from math import log, pi
+from typing import Protocol, Self
+
+import torch
+from torch import Tensor
+
+
+class ActionDistribution(Protocol):
+    """Distributions of P x B rows."""
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """(P, B) from actions (P, B) or (P, B, A)."""
+        ...
+
+    def entropy(self) -> Tensor:
+        """(P, B)"""
+        ...
+
+    def kl_from(self, old: Self) -> Tensor:
+        """KL(old || self): (P, B)."""
+        ...
+
+    def detach(self) -> Self: ...
+
+
+@dataclass(frozen=True)
+class MaskedCategorical:
+    """Normalised log-probabilities (P, A, B); forbidden actions have probability exactly 0."""
+
+    log_probs: Tensor
+    allowed: Tensor | None
+    """(P, A, B) bool, or None."""
+
+    @classmethod
+    def of_logits(cls, logits: Tensor, masks: Tensor | None) -> Self:
+        """From logits (P, A, B) and masks (P, B, A)."""
+        if masks is None:
+            return cls(torch.log_softmax(logits, dim=1), None)
+        allowed = masks.transpose(1, 2)
+        # A large negative number instead of -inf keeps gradients free of 0 x inf; exp gives exactly 0.
+        masked = logits.masked_fill(~allowed, torch.finfo(logits.dtype).min / 4)
+        return cls(torch.log_softmax(masked, dim=1), allowed)
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """(P, B) from actions (P, B) int64."""
+        return self.log_probs.gather(1, actions[:, None])[:, 0]
+
+    def _expectation(self, values: Tensor) -> Tensor:
+        terms = self.log_probs.exp() * values
+        if self.allowed is not None:
+            terms = terms.masked_fill(~self.allowed, 0)
+        return terms.sum(1)
+
+    def entropy(self) -> Tensor:
+        """- sum p log p over the allowed actions: (P, B)."""
+        return -self._expectation(self.log_probs)
+
+    def kl_from(self, old: Self) -> Tensor:
+        """sum p_old (log p_old - log p): (P, B)."""
+        return old._expectation(old.log_probs - self.log_probs)
+
+    def detach(self) -> Self:
+        """The same without gradients."""
+        return type(self)(self.log_probs.detach(), self.allowed)
+
+
+@dataclass(frozen=True)
+class DiagonalGaussian:
+    """Mean (P, A, B) and a log standard deviation (P, A, 1) that does not depend on the state."""
+
+    mean: Tensor
+    log_std: Tensor
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """Log-density (P, B) of actions (P, B, A)."""
+        standard = (actions.transpose(1, 2) - self.mean) * torch.exp(-self.log_std)
+        return (-0.5 * standard**2 - self.log_std - 0.5 * log(2 * pi)).sum(1)
+
+    def entropy(self) -> Tensor:
+        """(P, B), the same for every row."""
+        entropy = (self.log_std + 0.5 * log(2 * pi) + 0.5).sum(1)
+        return entropy.expand(-1, self.mean.shape[2])
+
+    def kl_from(self, old: Self) -> Tensor:
+        """KL(old || self): (P, B)."""
+        variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
+        distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
+        return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
+
+    def detach(self) -> Self:
+        """The same without gradients."""
+        return type(self)(self.mean.detach(), self.log_std.detach())

@@ -1,0 +1,145 @@
+"""A trajectory laid out by network: rows (P, B, ...) with B = G agents x T steps x E copies."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import Trajectory
+from headway_algos.grouping import Grouping
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How arrays by agent become tensors by network, and back."""
+
+    grouping: Grouping
+    replicas: int
+    """R"""
+    device: torch.device
+    dtype: torch.dtype
+
+    def rows(self, by_agent: NDArray[Any]) -> Tensor:
+        """(T, C, N, ...) -> (P, B, ...); floating arrays in the layout's precision."""
+        gathered = np.require(self.grouping.gather(by_agent, self.replicas), requirements="W")
+        tensor = torch.from_numpy(gathered).to(self.device)
+        return tensor.to(self.dtype) if tensor.is_floating_point() else tensor
+
+    def selection(self, by_agent: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(T, C, N) -> (P, B), false in rows of padding."""
+        selected = self.grouping.gather(by_agent, self.replicas)
+        if not self.grouping.is_member.all():
+            members = np.tile(self.grouping.is_member, (self.replicas, 1))
+            rows_each = selected.shape[1] // self.grouping.width
+            selected = selected & np.repeat(members, rows_each, axis=1)
+        return selected
+
+    def by_agent(self, rows: Tensor, steps: int) -> NDArray[np.float64]:
+        """(P, B, ...) -> (T, C, N, ...) in float64."""
+        return self.grouping.scatter(rows.detach().double().cpu().numpy(), self.replicas, steps)
+
+
+def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
+    """A copy of values (..., N, D) whose absent rows are 0, so that no NaN found there reaches a product."""
+    if present.all():
+        return values
+    return np.where(present[..., None], values, 0).astype(values.dtype)
+
+
+@dataclass(frozen=True)
+class Endings:
+    """Where streams were cut by truncation, gathered so that every replica has F slots (padded)."""
+
+    steps: NDArray[np.int64]
+    """(F, R): step of each ending."""
+    copies: NDArray[np.int64]
+    """(F, R): copy over all replicas."""
+    used: NDArray[np.bool_]
+    """(F, R): not padding."""
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, replicas: int) -> "Endings":
+        """All (step, copy) in which some agent was truncated and not terminated."""
+        cut = (trajectory.truncated & ~trajectory.terminated).any(axis=2)
+        steps, copies = np.nonzero(cut)
+        replica_of = copies // (cut.shape[1] // replicas)
+        lists = [np.flatnonzero(replica_of == r) for r in range(replicas)]
+        width = max(len(places) for places in lists)
+        table = np.stack(
+            [np.pad(places, (0, width - len(places)), constant_values=-1) for places in lists], 1
+        )
+        safe = np.maximum(table, 0)
+        if width == 0:
+            return cls(table, table, table >= 0)
+        return cls(steps[safe], copies[safe], table >= 0)
+
+    def __len__(self) -> int:
+        """F"""
+        return len(self.steps)
+
+    def take(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Rows of an array (T, C, ...) at the endings: (F, R, ...)."""
+        taken: NDArray[Any] = array[self.steps, self.copies]
+        return taken
+
+    def put(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """Values (F, R, N) at their places in zeros of shape (T, C, N)."""
+        result = np.zeros(shape)
+        result[self.steps[self.used], self.copies[self.used]] = values[self.used]
+        return result
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows to work on at once, for every network of a stack."""
+
+    index: Tensor
+    """(P x rows,): places in the flattened (P x B) rows."""
+    weight: Tensor
+    """(P, rows): 1 / (rows of this network's minibatch), 0 in padding."""
+
+    def of(self, rows: Tensor) -> Tensor:
+        """This piece of rows (P, B, ...): (P, rows, ...)."""
+        taken = rows.reshape(-1, *rows.shape[2:]).index_select(0, self.index)
+        return taken.reshape(self.weight.shape + rows.shape[2:])
+
+
+def minibatches(
+    selected: NDArray[np.bool_],
+    generators: Sequence[np.random.Generator],
+    epochs: int,
+    parts: int,
+    piece_rows: int,
+    layout: Layout,
+) -> Iterator[list[Piece]]:
+    """Shuffled minibatches, each a list of pieces whose gradients add up to the minibatch's.
+
+    Every network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts`
+    equal minibatches, whatever the others have: so a network's updates do not depend on its stack.
+    """
+    stack, batch = selected.shape
+    candidates = [np.flatnonzero(row) for row in selected]
+    offsets = np.arange(stack)[:, None] * batch
+    for _ in range(epochs):
+        shuffled = [random.permutation(rows) for random, rows in zip(generators, candidates, strict=True)]
+        for part in range(parts):
+            chunks = [rows[len(rows) * part // parts : len(rows) * (part + 1) // parts] for rows in shuffled]
+            width = max(len(chunk) for chunk in chunks)
+            index = np.zeros((stack, width), np.int64)
+            weight = np.zeros((stack, width))
+            for p, chunk in enumerate(chunks):
+                index[p, : len(chunk)] = chunk
+                weight[p, : len(chunk)] = 1 / max(len(chunk), 1)
+            yield [
+                Piece(
+                    torch.from_numpy((index + offsets)[:, start : start + piece_rows].ravel()).to(
+                        layout.device
+                    ),
+                    torch.from_numpy(weight[:, start : start + piece_rows]).to(layout.device, layout.dtype),
+                )
+                for start in range(0, width, piece_rows)
+            ]

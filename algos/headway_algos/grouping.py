@@ -1,0 +1,79 @@
+"""Which agent follows which policy, and how arrays by agent become arrays by policy."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import EnvSpec
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """K policies over N agents. Policy k's agents are `members[k]`, padded with -1 to G columns."""
+
+    members: NDArray[np.int64]
+    """(K, G)"""
+
+    @classmethod
+    def of(cls, policies: str, spec: EnvSpec) -> Self:
+        """The grouping named by a config's `policies` key: independent, shared or groups."""
+        agents = np.arange(spec.num_agents)
+        if policies == "independent":
+            return cls(agents[:, None])
+        if policies == "shared" or not spec.groups:
+            return cls(agents[None, :])
+        names = list(dict.fromkeys(spec.groups))
+        lists = [[n for n in agents if spec.groups[n] == name] for name in names]
+        width = max(map(len, lists))
+        return cls(np.array([row + [-1] * (width - len(row)) for row in lists]))
+
+    @property
+    def num_policies(self) -> int:
+        """K."""
+        return len(self.members)
+
+    @property
+    def width(self) -> int:
+        """G: agents of the largest group."""
+        return len(self.members[0])
+
+    @cached_property
+    def is_member(self) -> NDArray[np.bool_]:
+        """(K, G): not padding."""
+        return self.members >= 0
+
+    @cached_property
+    def _in_order(self) -> bool:
+        return bool(np.array_equal(self.members.ravel(), np.arange(self.members.size)))
+
+    @cached_property
+    def _place(self) -> NDArray[np.int64]:
+        """(N,): where each agent stands in the flattened members."""
+        flat = self.members.ravel()
+        place = np.empty(int((flat >= 0).sum()), np.int64)
+        place[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
+        return place
+
+    def gather(self, by_agent: NDArray[Any], replicas: int) -> NDArray[Any]:
+        """(T, C, N, ...) -> (P, G x T x E, ...), rows ordered by agent, then step, then copy.
+
+        Rows of padding repeat some agent's; `is_member` says which they are.
+        """
+        steps, copies, agents, *rest = by_agent.shape
+        split = by_agent.reshape(steps, replicas, copies // replicas, agents, *rest)
+        stacked = np.moveaxis(split, (1, 3), (0, 1))
+        if not self._in_order:
+            stacked = stacked[:, self.members.ravel()]
+        return np.ascontiguousarray(stacked).reshape(replicas * self.num_policies, -1, *rest)
+
+    def scatter(self, by_policy: NDArray[Any], replicas: int, steps: int) -> NDArray[Any]:
+        """The inverse of `gather`: (P, G x T x E, ...) -> (T, C, N, ...)."""
+        rest = by_policy.shape[2:]
+        stacked = by_policy.reshape(replicas, self.members.size, steps, -1, *rest)
+        if not self._in_order:
+            stacked = stacked[:, self._place]
+        by_agent = np.moveaxis(stacked, (0, 1), (1, 3))
+        return np.ascontiguousarray(by_agent).reshape(steps, -1, by_agent.shape[3], *rest)

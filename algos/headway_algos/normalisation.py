@@ -1,0 +1,52 @@
+"""Running means and standard deviations, one for each of a stack of networks."""
+
+import torch
+from torch import Tensor, nn
+
+
+class RunningMoments(nn.Module):
+    """Mean and variance of all rows seen, by Chan's parallel formula, in float64; (P, 1, size) each.
+
+    Until something was seen it leaves values unchanged. Buffers, so checkpoints hold them.
+    """
+
+    count: Tensor
+    mean: Tensor
+    variance: Tensor
+
+    def __init__(self, stack: int, size: int) -> None:
+        super().__init__()
+        self.register_buffer("count", torch.zeros(stack, 1, 1, dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(stack, 1, size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(stack, 1, size, dtype=torch.float64))
+
+    def include(self, rows: Tensor, selected: Tensor | None = None) -> None:
+        """Add rows (P, B, size) where `selected` (P, B) holds; unselected rows must be finite."""
+        values = rows.double()
+        if selected is None:
+            count = torch.full_like(self.count, rows.shape[1])
+            mean = values.mean(1, keepdim=True)
+            squares = ((values - mean) ** 2).sum(1, keepdim=True)
+        else:
+            weight = selected.double()[..., None]
+            count = weight.sum(1, keepdim=True)
+            mean = (values * weight).sum(1, keepdim=True) / count.clamp(min=1)
+            squares = ((values - mean) ** 2 * weight).sum(1, keepdim=True)
+        total = self.count + count
+        share = count / total.clamp(min=1)
+        shift = mean - self.mean
+        old_squares = torch.where(self.count > 0, self.variance * self.count, 0)
+        new_squares = old_squares + squares + shift**2 * self.count * share
+        self.mean += shift * share
+        self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)
+        self.count = total
+
+    @property
+    def scale(self) -> Tensor:
+        """1 / standard deviation, (P, 1, size)."""
+        return torch.rsqrt(self.variance + 1e-8)
+
+    @property
+    def std(self) -> Tensor:
+        """Standard deviation, (P, 1, size)."""
+        return torch.sqrt(self.variance + 1e-8)

@@ -1,0 +1,31 @@
+"""IPPO: independent proximal policy optimisation.
+
+Every agent a improves its own policy pi_a(u|o) by PPO's clipped surrogate
+
+    L(theta) = E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)],   rho = pi_theta(u|o) / pi_old(u|o)
+
+(Schulman et al. 2017, arXiv:1707.06347, equation 7) with advantages from a critic V(o) of its own
+observation (generalised advantage estimation, arXiv:1506.02438), as if the other agents were part of
+the environment (de Witt et al. 2020, arXiv:2011.09533).
+
+Neighbours: MAPPO replaces V(o) by V(s); IA2C takes one plain gradient step instead of PPO's epochs;
+ITRPO replaces the clip by a trust region.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from headway_algos.config import AlgoConfig
+
+SUMMARY = "independent PPO: local critic, clipped surrogate, all agents at once"
+SOURCE = "Schulman et al. 2017, arXiv:1707.06347; de Witt et al. 2020, arXiv:2011.09533"
+
+
+@dataclass(frozen=True)
+class IPPOConfig(AlgoConfig):
+    """IPPO is local critic x PPO x simultaneous."""
+
+    name: str = "ippo"
+    critic: Literal["local", "central"] = "local"
+    update: Literal["ppo"] = "ppo"
+    order: Literal["simultaneous"] = "simultaneous"

@@ -1,0 +1,1 @@
+"""How policies are improved from advantages: pure functions of explicit inputs."""

@@ -1,0 +1,141 @@
+"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347), for a stack of policies."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway_algos.actor import Actor
+from headway_algos.config import AlgoConfig
+from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.experience import Layout, Piece, minibatches
+from headway_algos.optimiser import StackedAdam
+
+
+@dataclass(frozen=True)
+class PolicyRows:
+    """What the policies did, laid out by policy."""
+
+    observations: Tensor
+    """(P, B, D), normalised."""
+    masks: Tensor | None
+    """(P, B, A)"""
+    actions: Tensor
+    """(P, B) or (P, B, A)"""
+    log_probs: Tensor
+    """(P, B), at the parameters that acted."""
+    selected: NDArray[np.bool_]
+    """(P, B): the agent was alive and its action was used."""
+
+
+def standardise(advantages: Tensor, selected: Tensor) -> Tensor:
+    """Advantages (P, B) to mean 0 and standard deviation 1 over each policy's selected rows."""
+    weight = selected.to(advantages.dtype)
+    count = weight.sum(1, keepdim=True).clamp(min=1)
+    mean = (advantages * weight).sum(1, keepdim=True) / count
+    variance = ((advantages - mean) ** 2 * weight).sum(1, keepdim=True) / count
+    return (advantages - mean) / (variance.sqrt() + 1e-8)
+
+
+def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """min(ratio A, clip(ratio, 1 - clip, 1 + clip) A): equation 7 of the paper, row by row."""
+    return torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
+
+
+def _old_distribution(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
+    """Network outputs (P, B, A) at the parameters that acted, for the KL penalty."""
+    with torch.no_grad():
+        pieces = torch.split(rows.observations, config.piece_rows, dim=1)
+        return torch.cat([actor.network(piece) for piece in pieces], dim=2).transpose(1, 2).contiguous()
+
+
+def _kl_to_old(
+    new: MaskedCategorical | DiagonalGaussian,
+    old_outputs: Tensor,
+    masks: Tensor | None,
+    old_log_std: Tensor | None,
+) -> Tensor:
+    """KL(old || new), (P, B), from the old network outputs (P, B, A)."""
+    outputs = old_outputs.transpose(1, 2)
+    if isinstance(new, MaskedCategorical):
+        return new.kl_from(MaskedCategorical.of_logits(outputs, masks))
+    assert old_log_std is not None
+    return new.kl_from(DiagonalGaussian(outputs, old_log_std))
+
+
+def ppo(
+    actor: Actor,
+    optimiser: StackedAdam,
+    rows: PolicyRows,
+    advantages: Tensor,
+    kl_coeff: Tensor,
+    generators: Sequence[np.random.Generator],
+    config: AlgoConfig,
+    layout: Layout,
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Several epochs of minibatch steps on the clipped surrogate, KL penalty and entropy bonus.
+
+    `advantages` (P, B) are used as they come; `kl_coeff` (P,). Returns the adapted KL coefficients and
+    info, each (P,). Section 4 of the paper gives the adaptation; the factors are RLlib's.
+    """
+    penalised = config.kl_coeff > 0
+    old_outputs = _old_distribution(actor, rows, config) if penalised else None
+    old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
+    totals = torch.zeros(4, len(kl_coeff), device=layout.device, dtype=layout.dtype)
+    steps = 0
+    batches = minibatches(
+        rows.selected, generators, config.epochs, config.minibatches, config.piece_rows, layout
+    )
+    for pieces in batches:
+        optimiser.begin()
+        for piece in pieces:
+            masks = piece.of(rows.masks) if rows.masks is not None else None
+            distribution = actor(piece.of(rows.observations), masks)
+            log_ratio = distribution.log_prob(piece.of(rows.actions)) - piece.of(rows.log_probs)
+            ratio = log_ratio.exp()
+            surrogate = clipped_surrogate(ratio, piece.of(advantages), config.clip)
+            entropy = distribution.entropy()
+            objective = surrogate + config.entropy_coeff * entropy
+            if old_outputs is not None:
+                kl = _kl_to_old(distribution, piece.of(old_outputs), masks, old_log_std)
+                objective = objective - kl_coeff[:, None] * kl
+            else:
+                # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
+                kl = ratio - 1 - log_ratio
+            (-(objective * piece.weight).sum()).backward()
+            totals[:3] += _weighted(piece, kl, entropy, ((ratio - 1).abs() > config.clip).to(layout.dtype))
+        totals[3] += optimiser.step()
+        steps += 1
+    kl, entropy, clipped, norm = totals / steps
+    info = {"kl": kl, "entropy": entropy, "clip_fraction": clipped, "gradient_norm": norm}
+    if penalised:
+        final_kl = _mean_kl(actor, rows, old_outputs, old_log_std, config)
+        info["kl"], info["kl_coeff"] = final_kl, kl_coeff
+        kl_coeff = torch.where(final_kl > 2 * config.kl_target, kl_coeff * 1.5, kl_coeff)
+        kl_coeff = torch.where(final_kl < config.kl_target / 2, kl_coeff * 0.5, kl_coeff)
+    return kl_coeff, info
+
+
+def _weighted(piece: Piece, *values: Tensor) -> Tensor:
+    return torch.stack([(value.detach() * piece.weight).sum(1) for value in values])
+
+
+def _mean_kl(
+    actor: Actor, rows: PolicyRows, old_outputs: Tensor | None, old_log_std: Tensor | None, config: AlgoConfig
+) -> Tensor:
+    """Mean KL(old || new) of each policy over its selected rows, (P,)."""
+    assert old_outputs is not None
+    selected = torch.from_numpy(rows.selected).to(old_outputs.device)
+    total = torch.zeros(len(selected), device=old_outputs.device, dtype=old_outputs.dtype)
+    with torch.no_grad():
+        for start in range(0, selected.shape[1], config.piece_rows):
+            part = slice(start, start + config.piece_rows)
+            masks = rows.masks[:, part] if rows.masks is not None else None
+            kl = _kl_to_old(
+                actor(rows.observations[:, part], masks), old_outputs[:, part], masks, old_log_std
+            )
+            total += torch.where(selected[:, part], kl, 0).sum(1)
+    return total / selected.sum(1).clamp(min=1)
