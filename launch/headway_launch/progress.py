@@ -45,6 +45,13 @@ class JobProgress:
                 self.evaluation_return = sum(returns) / len(returns)
 
     @property
+    def name(self) -> str:
+        """`seed 3`, `seeds 0..4`."""
+        if len(self.seeds) == 1:
+            return f"seed {self.seeds[0]}"
+        return f"seeds {self.seeds[0]}..{self.seeds[-1]}"
+
+    @property
     def steps_per_second(self) -> float | None:
         """Environment steps a second over the last iterations, all seeds of the job together."""
         if len(self._marks) < 2:
@@ -62,11 +69,10 @@ class JobProgress:
 
     def cells(self) -> tuple[str, ...]:
         """Seeds, iteration, steps, speed, last evaluation, time left."""
-        name = f"seed {self.seeds[0]}" if len(self.seeds) == 1 else f"seeds {self.seeds[0]}..{self.seeds[-1]}"
         speed, left = self.steps_per_second, self.seconds_left
         training = self.status == "training"
         return (
-            name,
+            self.name,
             f"{self.iteration}/{self.iterations}",
             f"{self.env_steps:,} steps",
             f"{speed:,.0f} steps/s" if speed is not None and training else "",

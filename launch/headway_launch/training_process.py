@@ -35,17 +35,32 @@ class TrainingProcess:
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         childs_end.close()
+        self._at_end = False
 
     @property
     def connection(self) -> Connection:
         """Ready to be waited for with `multiprocessing.connection.wait`."""
         return self._events
 
+    @property
+    def sentinel(self) -> int:
+        """Ready to be waited for once the process is gone."""
+        return self._process.sentinel
+
+    def has_event(self) -> bool:
+        """Whether `receive` returns at once."""
+        return not self._at_end and self._events.poll()
+
+    def has_ended(self) -> bool:
+        """Whether nothing more will be heard."""
+        return self._at_end or (not self._process.is_alive() and not self._events.poll())
+
     def receive(self) -> Event | None:
         """The next event, or None where the process has closed its end."""
         try:
             event: Event = self._events.recv()
         except (EOFError, ConnectionResetError):
+            self._at_end = True
             return None
         return event
 

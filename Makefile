@@ -1,0 +1,68 @@
+# Headway. `make` lists what there is; every target sets up the virtual environment first if there is none.
+
+VENV ?= .venv
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+CONFIG ?= bus_mappo
+SEEDS ?= 0..9
+ARGS ?=
+# For pip: `make setup PIP_ARGS="--extra-index-url https://download.pytorch.org/whl/cpu"` takes torch without CUDA.
+PIP_ARGS ?=
+
+STAMP := $(VENV)/.installed
+BIN := $(VENV)/bin
+SOURCES := platform envs algos launch tests $(wildcard benchmarks)
+
+.DEFAULT_GOAL := help
+.PHONY: help setup experiment sweep test check lint format types benchmarks browse clean
+.DELETE_ON_ERROR:
+
+help: ## list the targets
+	@echo "make TARGET, where TARGET is one of"
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' Makefile
+	@echo 'for example: make experiment CONFIG=bus_mappo ARGS="seed=0..4 algo.lr=3e-4"'
+
+setup: $(STAMP) ## make the virtual environment .venv, with the versions in constraints.txt
+
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "make: no python3 found; install Python 3.11" >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
+		{ echo "make: $(PYTHON) is not Python 3.11; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e ".[dev]"
+	@touch $@
+
+experiment: $(STAMP) ## train one experiment: CONFIG=bus_mappo ARGS="key=value ..."
+	@$(BIN)/headway run experiment=$(CONFIG) $(ARGS)
+
+sweep: $(STAMP) ## train one experiment over many seeds: CONFIG=bus_mappo SEEDS=0..9
+	@$(BIN)/headway sweep experiment=$(CONFIG) seed=$(SEEDS) $(ARGS)
+
+test: $(STAMP) ## run the tests
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: $(STAMP) ## formatting, lint, types and tests, as the project's CI does
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q $(ARGS)
+
+lint: $(STAMP) ## look for mistakes and bad style
+	@$(BIN)/ruff check $(SOURCES)
+
+format: $(STAMP) ## format the code
+	@$(BIN)/ruff format $(SOURCES)
+	@$(BIN)/ruff check --fix --quiet $(SOURCES)
+
+types: $(STAMP) ## check the types
+	@$(BIN)/mypy
+
+benchmarks: $(STAMP) ## measure the speed of this machine's installation
+	@test -d benchmarks || { echo "make: there is no benchmarks folder yet" >&2; exit 1; }
+	@for program in benchmarks/*.py; do echo "== $$program"; $(BIN)/python "$$program" $(ARGS) || exit 1; done
+
+browse: $(STAMP) ## open the store of runs in MLflow's pages
+	@$(BIN)/headway browse $(ARGS)
+
+clean: ## remove the virtual environment and caches; runs are kept
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache build dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

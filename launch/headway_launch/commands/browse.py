@@ -1,0 +1,88 @@
+"""`headway browse`: MLflow's pages over the store, on this machine only."""
+
+import argparse
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from tempfile import TemporaryFile
+
+from headway.config import StoreConfig
+from headway.contracts.errors import HeadwayError
+from headway_launch.commands.runs import existing_store
+from headway_launch.session import StopRequests
+
+EXAMPLES = """\
+examples:
+  headway browse
+  headway browse --port 5050 --store runs
+"""
+
+_HOST = "127.0.0.1"
+_READY_S = 60.0
+_END_S = 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Port and store."""
+    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (default: 5000)")
+    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Serve until Ctrl-C."""
+    from headway.store.following import sync
+
+    root = existing_store(arguments.store).resolve()
+    _require_free(arguments.port)
+    for line in sync(root):
+        print(f"headway: {line}", file=sys.stderr)
+    uri = f"sqlite:///{root / 'mlflow.db'}"
+    command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", uri]
+    command += ["--host", _HOST, "--port", str(arguments.port), "--workers", "1"]
+    with StopRequests() as requests, TemporaryFile("w+") as log:
+        server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        try:
+            _wait_until_ready(server, arguments.port, requests)
+            if not requests.count:
+                print(f"the store is at http://{_HOST}:{arguments.port} (Ctrl-C ends)", flush=True)
+            while not requests.count and server.poll() is None:
+                time.sleep(0.2)
+        finally:
+            _end(server)
+        if not requests.count:
+            log.seek(0)
+            last = (log.read().strip().splitlines() or ["without a word"])[-1]
+            raise HeadwayError(f"MLflow's server ended by itself: {last}")
+    return 0
+
+
+def _require_free(port: int) -> None:
+    with contextlib.closing(socket.socket()) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((_HOST, port))
+        except (OSError, OverflowError) as error:
+            raise HeadwayError(
+                f"port {port} cannot be used ({error}); give another: --port {port + 1}"
+            ) from error
+
+
+def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: StopRequests) -> None:
+    deadline = time.monotonic() + _READY_S
+    while server.poll() is None and not requests.count and time.monotonic() < deadline:
+        with contextlib.suppress(OSError), socket.create_connection((_HOST, port), timeout=1):
+            return
+        time.sleep(0.2)
+
+
+def _end(server: "subprocess.Popen[bytes]") -> None:
+    """End the server and its workers, which form a group of their own."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(server.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            server.wait(_END_S)

@@ -1,0 +1,111 @@
+"""`headway runs`: the runs in the store, at a glance."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from headway.config import StoreConfig
+from headway.configuration import parse_seeds, suggestion
+from headway.contracts.errors import HeadwayError
+from headway_launch.tables import Cell, print_table
+
+if TYPE_CHECKING:
+    from headway.store.index import RunRow
+
+EXAMPLES = """\
+examples:
+  headway runs
+  headway runs --study bus --algo mappo --status FINISHED
+  headway runs --seed 0..4 --format csv > runs.csv
+  headway runs --format json | jq '.[].final_reward'
+"""
+
+_STATUSES = ("RUNNING", "FINISHED", "KILLED", "FAILED")
+_SHOWN = (
+    "study",
+    "environment",
+    "algorithm",
+    "policies",
+    "seed",
+    "status",
+    "iterations",
+    "env_steps",
+    "final_reward",
+    "auc",
+    "kwh",
+    "kg_co2",
+    "duration_s",
+    "run_id",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Filters and the format."""
+    parser.add_argument("--study", help="only runs of this study")
+    parser.add_argument("--env", help="only runs on this environment")
+    parser.add_argument("--algo", help="only runs of this algorithm")
+    parser.add_argument("--seed", help="only these seeds: 7, 0,1,2 or 0..49")
+    parser.add_argument("--status", help="only runs with this status: " + ", ".join(_STATUSES))
+    parser.add_argument("--format", choices=("table", "json", "csv"), default="table")
+    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Print the runs that pass the filters."""
+    from headway.store.index import RunIndex
+
+    index = RunIndex(existing_store(arguments.store))
+    everything = index.rows()
+    for notice in index.notices:
+        print(f"headway: {notice}", file=sys.stderr)
+    _require_known("study", arguments.study, {row.study for row in everything})
+    _require_known("env", arguments.env, {row.environment for row in everything})
+    _require_known("algo", arguments.algo, {row.algorithm for row in everything})
+    status = arguments.status.upper() if arguments.status else None
+    _require_known("status", status, set(_STATUSES))
+    seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
+    rows = [
+        row
+        for row in everything
+        if arguments.study in (None, row.study)
+        and arguments.env in (None, row.environment)
+        and arguments.algo in (None, row.algorithm)
+        and status in (None, row.status)
+        and (seeds is None or row.seed in seeds)
+    ]
+    _print(rows, arguments.format)
+    return 0
+
+
+def existing_store(folder: str) -> Path:
+    """The folder of a store. Raises HeadwayError if there is none."""
+    if not Path(folder).is_dir():
+        raise HeadwayError(f"there is no store in {folder!r}; `headway run` makes one, --store names another")
+    return Path(folder)
+
+
+def _require_known(option: str, value: str | None, known: set[str]) -> None:
+    if value is not None and value not in known:
+        raise HeadwayError(f"--{option} {value}: no run has that; {suggestion(value, known)}")
+
+
+def _print(rows: Sequence["RunRow"], style: str) -> None:
+    if style == "json":
+        import json
+
+        print(json.dumps([asdict(row) for row in rows], indent=1))
+    elif style == "csv":
+        import csv
+
+        writer = csv.writer(sys.stdout)
+        writer.writerow(_SHOWN)
+        writer.writerows(_cells(row) for row in rows)
+    else:
+        print_table(_SHOWN, [_cells(row) for row in rows])
+
+
+def _cells(row: "RunRow") -> list[Cell]:
+    return [getattr(row, name) for name in _SHOWN]

@@ -1,0 +1,132 @@
+"""A session: training processes side by side, heard until the last of them has ended."""
+
+import signal
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import wait
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from headway.events import Event, Failed, Finished, Notice
+from headway_launch.progress import JobProgress, Progress
+from headway_launch.training_process import TrainingProcess
+
+if TYPE_CHECKING:
+    from headway.training import TrainingJob
+
+_POLL_S = 0.2
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class StopRequests:
+    """Counts Ctrl-C, SIGTERM and SIGHUP instead of dying of them, while it is entered."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in _STOP_SIGNALS:
+            self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+
+
+class Session:
+    """Runs jobs, `parallel` at a time. Every event goes to `take(index of the job, event)`; `tick` is called
+    a few times a second. A job that fails does not stop the others."""
+
+    def __init__(
+        self,
+        jobs: Sequence["TrainingJob"],
+        progress: Sequence[JobProgress],
+        parallel: int,
+        take: Callable[[int, Event], None],
+        tick: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._jobs = jobs
+        self._progress = progress
+        self._parallel = parallel
+        self._take = take
+        self._tick = tick
+        self._running: dict[int, TrainingProcess] = {}
+        self._asked_to_stop = False
+
+    def run(self) -> bool:
+        """Train everything; returns whether the session was asked to stop. Whatever is raised, no training
+        process is left."""
+        waiting = list(range(len(self._jobs)))
+        try:
+            with StopRequests() as requests, Progress(self._progress) as shown:
+                while self._running or (waiting and not requests.count):
+                    while waiting and len(self._running) < self._parallel and not requests.count:
+                        self._start(waiting.pop(0))
+                    self._hear(shown)
+                    self._obey(requests.count, shown)
+                    self._tick()
+                    shown.show()
+                return requests.count > 0
+        finally:
+            for process in self._running.values():
+                process.kill()
+                process.join()
+
+    def _start(self, index: int) -> None:
+        self._progress[index].status = "starting"
+        self._running[index] = TrainingProcess(self._jobs[index])
+
+    def _hear(self, shown: Progress) -> None:
+        """Take the events that have arrived, waiting a moment if there are none."""
+        by_handle: dict[Any, int] = {
+            handle: index
+            for index, process in self._running.items()
+            for handle in (process.connection, process.sentinel)
+        }
+        for index in {by_handle[handle] for handle in wait(list(by_handle), _POLL_S)}:
+            process = self._running[index]
+            while process.has_event():
+                event = process.receive()
+                if event is None:
+                    break
+                self._take_event(index, event, shown)
+            if process.has_ended():
+                self._end(index, shown)
+
+    def _take_event(self, index: int, event: Event, shown: Progress) -> None:
+        job = self._progress[index]
+        job.take(event, time.monotonic())
+        match event:
+            case Finished(stopped=stopped):
+                job.status = "stopped" if stopped else "finished"
+            case Failed(line=line):
+                job.status = "failed"
+                shown.note(f"headway: {job.name} failed: {line}")
+            case Notice(line=line):
+                shown.note(f"{job.name}: {line}")
+        self._take(index, event)
+
+    def _end(self, index: int, shown: Progress) -> None:
+        how = self._running.pop(index).join()
+        if self._progress[index].status in ("starting", "training"):
+            self._take_event(index, Failed(how, ""), shown)
+
+    def _obey(self, requests: int, shown: Progress) -> None:
+        if requests and not self._asked_to_stop and self._running:
+            self._asked_to_stop = True
+            shown.note("stopping after this iteration, with a checkpoint; Ctrl-C again kills at once")
+            for process in self._running.values():
+                process.ask_to_stop()
+        if requests > 1:
+            for process in self._running.values():
+                process.kill()
