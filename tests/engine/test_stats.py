@@ -1,0 +1,131 @@
+"""Statistics against hand-made cases."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats as scipy_stats
+
+from headway.stats import (
+    auc,
+    final_reward,
+    interquartile_mean,
+    mean_std,
+    paired_bootstrap,
+    paired_difference,
+    stratified_bootstrap_interval,
+)
+
+
+def test_final_reward_is_the_mean_over_the_last_fifth_of_the_steps() -> None:
+    steps = np.arange(0, 101, 10)
+    assert final_reward(steps, steps) == 90.0  # points 80, 90, 100
+    # Of the steps, not of the points: a curve sampled densely at its start.
+    assert final_reward([0, 1, 2, 3, 4, 100], [9, 9, 9, 9, 9, 5]) == 5.0
+    assert final_reward([3], [7]) == 7.0
+
+
+def test_auc_of_known_shapes() -> None:
+    assert auc([0, 10], [-5, 5]) == 0.5
+    assert auc([0, 1, 10], [0, 1, 1]) == pytest.approx((0.5 + 9) / 10)
+    assert auc([5, 6, 15], [3, 3, 3]) == 0.5  # flat, by definition
+    assert auc([0, 10], [2, 2], low=0, high=8) == 0.25
+    assert auc([4], [6], low=0, high=8) == 0.75
+
+
+def test_auc_does_not_change_with_scale_or_shift() -> None:
+    generator = np.random.default_rng(1)
+    steps, values = np.cumsum(generator.integers(1, 9, 50)), generator.normal(size=50)
+    assert auc(7 * steps + 3, 5 * values - 100) == pytest.approx(auc(steps, values))
+
+
+@pytest.mark.parametrize(
+    ("steps", "values", "bounds", "message"),
+    [
+        ([], [], {}, "at least one"),
+        ([0, 1], [1], {}, "2 points"),
+        ([0, 0], [1, 2], {}, "increase"),
+        ([0, 1], [1, np.nan], {}, "finite"),
+        ([0, 1], [1, 2], {"low": 0.0}, "both"),
+        ([0, 1], [1, 2], {"low": 2.0, "high": 2.0}, "below"),
+    ],
+)
+def test_impossible_curves_are_refused(
+    steps: list[float], values: list[float], bounds: dict[str, float], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        auc(steps, values, **bounds)
+
+
+def test_mean_std_is_of_the_sample() -> None:
+    result = mean_std([1, 2, 3, 4])
+    assert (result.mean, result.count) == (2.5, 4)
+    assert result.std == pytest.approx(np.sqrt(5 / 3))
+    assert np.isnan(mean_std([3]).std)
+
+
+def test_paired_difference_is_the_t_interval() -> None:
+    generator = np.random.default_rng(2)
+    days = generator.normal(0, 50, 10)
+    a, b = days + generator.normal(1, 1, 10), days + generator.normal(0, 1, 10)
+    result = paired_difference(a, b)
+    expected = scipy_stats.ttest_rel(a, b).confidence_interval(0.95)
+    assert (result.low, result.high) == pytest.approx((expected.low, expected.high))
+    assert result.estimate == pytest.approx((a - b).mean())
+    assert not paired_difference([1, 2, 3], [2, 2, 2]).excludes_zero
+    assert paired_difference([1, 2, 3], [0, 1, 2.1]).excludes_zero
+
+
+def test_paired_intervals_cover_the_truth_as_often_as_they_say() -> None:
+    generator = np.random.default_rng(3)
+    covered = 0
+    for trial in range(200):
+        seeds, days = generator.normal(0, 1, (20, 1)), generator.normal(0, 1, (1, 20))
+        difference = 0.5 + seeds + days + generator.normal(0, 1, (20, 20))
+        interval = paired_bootstrap(difference, np.zeros((20, 20)), resamples=500, seed=trial)
+        covered += interval.low <= 0.5 <= interval.high
+    assert covered >= 180  # of 200; drawing entries alone covers less than half
+
+
+def test_paired_bootstrap_of_a_constant_difference_is_that() -> None:
+    a = np.arange(12.0).reshape(3, 4)
+    result = paired_bootstrap(a + 2, a)
+    assert (result.estimate, result.low, result.high) == pytest.approx((2, 2, 2))
+
+
+def test_pairs_must_match() -> None:
+    with pytest.raises(ValueError, match="same shape"):
+        paired_difference([1, 2], [1, 2, 3])
+    with pytest.raises(ValueError, match="two pairs"):
+        paired_difference([1], [2])
+    with pytest.raises(ValueError, match="confidence"):
+        paired_difference([1, 2], [2, 3], confidence=95)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 10, 37])
+def test_interquartile_mean_is_the_trimmed_mean(count: int) -> None:
+    scores = np.random.default_rng(count).normal(size=count)
+    assert interquartile_mean(scores) == pytest.approx(scipy_stats.trim_mean(scores, 0.25))
+
+
+def test_interquartile_mean_takes_runs_by_tasks() -> None:
+    assert interquartile_mean([[0, 1, 2, 3], [4, 5, 6, 700]]) == pytest.approx(3.5)
+
+
+def test_stratified_bootstrap_draws_within_tasks() -> None:
+    # Tasks whose runs agree leave nothing to draw; mixed draws would spread.
+    result = stratified_bootstrap_interval([[0, 0, 0], [10, 10]], lambda scores: scores.mean(axis=-1))
+    assert (result.estimate, result.low, result.high) == (4, 4, 4)
+
+
+def test_stratified_bootstrap_agrees_with_theory_for_the_mean() -> None:
+    scores = np.random.default_rng(4).normal(size=400)
+    result = stratified_bootstrap_interval([scores], lambda drawn: drawn.mean(axis=-1))
+    assert (result.high - result.low) / 2 == pytest.approx(1.96 * scores.std() / 20, rel=0.05)
+    assert stratified_bootstrap_interval([scores]) == stratified_bootstrap_interval([scores])
+
+
+def test_importing_it_is_cheap() -> None:
+    code = "import sys, headway.stats; sys.exit(bool({'pandas', 'scipy', 'torch'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
