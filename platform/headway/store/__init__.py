@@ -1,1 +1,32 @@
-"""The experiment store: run folders that are the truth, MLflow and an index that follow them."""
+"""The experiment store: run folders that are the truth, MLflow and an index that follow them.
+
+A training process writes `RunLog` and checkpoints; the session process writes the rest by `SessionStore`.
+Importing this costs neither MLflow nor pandas, pyarrow or torch.
+"""
+
+from headway.store.checkpoint import load_latest, save_checkpoint
+from headway.store.folder import CHECKPOINTS, RunRecord, Status, find_run
+from headway.store.following import sync
+from headway.store.index import RunIndex, RunRow
+from headway.store.log import RunLog, Table, read
+from headway.store.provenance import provenance
+from headway.store.session import Cell, Run, SessionStore
+
+__all__ = [
+    "CHECKPOINTS",
+    "Cell",
+    "Run",
+    "RunIndex",
+    "RunLog",
+    "RunRecord",
+    "RunRow",
+    "SessionStore",
+    "Status",
+    "Table",
+    "find_run",
+    "load_latest",
+    "provenance",
+    "read",
+    "save_checkpoint",
+    "sync",
+]

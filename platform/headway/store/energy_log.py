@@ -1,0 +1,44 @@
+"""The energy samples of one run, in `energy.parquet`."""
+
+import time
+from pathlib import Path
+
+from headway.events import Row
+from headway.store.durable import write_durably
+
+_NAME = "energy.parquet"
+_WRITE_SECONDS = 60.0
+
+
+class EnergyLog:
+    """Gathers samples and rewrites the file with all of them, those of earlier sessions included."""
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / _NAME
+        self._rows: list[Row] = []
+        self._loaded = False
+        self._written = time.monotonic()
+
+    def append(self, sample: Row) -> None:
+        """Add one sample; it is durable after `write`."""
+        self._rows.append(sample)
+
+    def write_if_due(self) -> None:
+        """Write if the last time is a minute ago; raises as `write` does."""
+        if time.monotonic() - self._written >= _WRITE_SECONDS:
+            self.write()
+
+    def write(self) -> None:
+        """Write all samples durably. Raises HeadwayError if that fails."""
+        if not self._rows:
+            return
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if not self._loaded and self._path.exists():
+            self._rows = [*pq.ParquetFile(self._path).read().to_pylist(), *self._rows]
+        self._loaded = True
+        columns = list(dict.fromkeys(column for row in self._rows for column in row))
+        content = pa.table({column: [row.get(column) for row in self._rows] for column in columns})
+        write_durably(self._path, lambda stream: pq.write_table(content, stream, compression="zstd"))
+        self._written = time.monotonic()

@@ -1,0 +1,88 @@
+"""What a run was made with: versions, revision, hardware."""
+
+import os
+import platform
+import subprocess
+import sys
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+
+import psutil
+
+_PACKAGES = ("headway", "numpy", "torch", "gymnasium", "pettingzoo", "supersuit", "mlflow", "codecarbon")
+_GIT_SECONDS = 5.0
+
+
+@lru_cache(maxsize=4)
+def _provenance(project: Path) -> tuple[tuple[str, str], ...]:
+    return tuple((_versions() | _revision(project) | _hardware()).items())
+
+
+def provenance(project: Path | None = None) -> dict[str, str]:
+    """Tags that say what a run was made with; `project` (default: the current folder) is asked for its
+    git revision. Imports none of the packages it names. What cannot be found out is left out."""
+    return dict(_provenance((project or Path.cwd()).resolve()))
+
+
+def _versions() -> dict[str, str]:
+    found = {"version.python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[f"version.{package}"] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _revision(project: Path) -> dict[str, str]:
+    revision = _git(project, "rev-parse", "HEAD")
+    if revision is None:
+        return {}
+    changes = _git(project, "status", "--porcelain", "--untracked-files=no")
+    dirty = {} if changes is None else {"git.dirty": "true" if changes else "false"}
+    return {"git.revision": revision, **dirty}
+
+
+def _git(project: Path, *arguments: str) -> str | None:
+    command = ["git", "--no-optional-locks", "-C", str(project), *arguments]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=_GIT_SECONDS, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return answer.stdout.strip() if answer.returncode == 0 else None
+
+
+def _hardware() -> dict[str, str]:
+    found = {
+        "hardware.cpu": _cpu_model(),
+        "hardware.cores": str(usable_cores()),
+        "hardware.memory_gib": f"{psutil.virtual_memory().total / 2**30:.1f}",
+        "hardware.host": platform.node(),
+        "hardware.system": platform.platform(),
+    }
+    gpus = _gpu_models()
+    return found | ({"hardware.gpu": ", ".join(gpus)} if gpus else {})
+
+
+def usable_cores() -> int:
+    """Logical processors that this process may run on."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _cpu_model() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    models = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(models, platform.processor() or platform.machine())
+
+
+def _gpu_models() -> list[str]:
+    # The driver's own listing: NVML's library would cost an import and a start of the driver.
+    listings = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
+    lines = (line for listing in listings for line in listing.read_text().splitlines())
+    return [line.split(":", 1)[1].strip() for line in lines if line.startswith("Model:")]

@@ -1,0 +1,256 @@
+"""What the session process uses: cells, runs, and MLflow following behind in a thread of its own."""
+
+import queue
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Self
+
+from headway.config import StoreConfig
+from headway.contracts import HeadwayError
+from headway.events import Row
+from headway.store.durable import locked, make_folder, write_json, write_text
+from headway.store.energy_log import EnergyLog
+from headway.store.folder import (
+    SUMMARY,
+    Process,
+    RunRecord,
+    Status,
+    cell_name,
+    create_run_folder,
+    find_run,
+    now,
+)
+from headway.store.following import RunFollower
+from headway.store.index import RunIndex
+from headway.store.provenance import provenance
+from headway.store.tracking import Tracker
+
+_LOCK_SECONDS = 30.0
+_CLOSE_SECONDS = 120.0
+_BEHIND = "the runs' folders hold everything, and `headway.store.sync` brings MLflow up to date"
+
+
+class SessionStore:
+    """The store as one session writes it. Run folders are written at once and durably; MLflow follows in
+    a thread, and where it fails that is a notice, never the end of a run."""
+
+    def __init__(self, config: StoreConfig) -> None:
+        self.root = Path(config.root).resolve()
+        self.curve_points = config.curve_points
+        make_folder(self.root)
+        self._mlflow = _Follower(self.root, config.tracking_uri)
+
+    @classmethod
+    def open(cls, config: StoreConfig) -> Self:
+        """Open (or create) the store. Raises HeadwayError if its root cannot be written."""
+        return cls(config)
+
+    def begin_cell(
+        self,
+        study: str,
+        environment: str,
+        algorithm: str,
+        parameters: Mapping[str, object],
+        tags: Mapping[str, str] | None = None,
+    ) -> "Cell":
+        """A cell of a study. `parameters` (flat, dotted names) are the same for all its seeds; `tags` go
+        to each run, beside what `provenance` finds."""
+        texts = {name: str(value) for name, value in parameters.items()}
+        return Cell(self, study, environment, algorithm, texts, {**provenance(), **(tags or {})})
+
+    def resume(self, run_id: str) -> "Run":
+        """Take up a run that was killed or failed. Raises HeadwayError if there is none, it has finished,
+        or another session runs it."""
+        directory = find_run(self.root, run_id)
+        with locked(self.root / ".resume.lock", _LOCK_SECONDS, "a run was resumed"):
+            record = RunRecord.read(directory)
+            if record.settled_status == "RUNNING":
+                holder = f"process {record.session.pid} on {record.session.host}"
+                raise HeadwayError(f"run {record.run_id} is being run by {holder}: stop that one first")
+            if record.status == "FINISHED":
+                raise HeadwayError(f"run {record.run_id} has finished: there is nothing to resume")
+            record = replace(record, status="RUNNING", ended=None, session=Process.current())
+            record.write(directory)
+        return Run(self, directory, record)
+
+    @property
+    def index(self) -> RunIndex:
+        """The summaries of all runs of this store."""
+        return RunIndex(self.root)
+
+    def notices(self) -> tuple[str, ...]:
+        """Lines for the user since the last call."""
+        return self._mlflow.notices()
+
+    def follow(self, step: Callable[[Tracker], object]) -> None:
+        """Let the MLflow thread do `step`, after all given to it before."""
+        self._mlflow.submit(step)
+
+    def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
+        """Wait (at most so long) until MLflow is up to date; returns the last notices."""
+        self._mlflow.close(seconds)
+        return self.notices()
+
+
+class Cell:
+    """All seeds of one environment, algorithm and parameters in a study."""
+
+    def __init__(
+        self,
+        store: SessionStore,
+        study: str,
+        environment: str,
+        algorithm: str,
+        parameters: Mapping[str, str],
+        tags: Mapping[str, str],
+    ) -> None:
+        self._store = store
+        self._study, self._environment, self._algorithm = study, environment, algorithm
+        self._parameters, self._tags = parameters, tags
+        self.name = cell_name(environment, algorithm, parameters)
+
+    def begin_run(
+        self,
+        seed: int,
+        config_yaml: str,
+        plan: Mapping[str, Any],
+        tags: Mapping[str, str] | None = None,
+        *,
+        iterations: int,
+        policies: str = "",
+    ) -> "Run":
+        """A new run of a budget of `iterations`; its folder is complete when this returns, so a training
+        process may start. Raises HeadwayError if it cannot be written."""
+        run_id, directory = create_run_folder(self._store.root, self._study, self.name, seed)
+        record = RunRecord(
+            run_id=run_id,
+            study=self._study,
+            environment=self._environment,
+            algorithm=self._algorithm,
+            seed=seed,
+            iterations=iterations,
+            started=now(),
+            session=Process.current(),
+            policies=policies,
+            parameters=self._parameters,
+            tags={**self._tags, **(tags or {})},
+        )
+        write_text(directory / "config.yaml", config_yaml)
+        write_json(directory / "plan.json", plan)
+        record.write(directory)
+        return Run(self._store, directory, record)
+
+    def finish(self, status: Status, figures: Mapping[str, float] | None = None) -> None:
+        """End the cell's parent run in MLflow, with figures over its seeds."""
+        ended, sent = now(), dict(figures or {})
+
+        def end(tracker: Tracker) -> None:
+            _, parent = tracker.cell(self._study, self.name, self._parameters, {})
+            tracker.finish(parent, status, ended, sent, ())
+
+        self._store.follow(end)
+
+
+class Run:
+    """One seed, as the session writes it; its training process writes the log in `directory` itself."""
+
+    def __init__(self, store: SessionStore, directory: Path, record: RunRecord) -> None:
+        self.directory = directory
+        self.record = record
+        self._store = store
+        self._resumed_at = now()
+        self._rows: list[Row] = []
+        self._energy = EnergyLog(directory)
+        self._follower = RunFollower(directory, store.curve_points)
+        store.follow(self._follower.begin)
+
+    @property
+    def run_id(self) -> str:
+        """Its identity in the store."""
+        return self.record.run_id
+
+    def points(self, rows: Iterable[Row]) -> None:
+        """Take rows of the curve; they go to MLflow, thinned, once they are durable."""
+        self._rows.extend(rows)
+
+    def durable(self, iteration: int) -> None:
+        """The training process has made everything up to `iteration` durable. Raises HeadwayError if the
+        record of that cannot be written."""
+        ready = [row for row in self._rows if int(row.get("iteration", 0)) <= iteration]
+        self._rows = [row for row in self._rows if int(row.get("iteration", 0)) > iteration]
+        env_steps = [int(row["env_steps"]) for row in ready if "env_steps" in row]
+        self.record = replace(
+            self.record,
+            durable_iteration=iteration,
+            durable_env_steps=max([self.record.durable_env_steps, *env_steps]),
+        )
+        self.record.write(self.directory)
+        self._energy.write_if_due()
+        self._store.follow(lambda tracker: self._follower.advance(tracker, ready, iteration))
+
+    def energy(self, sample: Row) -> None:
+        """Take one energy sample of this run (a row of `energy.parquet`)."""
+        self._energy.append(sample)
+
+    def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
+        """End the run with its summary figures (`final_reward`, `auc`, `kwh`, `kg_co2`, ...; None where
+        not known). Raises HeadwayError if they cannot be written."""
+        self._energy.write()
+        write_json(self.directory / SUMMARY, summary)
+        ended = self.record.ended_as(status)
+        self.record = replace(ended, duration_s=ended.duration_s + _seconds_since(self._resumed_at))
+        self.record.write(self.directory)
+        self._store.follow(self._follower.complete)
+
+
+def _seconds_since(moment: str) -> float:
+    return (datetime.fromisoformat(now()) - datetime.fromisoformat(moment)).total_seconds()
+
+
+class _Follower:
+    """A thread that does what MLflow is to be told, in order; at the first failure it stops doing so."""
+
+    def __init__(self, root: Path, tracking_uri: str | None) -> None:
+        self._root, self._uri = root, tracking_uri
+        self._steps: queue.SimpleQueue[Callable[[Tracker], object] | None] = queue.SimpleQueue()
+        self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._abandoned = threading.Event()
+
+    def submit(self, step: Callable[[Tracker], object]) -> None:
+        if self._abandoned.is_set():
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="headway-mlflow", daemon=True)
+            self._thread.start()
+        self._steps.put(step)
+
+    def notices(self) -> tuple[str, ...]:
+        lines = []
+        while not self._notices.empty():
+            lines.append(self._notices.get())
+        return tuple(lines)
+
+    def close(self, seconds: float) -> None:
+        if self._thread is None:
+            return
+        self._steps.put(None)
+        self._thread.join(seconds)
+        if self._thread.is_alive():
+            self._abandoned.set()
+            self._notices.put(f"MLflow was not up to date after {seconds:g} s: {_BEHIND}")
+        self._thread = None
+
+    def _work(self) -> None:
+        tracker: Tracker | None = None
+        try:
+            while (step := self._steps.get()) is not None and not self._abandoned.is_set():
+                tracker = tracker or Tracker(self._root, self._uri)
+                step(tracker)
+        except Exception as error:  # whatever it is, it must not end the session
+            self._abandoned.set()
+            kind = "" if isinstance(error, HeadwayError) else f"{type(error).__name__}: "
+            self._notices.put(f"MLflow is behind ({kind}{error}): {_BEHIND}")

@@ -1,0 +1,180 @@
+"""MLflow as a follower of the run folders: studies are experiments, cells parent runs, seeds child runs.
+
+Everything here can be done again: what MLflow already has is asked for, never assumed.
+"""
+
+import logging
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, TypeVar
+
+from headway.contracts import HeadwayError
+from headway.store.curve import Point
+from headway.store.durable import locked, make_folder
+from headway.store.folder import Status, milliseconds
+
+_Result = TypeVar("_Result")
+_BATCH = 1000  # MLflow's limit of metrics in one request
+_PARAMETERS = 100  # and of parameters
+_TEXT = 5000  # longest tag; parameters take 6000
+_CELL_TAG = "headway.cell"
+_RUN_TAG = "headway.run_id"
+_QUIET = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "DO_NOT_TRACK": "true",
+    "MLFLOW_DISABLE_SYSTEM_METRICS_LOGGING": "true",
+    "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING": "false",
+    "GIT_PYTHON_REFRESH": "quiet",
+}
+
+
+class Tracker:
+    """A connection to MLflow. Used from one thread. Every method raises HeadwayError, in one line, where
+    MLflow does not answer as it should, or its database stays locked for longer than `wait_s` seconds."""
+
+    def __init__(self, root: Path, tracking_uri: str | None = None, wait_s: float = 60.0) -> None:
+        self.root = root.resolve()
+        self._local = tracking_uri is None
+        # The driver's own wait is short, so that ours, which can be told about, bounds the whole.
+        self.uri = tracking_uri or f"sqlite:///{self.root / 'mlflow.db'}?timeout={min(5.0, wait_s):g}"
+        self._wait_s = wait_s
+        make_folder(self.root)
+        # Sessions that start at once would race to create the database's tables.
+        with self._alone("MLflow's database was prepared"):
+            self._client = _client(self.uri)
+            self._ask("search_experiments", max_results=1)
+
+    def cell(
+        self, study: str, cell: str, parameters: Mapping[str, str], tags: Mapping[str, str]
+    ) -> tuple[str, str]:
+        """(experiment, parent run) of a cell of a study, created where they do not exist."""
+        with self._alone("a study was looked up"):
+            experiment = self._experiment(study)
+            query = f"tags.`{_CELL_TAG}` = '{cell}'"
+            found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
+            if found:
+                parent = str(found[0].info.run_id)
+                self._ask("update_run", parent, status="RUNNING")
+            else:
+                marked = {**_cut(tags), _CELL_TAG: cell}
+                parent = str(self._ask("create_run", experiment, tags=marked, run_name=cell).info.run_id)
+        self._parameters(parent, parameters)
+        return experiment, parent
+
+    def child(
+        self,
+        experiment: str,
+        parent: str,
+        run_id: str,
+        started: str,
+        parameters: Mapping[str, str],
+        tags: Mapping[str, str],
+    ) -> str:
+        """MLflow's identity of the run `run_id`, created as a child of `parent`."""
+        query = f"tags.`{_RUN_TAG}` = '{run_id}'"
+        found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
+        if found:
+            child = str(found[0].info.run_id)
+            self._ask("update_run", child, status="RUNNING")
+        else:
+            marked = {**_cut(tags), "mlflow.parentRunId": parent, _RUN_TAG: run_id}
+            moment = milliseconds(started)
+            created = self._ask("create_run", experiment, start_time=moment, tags=marked, run_name=run_id)
+            child = str(created.info.run_id)
+        self._parameters(child, parameters)
+        return child
+
+    def points(self, child: str, started: str, points: Sequence[Point]) -> None:
+        """Send points of the curve. MLflow only appends: each point is to be sent once."""
+        from mlflow.entities import Metric
+
+        zero = milliseconds(started)
+        metrics = [
+            Metric(point.metric, point.value, zero + round(1000 * point.wall_s), point.step)
+            for point in points
+        ]
+        self._metrics(child, metrics)
+
+    def sent_steps(self, child: str) -> dict[str, frozenset[int]]:
+        """Steps of each metric's curve that MLflow has."""
+        metrics = self._ask("get_run", child).data.metrics
+        return {
+            metric: frozenset(int(entry.step) for entry in self._ask("get_metric_history", child, metric))
+            for metric in metrics
+        }
+
+    def finish(
+        self, run: str, status: Status, ended: str, figures: Mapping[str, float], files: Sequence[Path]
+    ) -> None:
+        """Send summary figures and files of a run, then its status."""
+        from mlflow.entities import Metric
+
+        moment = milliseconds(ended)
+        metrics = [Metric(f"summary/{name}", value, moment, 0) for name, value in figures.items()]
+        self._metrics(run, metrics)
+        for file in files:
+            self._ask("log_artifact", run, str(file))
+        self._ask("set_terminated", run, status, end_time=moment)
+
+    def _experiment(self, study: str) -> str:
+        found = self._ask("get_experiment_by_name", study)
+        if found is not None:
+            if found.lifecycle_stage == "deleted":
+                self._ask("restore_experiment", found.experiment_id)
+            return str(found.experiment_id)
+        location = (self.root / "mlflow-artifacts").as_uri() if self._local else None
+        return str(self._ask("create_experiment", study, artifact_location=location))
+
+    def _metrics(self, run: str, metrics: list[Any]) -> None:
+        for first in range(0, len(metrics), _BATCH):
+            self._ask("log_batch", run, metrics=metrics[first : first + _BATCH])
+
+    def _parameters(self, run: str, parameters: Mapping[str, str]) -> None:
+        from mlflow.entities import Param
+
+        params = [Param(name, value) for name, value in _cut(parameters).items()]
+        for first in range(0, len(params), _PARAMETERS):
+            self._ask("log_batch", run, params=params[first : first + _PARAMETERS])
+
+    def _alone(self, purpose: str) -> Any:  # noqa: ANN401 - a context that gives nothing
+        if not self._local:
+            return nullcontext()
+        return locked(self.root / ".mlflow.lock", self._wait_s, purpose)
+
+    def _ask(self, method: str, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - MLflow is not typed
+        ask = getattr(self._client, method)
+        return _within(self._wait_s, self.uri, lambda: ask(*arguments, **named))
+
+
+def _client(uri: str) -> Any:  # noqa: ANN401
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")
+    from mlflow.tracking import MlflowClient
+
+    for name in ("mlflow", "alembic"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    return MlflowClient(tracking_uri=uri)
+
+
+def _within(seconds: float, uri: str, ask: Callable[[], _Result]) -> _Result:
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            return ask()
+        except Exception as error:  # MLflow lets its libraries' exceptions through
+            line = " ".join(str(error).split())[:300]
+            if "database is locked" not in line:
+                raise HeadwayError(f"MLflow at {uri} failed: {line}") from error
+            if time.monotonic() >= deadline:
+                raise HeadwayError(
+                    f"MLflow's database {uri} stayed locked for {seconds:g} s: close what else writes to it"
+                ) from error
+            time.sleep(0.1)
+
+
+def _cut(texts: Mapping[str, str]) -> dict[str, str]:
+    return {name: text[:_TEXT] for name, text in texts.items()}
