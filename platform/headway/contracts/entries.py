@@ -12,6 +12,14 @@ from headway.contracts.environment import BatchedEnv, EnvSpec, Observed
 from headway.contracts.learning import Learner
 
 
+def _itself(config: Any) -> Any:  # noqa: ANN401 - any record
+    return config
+
+
+def _refuses_nothing(config: Any, spec: EnvSpec) -> str | None:  # noqa: ANN401 - any record
+    return None
+
+
 class Rule(Protocol):
     """A classical controller. It may look into the environment, not only at the observations."""
 
@@ -31,7 +39,7 @@ class EnvEntry:
     `__post_init__` raises ValueError for impossible values."""
     make: Callable[[Any, int], BatchedEnv]
     """(prepared, copies) -> batched environment. Runs in light workers: no pandas, no torch."""
-    prepare: Callable[[Any], Any] = lambda config: config
+    prepare: Callable[[Any], Any] = _itself
     """(config) -> what all copies share (tables read, networks built), once in the parent; picklable.
     Raises HeadwayError for data that cannot be used."""
     parallel_env: Callable[[Any], Any] | None = None
@@ -54,5 +62,5 @@ class AlgoEntry:
     acting_policy: Callable[[Any, EnvSpec], ActingPolicy]
     learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
     """(config, spec, seeds of the replicas, device) -> learner."""
-    refuses: Callable[[Any, EnvSpec], str | None] = lambda config, spec: None
+    refuses: Callable[[Any, EnvSpec], str | None] = _refuses_nothing
     """One line why it cannot run on that environment, or None."""

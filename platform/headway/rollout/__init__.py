@@ -1,0 +1,1 @@
+"""Collecting experience: samplers, worker processes and the shared memory between them."""

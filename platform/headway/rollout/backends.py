@@ -1,0 +1,300 @@
+"""Collectors: where rollouts run. Every backend gives the same trajectory bit for bit."""
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.context import ForkServerProcess
+from typing import Any, Protocol
+
+from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
+from headway.contracts.acting import Parameters
+from headway.events import Row
+from headway.rollout.episodes import EvaluationRequest, evaluate_policy
+from headway.rollout.memory import SharedBlock
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.sampler import Episode, Sampler
+from headway.rollout.worker import (
+    Begin,
+    Broken,
+    Collect,
+    Command,
+    Done,
+    Evaluate,
+    Restore,
+    WorkerSetup,
+    parameter_arrays,
+    parameter_bytes,
+    run_worker,
+)
+
+Notify = Callable[[str], None]
+
+
+class Collector(Protocol):
+    """Rollouts and evaluations with given parameters."""
+
+    trajectory: Trajectory
+    """Where `collect` leaves the experience; overwritten by the next one."""
+
+    def begin(self) -> None:
+        """Start the first episodes."""
+        ...
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]: ...
+
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        """Evaluation episodes: one list a replica, one row an episode."""
+        ...
+
+    def snapshot(self) -> list[Any]:
+        """Where every shard stands, for a checkpoint; entries are None where the environment cannot tell."""
+        ...
+
+    def restore(self, snapshots: list[Any]) -> None:
+        """Go on from a checkpoint's snapshots."""
+        ...
+
+    def process_ids(self) -> list[int]:
+        """Worker processes alive."""
+        ...
+
+    def usage(self) -> tuple[float, int]:
+        """CPU seconds of all workers so far, dead ones included, and their proportional memory in bytes."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class SerialCollector:
+    """Everything in this process: for debugging and tests."""
+
+    def __init__(self, plan: RolloutPlan) -> None:
+        self.plan = plan
+        plan.shards(1)
+        self.trajectory = Trajectory.allocate(
+            TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
+        )
+        self.sampler = Sampler(plan, 0, plan.copies, self.trajectory)
+
+    def begin(self) -> None:
+        """Start the first episodes."""
+        self.sampler.begin()
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Sample one iteration."""
+        return self.sampler.collect(iteration, parameters)
+
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        """Evaluation episodes, block after block."""
+        requests = EvaluationRequest.split(root, episodes, greedy)
+        return _joined(self.plan, [evaluate_policy(self.plan, parameters, request) for request in requests])
+
+    def snapshot(self) -> list[Any]:
+        """One shard."""
+        return [self.sampler.snapshot()]
+
+    def restore(self, snapshots: list[Any]) -> None:
+        """Go on from a checkpoint, or start afresh where it holds no snapshot."""
+        if snapshots[0] is None:
+            self.sampler.begin("env restart")
+        else:
+            self.sampler.restore(snapshots[0])
+
+    def process_ids(self) -> list[int]:
+        """None: this process does the work."""
+        return []
+
+    def usage(self) -> tuple[float, int]:
+        """Nothing beside this process."""
+        return 0.0, 0
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.sampler.env.close()
+
+
+def _joined(plan: RolloutPlan, parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
+    collected = list(parts)
+    return [[row for part in collected for row in part[r]] for r in range(plan.replicas)]
+
+
+@dataclass
+class _Worker:
+    """A worker process and what is known of it."""
+
+    process: ForkServerProcess
+    pipe: connection.Connection
+    snapshot: Any = None
+    cpu_seconds: float = 0.0
+    memory_bytes: int = 0
+
+
+class ProcessCollector:
+    """Worker processes that write into one shared trajectory and read one shared set of parameters."""
+
+    def __init__(self, plan: RolloutPlan, workers: int, notify: Notify) -> None:
+        self.plan, self.notify = plan, notify
+        self.shards = plan.shards(workers)
+        layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
+        shapes = plan.policy.parameter_shapes(plan.replicas)
+        self.blocks = SharedBlock.create(layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
+        self.trajectory = Trajectory.over(self.blocks[0].buffer, layout)
+        self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
+        self.context = multiprocessing.get_context("forkserver")
+        self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
+        self.lost_cpu_seconds = 0.0
+        self.workers = [self._start(shard) for shard in range(len(self.shards))]
+
+    def begin(self) -> None:
+        """Start the first episodes."""
+        self._all([Begin("env")] * len(self.workers))
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
+        self._publish(parameters)
+        done = self._all([Collect(iteration)] * len(self.workers))
+        return [episode for part in done for episode in part.episodes]
+
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        """Evaluation episodes, blocks dealt out to the workers in turn."""
+        self._publish(parameters)
+        requests = EvaluationRequest.split(root, episodes, greedy)
+        parts: list[list[list[Row]]] = []
+        for start in range(0, len(requests), len(self.workers)):
+            round_ = requests[start : start + len(self.workers)]
+            parts += [done.evaluation for done in self._all([Evaluate(request) for request in round_])]
+        return _joined(self.plan, parts)
+
+    def snapshot(self) -> list[Any]:
+        """One a worker, as of the end of the last iteration."""
+        return [worker.snapshot for worker in self.workers]
+
+    def restore(self, snapshots: list[Any]) -> None:
+        """Go on from a checkpoint, or start afresh where it holds no snapshots."""
+        if len(snapshots) != len(self.workers):
+            raise HeadwayError(
+                f"the checkpoint was made with {len(snapshots)} workers; set backend.workers={len(snapshots)}"
+            )
+        self._all([Begin("env restart") if s is None else Restore(s) for s in snapshots])
+
+    def process_ids(self) -> list[int]:
+        """Worker processes, by id."""
+        return [worker.process.pid for worker in self.workers if worker.process.pid is not None]
+
+    def usage(self) -> tuple[float, int]:
+        """As the workers last reported."""
+        cpu = self.lost_cpu_seconds + sum(worker.cpu_seconds for worker in self.workers)
+        return cpu, sum(worker.memory_bytes for worker in self.workers)
+
+    def close(self) -> None:
+        """End the workers."""
+        for worker in self.workers:
+            worker.pipe.close()
+        for worker in self.workers:
+            worker.process.join(5)
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+        for block in self.blocks:
+            block.close()
+
+    def _publish(self, parameters: Parameters) -> None:
+        for name, array in self.parameters.items():
+            array[...] = parameters[name]
+
+    def _start(self, shard: int) -> _Worker:
+        first, count = self.shards[shard]
+        ours, theirs = self.context.Pipe()
+        setup = WorkerSetup(self.plan, first, count, *self.blocks)
+        process = self.context.Process(
+            target=run_worker, args=(setup, theirs), name=f"headway worker {shard}", daemon=True
+        )
+        process.start()
+        theirs.close()
+        return _Worker(process, ours)
+
+    def _all(self, commands: Sequence[Command]) -> list[Done]:
+        """Have workers 0, 1, ... carry out one command each, at the same time."""
+        for worker, command in zip(self.workers, commands, strict=False):
+            _send(worker, command)
+        return [self._answer(shard, command) for shard, command in enumerate(commands)]
+
+    def _answer(self, shard: int, command: Command) -> Done:
+        answer = _receive(self.workers[shard])
+        if not isinstance(answer, Done):
+            if isinstance(answer, Broken) and answer.is_users:
+                raise HeadwayError(answer.line)
+            answer = self._again(shard, command, answer)
+        worker = self.workers[shard]
+        worker.cpu_seconds, worker.memory_bytes = answer.cpu_seconds, answer.memory_bytes
+        if not isinstance(command, Evaluate):
+            worker.snapshot = answer.snapshot
+        return answer
+
+    def _again(self, shard: int, command: Command, first: Broken | str) -> Done:
+        """Replace a worker that failed and repeat its command from where it stood; once."""
+        reason = first.line if isinstance(first, Broken) else first
+        old = self.workers[shard]
+        old.process.kill()
+        old.process.join()
+        old.pipe.close()
+        self.lost_cpu_seconds += old.cpu_seconds
+        worker = self.workers[shard] = self._start(shard)
+        exact = old.snapshot is not None
+        again = "repeating its part from its snapshot" if exact else "its episodes start again"
+        self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
+        steps: list[Command] = [command]
+        if isinstance(command, Collect | Evaluate):
+            steps.insert(0, Restore(old.snapshot) if exact else Begin("env restart"))
+        answer: Done | Broken | str = first
+        for step in steps:
+            _send(worker, step)
+            answer = _receive(worker)
+            if not isinstance(answer, Done):
+                break
+            worker.snapshot = answer.snapshot
+        if isinstance(answer, Done):
+            return answer
+        if isinstance(answer, Broken):
+            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
+        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+
+
+class WorkerFailedError(HeadwayError):
+    """A worker failed twice in a row; `worker_traceback` is its own."""
+
+    def __init__(self, line: str, worker_traceback: str) -> None:
+        super().__init__(line)
+        self.worker_traceback = worker_traceback
+
+
+def _send(worker: _Worker, command: Command) -> None:
+    try:
+        worker.pipe.send(command)
+    except OSError:
+        return  # it is dead: `_receive` says so
+
+
+def _receive(worker: _Worker) -> Done | Broken | str:
+    """A worker's answer, or a line that says how it died."""
+    try:
+        answer: Done | Broken = worker.pipe.recv()
+    except (EOFError, OSError):
+        worker.process.join(5)
+        code = worker.process.exitcode
+        if code is not None and code < 0:
+            return f"killed by signal {-code}"
+        return f"ended with code {code}"
+    return answer
+
+
+def open_collector(name: str, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+    """The backend of that name, with its workers started."""
+    return BACKENDS[name](plan, workers, notify)
+
+
+BACKENDS: Mapping[str, Callable[[RolloutPlan, int, Notify], Collector]] = {
+    "serial": lambda plan, workers, notify: SerialCollector(plan),
+    "process": ProcessCollector,
+}

@@ -1,0 +1,116 @@
+"""Whole episodes on given seeds: evaluation of policies and rules."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Observed, Rule, child_seeds, generator
+from headway.contracts.acting import Parameters
+from headway.events import Row
+from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
+from headway.rollout.sampler import BlockwiseActing, Tally
+
+_NOISE_STEPS = 256
+
+
+@dataclass(frozen=True)
+class EvaluationRequest:
+    """Episodes first to first + count - 1 of the evaluation seeds, for every replica of a plan."""
+
+    root: int
+    """Root of the evaluation seeds."""
+    first: int
+    count: int
+    greedy: bool
+
+    @classmethod
+    def split(cls, root: int, episodes: int, greedy: bool) -> list["EvaluationRequest"]:
+        """Requests of one evaluation block each: the same pieces on every backend."""
+        starts = range(0, episodes, EVALUATION_BLOCK)
+        return [cls(root, first, min(EVALUATION_BLOCK, episodes - first), greedy) for first in starts]
+
+
+def evaluation_seeds(root: int, first: int, count: int) -> NDArray[np.uint64]:
+    """Seeds of evaluation episodes, the same for every run, algorithm and rule."""
+    return child_seeds(root, "evaluation", first, count)
+
+
+def run_episodes(
+    env: BatchedEnv, seeds: NDArray[np.uint64], act: Callable[[Observed, int], NDArray[Any]]
+) -> list[Row]:
+    """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step."""
+    observed = env.reset(seeds)
+    tally = Tally(env.num_copies, env.spec.metrics)
+    rows: dict[int, Row] = {}
+    step = 0
+    while len(rows) < env.num_copies:
+        outcome, observed = env.step(act(observed, step))
+        step += 1
+        for copy, row in tally.add(outcome):
+            rows.setdefault(copy, row)
+    return [rows[copy] for copy in range(env.num_copies)]
+
+
+def evaluate_policy(plan: RolloutPlan, parameters: Parameters, request: EvaluationRequest) -> list[list[Row]]:
+    """Episodes of every replica: one list a replica, one row an episode, with its `episode_seed` index."""
+    env = plan.make(request.count)
+    acting = BlockwiseActing(plan, request.count, request.count)
+    noise = None if request.greedy else _EvaluationNoise(plan, request)
+
+    def act(observed: Observed, step: int) -> NDArray[Any]:
+        return acting.act(parameters, observed, None if noise is None else noise.at(step))[0]
+
+    seeds = evaluation_seeds(request.root, request.first, request.count)
+    rows = run_episodes(env, np.tile(seeds, plan.replicas), act)
+    env.close()
+    labelled: list[Row] = [
+        {"episode_seed": request.first + i % request.count, **row} for i, row in enumerate(rows)
+    ]
+    return [labelled[r * request.count : (r + 1) * request.count] for r in range(plan.replicas)]
+
+
+class _EvaluationNoise:
+    """Action noise of sampled evaluation, a stream for each (seed, episode)."""
+
+    def __init__(self, plan: RolloutPlan, request: EvaluationRequest) -> None:
+        episodes = range(request.first, request.first + request.count)
+        self.policy = plan.policy
+        self.generators = [generator(seed, "evaluation action", i) for seed in plan.seeds for i in episodes]
+        self.drawn: NDArray[np.float64] | None = None
+
+    def at(self, step: int) -> NDArray[np.float64]:
+        if step % _NOISE_STEPS == 0:
+            self.drawn = np.stack([self.policy.noise(g, _NOISE_STEPS) for g in self.generators], axis=1)
+        assert self.drawn is not None
+        noise: NDArray[np.float64] = self.drawn[step % _NOISE_STEPS]
+        return noise
+
+
+def evaluate_rule(
+    make_env: Callable[[Any, int], BatchedEnv],
+    make_rule: Callable[[Any], Rule],
+    prepared: object,
+    root: int,
+    episodes: int,
+) -> list[Row]:
+    """Episodes of a rule (an entry's `make` and one of its `rules`) on the evaluation seeds, one row each."""
+    rows: list[Row] = []
+    for request in EvaluationRequest.split(root, episodes, greedy=True):
+        env, rule = make_env(prepared, request.count), make_rule(prepared)
+        act = _RuleActing(env, rule)
+        played = run_episodes(env, evaluation_seeds(root, request.first, request.count), act)
+        env.close()
+        rows += [{"episode_seed": request.first + i, **row} for i, row in enumerate(played)]
+    return rows
+
+
+@dataclass(frozen=True)
+class _RuleActing:
+    env: BatchedEnv
+    rule: Rule
+
+    def __call__(self, observed: Observed, step: int) -> NDArray[Any]:
+        return self.rule.act(self.env, observed)

@@ -1,0 +1,58 @@
+"""What decides the draws of a run: kept with it, and used again when it is resumed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from headway.contracts import BatchedEnv, EnvSpec, HeadwayError
+from headway.contracts.acting import ActingPolicy
+
+EVALUATION_BLOCK = 10
+"""Evaluation episodes run at once, the same on every backend."""
+
+
+@dataclass(frozen=True)
+class RolloutPlan:
+    """One stack of seeds on one environment. Picklable: workers are given it whole."""
+
+    make_env: Callable[[Any, int], BatchedEnv]
+    """The environment entry's `make`."""
+    preload: tuple[str, ...]
+    prepared: Any
+    """What the entry's `prepare` gave."""
+    spec: EnvSpec
+    policy: ActingPolicy
+    seeds: tuple[int, ...]
+    """Seeds of the R replicas."""
+    copies: int
+    """E: copies of each replica."""
+    steps: int
+    """T"""
+    block: int
+    """B: copies of each replica whose actions are computed in one piece."""
+
+    @property
+    def replicas(self) -> int:
+        """R"""
+        return len(self.seeds)
+
+    def make(self, copies: int) -> BatchedEnv:
+        """An environment of `copies` copies of each replica."""
+        return self.make_env(self.prepared, self.replicas * copies)
+
+    def shards(self, workers: int) -> list[tuple[int, int]]:
+        """(first, count) copies of each worker: whole blocks, as equal as can be, none empty.
+
+        Raises HeadwayError where a worker would hold more copies than the environment allows in a process.
+        """
+        blocks = self.copies // self.block
+        used = min(workers, blocks)
+        edges = [blocks * i // used * self.block for i in range(used + 1)]
+        shards = [(edges[i], edges[i + 1] - edges[i]) for i in range(used)]
+        most, limit = max(count for _, count in shards) * self.replicas, self.spec.max_copies_per_process
+        if limit is not None and most > limit:
+            raise HeadwayError(
+                f"{self.spec.name} allows {limit} copies in a process, and a worker would hold {most}; "
+                f"set rollout.block={limit} and backend.workers={-(-self.copies // limit)}"
+            )
+        return shards

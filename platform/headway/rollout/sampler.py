@@ -1,0 +1,179 @@
+"""Stepping environments with policies: the loop that workers, and the serial backend, run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Observed, Outcome, Trajectory, child_seeds, generator
+from headway.contracts.acting import Parameters
+from headway.events import Row
+from headway.rollout.checks import check_finite
+from headway.rollout.plan import RolloutPlan
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished episode."""
+
+    replica: int
+    row: Row
+    """`copy`, `length`, `return` (the mean over agents of their summed rewards) and the metrics."""
+
+
+class Tally:
+    """Lengths and returns of the episodes that C copies are in."""
+
+    def __init__(self, copies: int, metric_names: Sequence[str]) -> None:
+        self.metric_names = metric_names
+        self.lengths = np.zeros(copies, np.int64)
+        self.returns = np.zeros(copies)
+
+    def add(self, outcome: Outcome) -> list[tuple[int, dict[str, float | int | str]]]:
+        """Count a step; (copy, row) of each episode that ended with it."""
+        self.lengths += 1
+        self.returns += outcome.rewards.mean(axis=1, dtype=np.float64)
+        if not outcome.episode_ended.any():
+            return []
+        ended = []
+        for copy in np.flatnonzero(outcome.episode_ended).tolist():
+            row: dict[str, float | int | str] = {
+                "length": int(self.lengths[copy]),
+                "return": float(self.returns[copy]),
+            }
+            row.update(zip(self.metric_names, outcome.metrics[copy].tolist(), strict=True))
+            ended.append((copy, row))
+        self.lengths[outcome.episode_ended] = 0
+        self.returns[outcome.episode_ended] = 0
+        return ended
+
+
+class BlockwiseActing:
+    """Actions of R x E copies (replica-major), computed in blocks of R x B rows."""
+
+    def __init__(self, plan: RolloutPlan, copies: int, block: int) -> None:
+        self.plan, self.copies = plan, copies
+        self.blocks = [slice(start, min(start + block, copies)) for start in range(0, copies, block)]
+
+    def act(
+        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Actions and log-probabilities (C, N, ...); noise (C, N, ...) or None for greedy."""
+        if len(self.blocks) == 1:
+            return self.plan.policy.act(parameters, observed, noise)
+        parts = [
+            self.plan.policy.act(
+                parameters,
+                Observed(
+                    self._cut(observed.observations, block),
+                    self._cut(observed.states, block),
+                    self._cut(observed.alive, block),
+                    None if observed.action_masks is None else self._cut(observed.action_masks, block),
+                ),
+                None if noise is None else self._cut(noise, block),
+            )
+            for block in self.blocks
+        ]
+        return self._join([part[0] for part in parts]), self._join([part[1] for part in parts])
+
+    def _cut(self, array: NDArray[Any], block: slice) -> NDArray[Any]:
+        if self.plan.replicas == 1:
+            return array[block]
+        split = array.reshape(self.plan.replicas, self.copies, *array.shape[1:])[:, block]
+        return split.reshape(-1, *array.shape[1:])
+
+    def _join(self, parts: list[NDArray[Any]]) -> NDArray[Any]:
+        replicas = self.plan.replicas
+        split = [part.reshape(replicas, -1, *part.shape[1:]) for part in parts]
+        return np.concatenate(split, axis=1).reshape(replicas * self.copies, *parts[0].shape[1:])
+
+
+class Sampler:
+    """Copies first to first + count - 1 of every replica, and their part of the trajectory."""
+
+    def __init__(self, plan: RolloutPlan, first: int, count: int, trajectory: Trajectory) -> None:
+        self.plan, self.first, self.count = plan, first, count
+        self.env = plan.make(count)
+        self.acting = BlockwiseActing(plan, count, plan.block)
+        self.views = _part_of(trajectory, plan, first, count)
+        self.observed: Observed | None = None
+        self.tally = Tally(plan.replicas * count, plan.spec.metrics)
+
+    def begin(self, purpose: str = "env") -> None:
+        """Start the first episodes, on seeds of the global copies."""
+        seeds = [child_seeds(seed, purpose, self.first, self.count) for seed in self.plan.seeds]
+        self.observed = self.env.reset(np.concatenate(seeds))
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque, picklable
+        """Where this sampler stands between two iterations, or None if the environment cannot tell."""
+        if not self.plan.spec.snapshots:
+            return None
+        return {
+            "env": self.env.snapshot(),
+            "lengths": self.tally.lengths.copy(),
+            "returns": self.tally.returns.copy(),
+        }
+
+    def restore(self, snapshot: Any) -> None:  # noqa: ANN401
+        """Go on from a snapshot."""
+        self.observed = self.env.restore(snapshot["env"])
+        self.tally.lengths[:] = snapshot["lengths"]
+        self.tally.returns[:] = snapshot["returns"]
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Fill this sampler's part of the trajectory; the episodes that ended meanwhile."""
+        assert self.observed is not None, "begin or restore first"
+        observed, views, spec = self.observed, self.views, self.plan.spec
+        noise = self._noise(iteration)
+        episodes = []
+        check_finite(spec, None, observed, 0, self.first)
+        for t in range(self.plan.steps):
+            self._store_observed(t, observed)
+            actions, log_probs = self.acting.act(parameters, observed, noise[t])
+            views["actions"][t] = self._by_replica(actions)
+            views["log_probs"][t] = self._by_replica(log_probs)
+            outcome, observed = self.env.step(actions)
+            check_finite(spec, outcome, observed, t + 1, self.first)
+            for name in ("rewards", "terminated", "truncated", "acting"):
+                views[name][t] = self._by_replica(getattr(outcome, name))
+            if outcome.terminated.any() or outcome.truncated.any():
+                views["final_observations"][t] = self._by_replica(outcome.final_observations)
+                views["final_states"][t] = self._by_replica(outcome.final_states)
+            episodes += [self._episode(copy, row) for copy, row in self.tally.add(outcome)]
+        self._store_observed(self.plan.steps, observed)
+        self.observed = observed
+        return episodes
+
+    def _noise(self, iteration: int) -> NDArray[np.float64]:
+        """(T, C, N, ...), from streams of (seed, copy, iteration): a repeated iteration repeats its draws."""
+        draws = [
+            self.plan.policy.noise(generator(seed, "action", copy, iteration), self.plan.steps)
+            for seed in self.plan.seeds
+            for copy in range(self.first, self.first + self.count)
+        ]
+        return np.stack(draws, axis=1)
+
+    def _store_observed(self, t: int, observed: Observed) -> None:
+        self.views["observations"][t] = self._by_replica(observed.observations)
+        self.views["states"][t] = self._by_replica(observed.states)
+        self.views["alive"][t] = self._by_replica(observed.alive)
+        if observed.action_masks is not None:
+            self.views["action_masks"][t] = self._by_replica(observed.action_masks)
+
+    def _by_replica(self, array: NDArray[Any]) -> NDArray[Any]:
+        return array.reshape(self.plan.replicas, self.count, *array.shape[1:])
+
+    def _episode(self, copy: int, row: dict[str, float | int | str]) -> Episode:
+        return Episode(copy // self.count, {"copy": self.first + copy % self.count, **row})
+
+
+def _part_of(trajectory: Trajectory, plan: RolloutPlan, first: int, count: int) -> dict[str, NDArray[Any]]:
+    """Writable views (T, R, count, ...) of a trajectory's arrays."""
+    views = {}
+    for field in fields(trajectory):
+        array = getattr(trajectory, field.name)
+        split = array.reshape(array.shape[0], plan.replicas, plan.copies, *array.shape[2:])
+        views[field.name] = split[:, :, first : first + count]
+    return views

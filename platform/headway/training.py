@@ -1,0 +1,245 @@
+"""The training loop: collect, learn, evaluate, checkpoint; the same for every algorithm."""
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.config import ExperimentConfig
+from headway.contracts import BatchedEnv, EnvSpec, Learner
+from headway.contracts.acting import ActingPolicy
+from headway.events import (
+    CheckpointSaved,
+    EvaluationFinished,
+    Event,
+    Finished,
+    IterationFinished,
+    Notice,
+    Row,
+    Started,
+)
+from headway.rollout.backends import open_collector
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.sampler import Episode
+from headway.rollout.usage import cpu_seconds, proportional_memory
+from headway.store.checkpoint import load_latest, save_checkpoint
+from headway.store.log import RunLog
+
+MEMORY_EVERY_S = 5.0
+"""Reading a process's proportional memory takes milliseconds, so it is not done every iteration."""
+
+
+@dataclass(frozen=True)
+class TrainingJob:
+    """One stack of seeds to train in one process. Picklable."""
+
+    make_env: Callable[[Any, int], BatchedEnv]
+    """The environment entry's `make`."""
+    preload: tuple[str, ...]
+    """The environment entry's."""
+    prepared: Any
+    """What the environment entry's `prepare` gave for the experiment's arguments."""
+    spec: EnvSpec
+    make_policy: Callable[[Any, EnvSpec], ActingPolicy]
+    """The algorithm entry's `acting_policy`."""
+    make_learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
+    """The algorithm entry's `learner`."""
+    algo_config: Any
+    seeds: tuple[int, ...]
+    config: ExperimentConfig
+    workers: int
+    directories: tuple[str, ...]
+    """Run folders, one a seed."""
+    resume: bool = False
+
+    def plan(self) -> RolloutPlan:
+        """What decides this job's draws."""
+        rollout = self.config.rollout
+        return RolloutPlan(
+            self.make_env,
+            self.preload,
+            self.prepared,
+            self.spec,
+            self.make_policy(self.algo_config, self.spec),
+            self.seeds,
+            rollout.copies,
+            rollout.steps,
+            rollout.block,
+        )
+
+
+def train(job: TrainingJob, report: Callable[[Event], None], should_stop: Callable[[], bool]) -> None:
+    """Train one job to its budget, or until `should_stop`; every step of the way is reported.
+
+    Raises HeadwayError for what the user can mend.
+    """
+    import torch
+
+    # Two torch threads on two busy cores were seen to be 4 to 12 times slower than one: they spin.
+    torch.set_num_threads(1)
+    training = _Training(job, report)
+    try:
+        training.run(should_stop)
+    finally:
+        training.collector.close()
+
+
+class _Training:
+    """The state of a training process."""
+
+    def __init__(self, job: TrainingJob, report: Callable[[Event], None]) -> None:
+        self.job, self.config, self.report = job, job.config, report
+        self.logs = [RunLog(Path(directory)) for directory in job.directories]
+        self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
+        self.collector = open_collector(
+            job.config.backend.name, job.plan(), job.workers, lambda line: report(Notice(line))
+        )
+        self.iteration = 0
+        self.saved_iteration = -1
+        self.seconds_before = 0.0
+        self.started = time.monotonic()
+        self.memory_bytes, self.memory_read = 0, -MEMORY_EVERY_S
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps of each seed so far."""
+        return self.iteration * self.config.rollout.copies * self.config.rollout.steps
+
+    def run(self, should_stop: Callable[[], bool]) -> None:
+        """From the start, or the newest checkpoint, to the budget or a request to stop."""
+        total = self.config.iterations
+        if self.job.resume:
+            self._resume()
+        else:
+            self.collector.begin()
+        self.report(Started(self.iteration, (os.getpid(), *self.collector.process_ids())))
+        if self.iteration == 0:
+            self._write_curve(self._labelled([{} for _ in self.job.seeds]), self._evaluate(final=total == 0))
+        while self.iteration < total and not should_stop():
+            self._iterate(total)
+            if self.iteration % self.config.store.checkpoint_every == 0 or self.iteration == total:
+                self._checkpoint()
+        if self.saved_iteration < self.iteration:
+            self._checkpoint()
+        self.report(Finished(self.iteration, stopped=self.iteration < total))
+
+    def _iterate(self, total: int) -> None:
+        began = time.monotonic()
+        parameters = self.learner.acting_parameters()
+        episodes = self.collector.collect(self.iteration + 1, parameters)
+        collected = time.monotonic()
+        metrics = self.learner.update(self.collector.trajectory, self.iteration + 1, self.iteration / total)
+        self.iteration += 1
+        seconds = {
+            "time/collect_s": collected - began,
+            "time/learn_s": time.monotonic() - collected,
+        }
+        rows = self._labelled(self._training_rows(metrics, episodes, seconds))
+        self._log_episodes(episodes)
+        self.report(
+            IterationFinished(
+                self.iteration, self.env_steps, self._cpu_seconds(), self._memory(), tuple(rows)
+            )
+        )
+        due = self.iteration % self.config.evaluation.every == 0 or self.iteration == total
+        self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
+
+    def _training_rows(
+        self, metrics: Mapping[str, NDArray[np.float64]], episodes: list[Episode], seconds: Row
+    ) -> list[dict[str, float | int | str]]:
+        rows = []
+        for r in range(len(self.job.seeds)):
+            row: dict[str, float | int | str] = {name: float(value[r]) for name, value in metrics.items()}
+            row.update(_means("training", [episode.row for episode in episodes if episode.replica == r]))
+            row.update(seconds)
+            rows.append(row)
+        return rows
+
+    def _labelled(self, rows: list[dict[str, float | int | str]]) -> list[dict[str, float | int | str]]:
+        label = {
+            "iteration": self.iteration,
+            "env_steps": self.env_steps,
+            "wall_s": self.seconds_before + time.monotonic() - self.started,
+        }
+        return [{**label, **row} for row in rows]
+
+    def _evaluate(self, final: bool) -> list[dict[str, float | int | str]]:
+        """Evaluate in every mode, report, log the episodes; one row of means a seed."""
+        evaluation, parameters = self.config.evaluation, self.learner.acting_parameters()
+        count = max(evaluation.final_episodes, evaluation.episodes) if final else evaluation.episodes
+        means: list[dict[str, float | int | str]] = [{} for _ in self.job.seeds]
+        for mode in evaluation.modes:
+            episodes = self.collector.evaluate(evaluation.seed, count, mode == "greedy", parameters)
+            curve = []
+            for log, mean, played in zip(self.logs, means, episodes, strict=True):
+                label = {"iteration": self.iteration, "env_steps": self.env_steps, "mode": mode}
+                log.append("evaluation", [{**label, "final": int(final), **row} for row in played])
+                # A curve's points are means over the same days, also where the last one has more.
+                of_mode = _means(f"evaluation_{mode}", played[: evaluation.episodes])
+                mean.update(of_mode)
+                curve.append(self._labelled([of_mode])[0])
+            self.report(
+                EvaluationFinished(
+                    self.iteration, self.env_steps, mode, final, tuple(curve), tuple(map(tuple, episodes))
+                )
+            )
+        return means
+
+    def _write_curve(
+        self, rows: list[dict[str, float | int | str]], evaluated: list[dict[str, float | int | str]] | None
+    ) -> None:
+        for r, log in enumerate(self.logs):
+            log.append("curve", [{**rows[r], **(evaluated[r] if evaluated else {})}])
+
+    def _log_episodes(self, episodes: list[Episode]) -> None:
+        label = {"iteration": self.iteration, "env_steps": self.env_steps}
+        for r, log in enumerate(self.logs):
+            log.append("episodes", [{**label, **e.row} for e in episodes if e.replica == r])
+
+    def _checkpoint(self) -> None:
+        """The log first: a checkpoint never knows more than the log holds."""
+        state = {
+            "learner": self.learner.state_dict(),
+            "acting": self.learner.acting_parameters(),
+            "snapshots": self.collector.snapshot(),
+            "iteration": self.iteration,
+            "seconds": self.seconds_before + time.monotonic() - self.started,
+        }
+        for replica, (log, directory) in enumerate(zip(self.logs, self.job.directories, strict=True)):
+            log.commit(self.iteration)
+            save_checkpoint(Path(directory), self.iteration, {**state, "replica": replica})
+        self.saved_iteration = self.iteration
+        self.report(CheckpointSaved(self.iteration))
+
+    def _resume(self) -> None:
+        iteration, state, notices = load_latest(Path(self.job.directories[0]))
+        for line in notices:
+            self.report(Notice(line))
+        self.iteration = self.saved_iteration = iteration
+        self.seconds_before = state["seconds"]
+        self.learner.load_state_dict(state["learner"])
+        self.collector.restore(state["snapshots"])
+        for log in self.logs:
+            log.rewind(iteration)
+
+    def _cpu_seconds(self) -> float:
+        return cpu_seconds() + self.collector.usage()[0]
+
+    def _memory(self) -> int:
+        now = time.monotonic()
+        if now - self.memory_read >= MEMORY_EVERY_S:
+            self.memory_bytes, self.memory_read = proportional_memory(), now
+        return self.memory_bytes + self.collector.usage()[1]
+
+
+def _means(group: str, rows: list[Row]) -> dict[str, float | int | str]:
+    """Means of an episode table's numbers, named `group/column`; nothing where there are no episodes."""
+    if not rows:
+        return {}
+    columns = [name for name, value in rows[0].items() if name not in ("copy", "episode_seed")]
+    return {f"{group}/{name}": float(np.mean([float(row[name]) for row in rows])) for name in columns}
