@@ -1,0 +1,1 @@
+"""Measurements of speed and weight, as ratios within one run: `make benchmarks`."""

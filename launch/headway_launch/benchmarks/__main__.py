@@ -1,0 +1,23 @@
+"""Run every benchmark, or those named: `python -m headway_launch.benchmarks [training kernel lightness]`."""
+
+import platform
+import sys
+
+from headway_launch.benchmarks import kernel, lightness, training
+
+REPORTS = {"training": training.report, "kernel": kernel.report, "lightness": lightness.report}
+
+
+def main() -> None:
+    """Print every report named on the command line, or all."""
+    names = sys.argv[1:] or list(REPORTS)
+    unknown = [name for name in names if name not in REPORTS]
+    if unknown:
+        sys.exit(f"benchmarks: no benchmark '{unknown[0]}'; there are {', '.join(REPORTS)}")
+    print(f"Python {platform.python_version()} on {platform.machine()}; quiet machine assumed.")
+    for name in names:
+        REPORTS[name]()
+
+
+if __name__ == "__main__":
+    main()

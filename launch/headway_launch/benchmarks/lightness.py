@@ -1,0 +1,60 @@
+"""How light it is: workers' memory and start, the command line's, the time to the first iteration."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from headway.registry import env_entry
+
+
+def _resident() -> int:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def _worker(connection: Connection) -> None:
+    import headway.rollout.worker
+
+    entry = env_entry("bus")
+    prepared = connection.recv()
+    env = entry.make(prepared, 4)
+    connection.send((_resident(), "torch" in sys.modules, headway.rollout.worker.__name__))
+    connection.recv()
+    del env
+
+
+def report() -> None:
+    """Print the figures."""
+    print("\n## Lightness\n")
+    entry = env_entry("bus")
+    prepared = entry.prepare(entry.config())
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["headway.rollout.worker", *entry.preload])
+    for label in ("the first worker (starts the forkserver)", "a further worker"):
+        ours, theirs = context.Pipe()
+        began = time.monotonic()
+        process = context.Process(target=_worker, args=(theirs,))
+        process.start()
+        ours.send(prepared)
+        resident, has_torch, _ = ours.recv()
+        seconds = time.monotonic() - began
+        print(
+            f"- {label}, with the bus environment: ready in {seconds:.2f} s, {resident / 2**20:.0f} MB "
+            f"resident, torch {'imported' if has_torch else 'not imported'}",
+            flush=True,
+        )
+        ours.send(None)
+        process.join()
+    command = str(Path(sys.executable).with_name("headway"))
+    times = []
+    for _ in range(5):
+        began = time.monotonic()
+        subprocess.run([command, "--help"], check=True, stdout=subprocess.DEVNULL, env=dict(os.environ))
+        times.append(time.monotonic() - began)
+    print(f"- `headway --help`: {sorted(times)[2]:.2f} s (median of 5)")
