@@ -1,0 +1,121 @@
+"""The batched face of the bus environment."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
+from headway_envs.bus.kernel import tick
+from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
+from headway_envs.bus.kernel.memory import allocate_outputs, allocate_world, state_size
+from headway_envs.bus.prepared import Prepared
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The whole state of a batch and what was observed with it; picklable."""
+
+    world: World
+    outputs: Outputs
+
+
+def _copied(arrays: World | Outputs) -> list[NDArray[Any]]:
+    return [array.copy() for array in arrays]
+
+
+class BusBatchedEnv:
+    """C service days stepped together; implements `headway.contracts.BatchedEnv`.
+
+    Agents are vehicle slots; actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
+    and used at each decision event in it (`acting`). At the end of the service day all agents are terminated,
+    not truncated: the last buses are in, passengers have gone, and nothing that comes after could be
+    influenced by what the agents did, so the return is over.
+    """
+
+    def __init__(self, prepared: Prepared, copies: int) -> None:
+        """Raises HeadwayError if there is not at least one copy."""
+        if copies < 1:
+            raise HeadwayError(f"copies must be at least 1, not {copies}")
+        config, self.prepared = prepared.config, prepared
+        self.network = prepared.network
+        self.settings = prepared.settings
+        self.world = allocate_world(self.network, copies, config.capacity)
+        self.outputs = allocate_outputs(self.network, copies, config.observation, prepared.full_state)
+        self._never = np.zeros((copies, len(self.network.slot_line)), np.bool_)
+        self._terminated = self._never.copy()
+        self._spec = EnvSpec(
+            name="bus",
+            agents=prepared.agents,
+            observation_size=OBSERVATION_SIZES[config.observation],
+            action_space=Discrete(3),
+            state_size=state_size(self.network, config.observation, prepared.full_state),
+            groups=prepared.groups,
+            shared_reward=config.reward.shared,
+            has_action_mask=True,
+            agents_come_and_go=True,
+            metrics=tuple(METRICS),
+            snapshots=True,
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return len(self.world.days)
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        """Begin day 0 of every copy; seeds (C,). Raises ValueError for another shape."""
+        seeds = np.ascontiguousarray(seeds, np.uint64)
+        if seeds.shape != (self.num_copies,):
+            raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
+        for array in (*self.world, *self.outputs):
+            array[...] = np.zeros(1, array.dtype)
+        tick.begin(self.network, self.settings, self.world, self.outputs, seeds)
+        return self.observed()
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        """One control interval; actions (C, N) int64 of 0 to 2. A masked SERVICE_CENTER is ignored."""
+        actions = np.ascontiguousarray(actions, np.int64)
+        if actions.shape != self._never.shape:
+            raise ValueError(f"actions must have shape {self._never.shape}, not {actions.shape}")
+        outputs = self.outputs
+        tick.step(self.network, self.settings, self.world, outputs, actions)
+        self._terminated[...] = outputs.ended[:, None]
+        outcome = Outcome(
+            rewards=outputs.rewards,
+            terminated=self._terminated,
+            truncated=self._never,
+            acting=outputs.acting,
+            episode_ended=outputs.ended,
+            final_observations=outputs.final_observations,
+            final_states=outputs.final_states,
+            metrics=outputs.metrics,
+        )
+        return outcome, self.observed()
+
+    def observed(self) -> Observed:
+        """What the agents face now; views of the environment's arrays."""
+        outputs = self.outputs
+        return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
+
+    def snapshot(self) -> Snapshot:
+        return Snapshot(World(*_copied(self.world)), Outputs(*_copied(self.outputs)))
+
+    def restore(self, snapshot: Snapshot) -> Observed:
+        """Continue from a snapshot of the same scenario and number of copies, else HeadwayError."""
+        for mine, saved in zip(
+            (*self.world, *self.outputs), (*snapshot.world, *snapshot.outputs), strict=True
+        ):
+            if mine.shape != saved.shape or mine.dtype != saved.dtype:
+                raise HeadwayError(
+                    "the snapshot is of another bus scenario or number of copies: restore it with its own"
+                )
+            mine[...] = saved
+        return self.observed()
+
+    def close(self) -> None:
+        """Nothing is held open."""

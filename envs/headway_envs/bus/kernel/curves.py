@@ -1,0 +1,38 @@
+"""Reading curves given at hour knots or quarter-hour bins."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS
+
+_FIRST_KNOT_S = FIRST_KNOT_HOUR * 3600.0 + 1800.0
+
+
+@compiled
+def at(curves: NDArray[np.float64], row: int, time: float) -> float:
+    """Value of row `row` of (rows, K) knots at `time`, linear between knots and flat outside."""
+    place = (time - _FIRST_KNOT_S) / 3600.0
+    if place <= 0.0:
+        return curves[row, 0]
+    if place >= KNOTS - 1:
+        return curves[row, KNOTS - 1]
+    knot = int(place)
+    weight = place - knot
+    return (1.0 - weight) * curves[row, knot] + weight * curves[row, knot + 1]
+
+
+@compiled
+def bin_of(time: float, start: float, bins: int) -> int:
+    """The quarter-hour bin of a service day that holds `time`."""
+    return min(max(int((time - start) / BIN_S), 0), bins - 1)
+
+
+@compiled
+def period_of(time: float) -> int:
+    """The period of the alighting shares that holds `time`."""
+    if time < 9 * 3600.0:
+        return 0
+    if time < 15 * 3600.0:
+        return 1
+    return 2 if time < 20 * 3600.0 else 3

@@ -1,0 +1,137 @@
+"""The start of a service day and the accounts at its end."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.draws import (
+    DAY,
+    DEMAND_DAY,
+    EVENING,
+    NETWORK,
+    day_key,
+    normal,
+    uniform,
+    unit_lognormal,
+)
+from headway_envs.bus.kernel.layout import BIN_S, Network, World
+from headway_envs.bus.kernel.motion import await_trip, renew
+from headway_envs.bus.kernel.passengers import catch_up, count_wait, draw_next
+
+
+@compiled
+def _draw_congestion(k: np.void, world: World, c: int) -> None:
+    """The day's travel-time factors: whole day, weekday evening, and an autoregressive network factor."""
+    key = world.days[c].key
+    whole = unit_lognormal(normal(key, DAY, 0, 0), k.day_sd)
+    evening = k.evening_peak * uniform(key, EVENING, 0, 0) if k.weekday else 0.0
+    kept = math.exp(-BIN_S / 3600.0)
+    network = normal(key, NETWORK, 0, 0)
+    for edge in range(world.congestion.shape[1]):
+        hour = (k.start_s + edge * BIN_S) / 3600.0
+        shape = min(max(min(hour - 15.5, 19.5 - hour), 0.0), 1.0)
+        usual = 1.0 + 0.5 * k.evening_peak * shape if k.weekday else 1.0
+        factor = whole * (1.0 + evening * shape) / usual
+        world.congestion[c, edge] = factor * unit_lognormal(network, k.network_sd)
+        network = kept * network + math.sqrt(1.0 - kept * kept) * normal(key, NETWORK, edge + 1, 0)
+
+
+@compiled
+def begin_day(net: Network, k: np.void, world: World, c: int, seed: np.uint64, episode: int) -> None:
+    """Reset copy c to the first instant of day `episode`."""
+    world.days[c : c + 1] = np.zeros(1, world.days.dtype)
+    day = world.days[c]
+    day.seed = seed
+    day.episode = episode
+    day.key = day_key(seed, episode)
+    day.now = k.start_s
+    day.demand_factor = max(1.0 + k.demand_day_sd * normal(day.key, DEMAND_DAY, 0, 0), 0.0)
+    world.departed[c] = False
+    world.trip_time[c] = np.nan
+    world.waits[c] = 0
+    world.loads[c] = 0
+    world.slots[c] = np.zeros(1, world.slots.dtype)[0]
+    world.queues[c] = np.zeros(1, world.queues.dtype)[0]
+    _draw_congestion(k, world, c)
+    for p in range(net.pattern_calls.shape[0] - 1):
+        world.patterns[c, p].last_finish = -1.0
+        world.patterns[c, p].next_trip = net.pattern_trips[p]
+        for call in range(net.pattern_calls[p], net.pattern_calls[p + 1]):
+            world.queues[c, call].next_arrival = k.start_s
+            world.queues[c, call].hour = -1
+            draw_next(net, k, world, c, call)
+    for n in range(world.slots.shape[1]):
+        slot = world.slots[c, n]
+        slot.block = net.slot_first[n]
+        slot.headway_ratio = 1.0
+        slot.since = k.start_s
+        slot.ahead = np.nan
+        slot.behind = np.nan
+        renew(k, world, c, n)
+        await_trip(net, k, world, c, n, k.start_s, False)
+
+
+@compiled
+def quantile_of_counts(counts: NDArray[np.uint32], share: float) -> float:
+    """The value (index of the bin) below which `share` of the counts lie, linear within the bin."""
+    total = 0
+    for count in counts:
+        total += count
+    wanted, below = share * total, 0.0
+    for value in range(counts.shape[0]):
+        if counts[value] > 0 and below + counts[value] >= wanted:
+            return value + (wanted - below) / counts[value]
+        below += counts[value]
+    return 0.0
+
+
+@compiled
+def end_day(net: Network, k: np.void, world: World, c: int, metrics: NDArray[np.float64]) -> None:
+    """Fill the episode metrics, in the order of `layout.METRICS`. Those left waiting count with their wait
+    so far."""
+    day, ticks = world.days[c], max(world.days[c].tick, 1)
+    left = 0
+    for p in range(net.pattern_calls.shape[0] - 1):
+        for call in range(net.pattern_calls[p], net.pattern_calls[p + 1] - 1):
+            catch_up(net, k, world, c, call, p, day.now)
+            first = net.queue_first[call]
+            for i in range(world.queues[c, call].waiting):
+                wait = day.now - world.arrived_at[c, first + i]
+                left += 1
+                day.wait += wait
+                if world.leaves_at[c, first + i] == np.inf:
+                    day.captive_boarded += 1.0
+                    day.captive_wait += wait
+                count_wait(world.waits[c], wait)
+    for n in range(world.slots.shape[1]):
+        day.ride += world.slots[c, n].load * (day.now - world.slots[c, n].since)
+    headways, boarded, loads = max(day.headways, 1), max(day.boarded, 1), max(day.loads, 1)
+    mean_ratio = day.headway_ratio / headways
+    spread = max(day.headway_ratio_squared / headways - mean_ratio * mean_ratio, 0.0)
+    durations = world.trip_time[c][~np.isnan(world.trip_time[c])]
+    metrics[0] = day.wait / max(day.boarded + left, 1) / 60.0
+    metrics[1] = quantile_of_counts(world.waits[c], 0.95) / 60.0
+    metrics[2] = day.captive_wait / max(day.captive_boarded, 1.0) / 60.0
+    metrics[3] = (day.headway_squared - day.headway_target) / max(2.0 * day.headway, 1.0) / 60.0
+    metrics[4] = math.sqrt(spread) / max(mean_ratio, 1e-9)
+    metrics[5] = day.bunched / headways
+    metrics[6] = day.denied
+    metrics[7] = day.boarded
+    metrics[8] = day.lost / max(day.arrived, 1)
+    metrics[9] = day.load / loads / k.capacity
+    metrics[10] = min(math.floor(quantile_of_counts(world.loads[c], 0.95)), k.capacity) / k.capacity
+    metrics[11] = day.ride / boarded / 60.0
+    metrics[12] = 0.0
+    if durations.shape[0] > 0:
+        metrics[12] = (np.percentile(durations, 90) - np.percentile(durations, 50)) / 60.0
+    metrics[13] = day.held / max(durations.shape[0], 1) / 60.0
+    metrics[14] = day.breakdowns
+    metrics[15] = day.visits
+    metrics[16] = day.fuel
+    metrics[17] = day.service / ticks
+    metrics[18] = day.efficiency / ticks
+    metrics[19] = day.maintenance / ticks
+    metrics[20] = day.regularity / ticks
+    metrics[21] = day.reward

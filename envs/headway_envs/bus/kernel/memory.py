@@ -1,0 +1,65 @@
+"""The arrays of C copies."""
+
+import numpy as np
+
+from headway_envs.bus.kernel.layout import (
+    DAY,
+    DAY_STATE,
+    LINE,
+    LINE_STATE,
+    METRICS,
+    OBSERVATION_SIZES,
+    PATTERN,
+    QUEUE,
+    SLOT,
+    WAIT_BINS,
+    Network,
+    Outputs,
+    World,
+)
+
+
+def allocate_world(net: Network, copies: int, capacity: int) -> World:
+    """The state of `copies` copies, not yet begun."""
+    calls, trips = len(net.running), len(net.trip_pattern)
+    lines, patterns, slots = len(net.line_slots) - 1, len(net.pattern_calls) - 1, len(net.slot_line)
+    storage = int(net.queue_first[-1])
+    return World(
+        days=np.zeros(copies, DAY),
+        slots=np.zeros((copies, slots), SLOT),
+        event_time=np.zeros((copies, slots)),
+        queues=np.zeros((copies, calls), QUEUE),
+        arrived_at=np.zeros((copies, storage)),
+        leaves_at=np.zeros((copies, storage)),
+        patterns=np.zeros((copies, patterns), PATTERN),
+        lines=np.zeros((copies, lines), LINE),
+        departed=np.zeros((copies, trips), np.bool_),
+        trip_time=np.zeros((copies, trips)),
+        congestion=np.zeros((copies, net.arrival_rate.shape[1] + 1)),
+        waits=np.zeros((copies, WAIT_BINS), np.uint32),
+        loads=np.zeros((copies, capacity + 1), np.uint32),
+    )
+
+
+def state_size(net: Network, observation: str, full: bool) -> int:
+    """S: the day, every line and, if full, every agent's observation."""
+    size = DAY_STATE + LINE_STATE * (len(net.line_slots) - 1)
+    return size + (len(net.slot_line) * OBSERVATION_SIZES[observation] if full else 0)
+
+
+def allocate_outputs(net: Network, copies: int, observation: str, full: bool) -> Outputs:
+    """What a step fills."""
+    slots, size = len(net.slot_line), OBSERVATION_SIZES[observation]
+    state = state_size(net, observation, full)
+    return Outputs(
+        observations=np.zeros((copies, slots, size), np.float32),
+        states=np.zeros((copies, state), np.float32),
+        alive=np.zeros((copies, slots), np.bool_),
+        masks=np.ones((copies, slots, 3), np.bool_),
+        rewards=np.zeros((copies, slots), np.float32),
+        acting=np.zeros((copies, slots), np.bool_),
+        ended=np.zeros(copies, np.bool_),
+        final_observations=np.zeros((copies, slots, size), np.float32),
+        final_states=np.zeros((copies, state), np.float32),
+        metrics=np.zeros((copies, len(METRICS))),
+    )

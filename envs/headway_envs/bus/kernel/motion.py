@@ -1,0 +1,274 @@
+"""What happens to a bus at its events, in continuous time."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.curves import at, bin_of, period_of
+from headway_envs.bus.kernel.draws import (
+    ALIGHTING,
+    BREAKDOWN,
+    DISPATCH,
+    INCIDENT,
+    INCIDENT_SIZE,
+    LINK,
+    TRIP,
+    binomial,
+    exponential,
+    normal,
+    uniform,
+    unit_lognormal,
+)
+from headway_envs.bus.kernel.layout import (
+    AWAY,
+    BIN_S,
+    BROKEN,
+    DEPOT,
+    DISPATCHED,
+    DRIVING,
+    MOVE,
+    SERVICE_CENTER,
+    STANDING,
+    TERMINAL,
+    Network,
+    World,
+)
+from headway_envs.bus.kernel.passengers import board, change_load, put_off
+
+
+@compiled
+def congestion_at(k: np.void, world: World, c: int, time: float) -> float:
+    """The network's travel-time factor now."""
+    bins = world.congestion.shape[1] - 1
+    bin_ = bin_of(time, k.start_s, bins)
+    weight = min(max((time - k.start_s) / BIN_S - bin_, 0.0), 1.0)
+    return (1.0 - weight) * world.congestion[c, bin_] + weight * world.congestion[c, bin_ + 1]
+
+
+@compiled
+def link_time(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> float:
+    """Seconds to the next call when leaving now: mean x trip x network x link term x incident."""
+    slot, day = world.slots[c, n], world.days[c]
+    noise = unit_lognormal(normal(day.key, LINK, slot.trip, slot.call), net.noise_sd[slot.call])
+    factor = slot.trip_factor * congestion_at(k, world, c, time) * noise
+    if uniform(day.key, INCIDENT, slot.trip, slot.call) < k.incident_probability:
+        spread = 2.0 * (k.incident_factor - 2.0)
+        factor *= 2.0 + spread * uniform(day.key, INCIDENT_SIZE, slot.trip, slot.call)
+    factor /= 1.0 + k.incident_probability * (k.incident_factor - 1.0)
+    return at(net.running, slot.call, time) * factor
+
+
+@compiled
+def work(k: np.void, world: World, c: int, n: int, time: float, fuel_share: float) -> None:
+    """Charge fuel, wear and the hazard of a breakdown for the time since they were last charged."""
+    slot = world.slots[c, n]
+    duration = time - slot.worked
+    used = min(duration * k.fuel_per_s * fuel_share, slot.fuel)
+    slot.fuel -= used
+    world.days[c].fuel += used
+    slot.hazard += duration * k.hazard_per_s * math.exp(k.wear_growth * (1.0 - slot.uptime))
+    slot.uptime = max(slot.uptime - duration * k.uptime_per_s, 0.0)
+    slot.worked = time
+
+
+@compiled
+def renew(k: np.void, world: World, c: int, n: int) -> None:
+    """Refuel and repair."""
+    slot = world.slots[c, n]
+    slot.fuel = k.fuel_capacity
+    slot.uptime = 1.0
+    slot.hazard = 0.0
+    slot.hazard_limit = exponential(world.days[c].key, BREAKDOWN, n, slot.breakdowns)
+
+
+@compiled
+def await_trip(net: Network, k: np.void, world: World, c: int, n: int, time: float, arrived: bool) -> None:
+    """Send the slot to the terminal of its next trip, or to the depot if that is far off or there is none."""
+    slot = world.slots[c, n]
+    if slot.block == net.slot_first[n + 1]:
+        slot.phase = DEPOT
+        world.event_time[c, n] = np.inf
+        return
+    slot.trip = net.slot_trips[slot.block]
+    slot.pattern = net.trip_pattern[slot.trip]
+    slot.call = net.pattern_calls[slot.pattern]
+    slot.held = 0.0
+    slot.trip_factor = unit_lognormal(normal(world.days[c].key, TRIP, slot.trip, 0), k.trip_sd)
+    ready = net.trip_departure[slot.trip] - k.dispatch_window_s
+    if arrived:
+        ready = max(ready, time + k.minimum_layover_s + net.trip_deadhead[slot.trip])
+    ready = max(ready, k.start_s)
+    slot.phase = DEPOT if not arrived or ready - time > k.depot_gap_s else TERMINAL
+    if slot.phase == DEPOT and arrived:
+        renew(k, world, c, n)
+    world.event_time[c, n] = ready
+
+
+@compiled
+def depart(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+    """Leave the call for the next one, and account for the headway and the load."""
+    slot, day, queue = world.slots[c, n], world.days[c], world.queues[c, world.slots[c, n].call]
+    if queue.last_departure > 0.0:
+        headway = time - queue.last_departure
+        target = at(net.target, slot.pattern, time)
+        ratio = headway / target
+        slot.headway_ratio = ratio
+        day.headways += 1
+        day.bunched += ratio < 0.25
+        day.headway_ratio += ratio
+        day.headway_ratio_squared += ratio * ratio
+        day.headway += headway
+        day.headway_squared += headway * headway
+        day.headway_target += headway * target
+    queue.last_departure = time
+    day.denied += queue.waiting
+    queue.denied = queue.waiting
+    day.loads += 1
+    day.load += slot.load
+    world.loads[c, slot.load] += 1
+    if slot.phase == DISPATCHED:
+        slot.trip_left = time
+        world.departed[c, slot.trip] = True
+        pattern, last = world.patterns[c, slot.pattern], net.pattern_trips[slot.pattern + 1]
+        while pattern.next_trip < last and world.departed[c, pattern.next_trip]:
+            pattern.next_trip += 1
+    slot.phase = DRIVING
+    slot.left = time
+    slot.held = 0.0
+    world.event_time[c, n] = time + link_time(net, k, world, c, n, time)
+
+
+@compiled
+def arrive(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+    """Reach the next call: alight, then board; or end the trip; or stand there broken."""
+    slot, day = world.slots[c, n], world.days[c]
+    work(k, world, c, n, time, 1.0)
+    slot.call += 1
+    share = net.alighting[slot.call, period_of(time)]
+    alighting = 0
+    if slot.load > 0:
+        alighting = binomial(uniform(day.key, ALIGHTING, slot.trip, slot.call), slot.load, share)
+        day.alighted += alighting
+        change_load(day, slot, -alighting, time)
+    if slot.call == net.pattern_calls[slot.pattern + 1] - 1:
+        world.trip_time[c, slot.trip] = time - slot.trip_left
+        world.patterns[c, slot.pattern].last_finish = time
+        slot.block += 1
+        await_trip(net, k, world, c, n, time, True)
+    elif slot.fuel <= 0.0 or slot.hazard >= slot.hazard_limit:
+        day.breakdowns += 1
+        slot.breakdowns += 1
+        put_off(net, k, world, c, n, time)
+        slot.phase = BROKEN
+        world.event_time[c, n] = time + k.broken_s
+    else:
+        slot.phase = STANDING
+        dwell = alighting * k.alighting_s + board(net, k, world, c, n, time) * k.boarding_s
+        if dwell > 0.0:
+            dwell += k.fixed_dwell_s
+        world.event_time[c, n] = time + dwell
+
+
+@compiled
+def to_service(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+    """Leave the line for the service centre; the slot comes back to the same call."""
+    slot = world.slots[c, n]
+    if slot.phase != BROKEN:
+        world.days[c].visits += 1
+    put_off(net, k, world, c, n, time)
+    slot.phase = AWAY
+    world.event_time[c, n] = time + k.service_s + 2.0 * net.detour[slot.call]
+
+
+@compiled
+def decide(net: Network, k: np.void, world: World, c: int, n: int, time: float, action: int) -> None:
+    """A decision event: use the latched action."""
+    slot = world.slots[c, n]
+    if action == MOVE:
+        if slot.phase == TERMINAL:
+            slot.phase = DISPATCHED
+            delay = k.dispatch_s * exponential(world.days[c].key, DISPATCH, slot.trip, 0)
+            world.event_time[c, n] = time + delay
+        else:
+            depart(net, k, world, c, n, time)
+    elif action == SERVICE_CENTER:
+        to_service(net, k, world, c, n, time)
+    else:
+        slot.held += k.hold_s
+        world.days[c].held += k.hold_s if slot.phase == STANDING else 0.0
+        world.event_time[c, n] = time + k.hold_s
+
+
+@compiled
+def return_to_line(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+    """Come back from the service centre to the place that was left."""
+    slot = world.slots[c, n]
+    renew(k, world, c, n)
+    slot.worked = time
+    first = slot.call == net.pattern_calls[slot.pattern] and not world.departed[c, slot.trip]
+    slot.phase = TERMINAL if first else STANDING
+    world.event_time[c, n] = time
+
+
+@compiled
+def process(net: Network, k: np.void, world: World, c: int, n: int, time: float, action: int) -> bool:
+    """Process the slot's event at `time`; returns whether the action was used."""
+    slot = world.slots[c, n]
+    if slot.phase == DRIVING:
+        arrive(net, k, world, c, n, time)
+        return False
+    if slot.phase == AWAY:
+        return_to_line(net, k, world, c, n, time)
+        return False
+    if slot.phase == BROKEN:
+        to_service(net, k, world, c, n, time)
+        return False
+    if slot.phase == DEPOT:
+        renew(k, world, c, n)
+        slot.phase = TERMINAL
+        slot.since = time
+    if slot.phase == STANDING:
+        work(k, world, c, n, time, k.idle_share)
+    else:
+        slot.worked = time
+    boarded = board(net, k, world, c, n, time)
+    if slot.phase == TERMINAL:
+        decide(net, k, world, c, n, time, action)
+        return True
+    if boarded > 0:
+        world.event_time[c, n] = time + boarded * k.boarding_s
+        return False
+    if slot.phase == DISPATCHED:
+        depart(net, k, world, c, n, time)
+        return False
+    decide(net, k, world, c, n, time, action)
+    return True
+
+
+@compiled
+def advance(
+    net: Network,
+    k: np.void,
+    world: World,
+    c: int,
+    actions: NDArray[np.int64],
+    acting: NDArray[np.bool_],
+) -> None:
+    """Process all events of copy c before the end of the control interval, line by line in time order."""
+    day = world.days[c]
+    until = day.now + k.tick_s
+    for line in range(net.line_slots.shape[0] - 1):
+        first, last = net.line_slots[line], net.line_slots[line + 1]
+        while True:
+            soonest, time = -1, until
+            for n in range(first, last):
+                if world.event_time[c, n] < time:
+                    soonest, time = n, world.event_time[c, n]
+            if soonest < 0:
+                break
+            used = process(net, k, world, c, soonest, time, actions[soonest])
+            acting[soonest] = acting[soonest] or used
+    day.now = until
+    day.tick += 1

@@ -1,0 +1,180 @@
+"""What agents and central critics see."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.curves import at, bin_of
+from headway_envs.bus.kernel.layout import (
+    AWAY,
+    BROKEN,
+    DAY_STATE,
+    DEPOT,
+    DISPATCHED,
+    DRIVING,
+    LINE_STATE,
+    SERVICE_CENTER,
+    STANDING,
+    TERMINAL,
+    Network,
+    World,
+)
+
+
+@compiled
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+@compiled
+def _or_one(spacing: float) -> float:
+    """A spacing, 1 (as it should be) where there is no neighbour, at most 3."""
+    return 1.0 if np.isnan(spacing) else min(spacing, 3.0)
+
+
+@compiled
+def _observe_basic(
+    net: Network, k: np.void, world: World, c: int, n: int, out: NDArray[np.float32], published: bool
+) -> None:
+    """The paper's four, or the released code's eight in its order, scaled to [0, 1]."""
+    slot, now = world.slots[c, n], world.days[c].now
+    first, last = net.pattern_calls[slot.pattern], net.pattern_calls[slot.pattern + 1] - 1
+    following = min(slot.call + 1, last)
+    link = min(slot.call, last - 1)
+    bins = net.boarding_rate.shape[1]
+    demand = net.boarding_rate[following, bin_of(now, k.start_s, bins)]
+    travel_time = min(at(net.running, link, now) / 300.0, 1.0)
+    future_demand = min(demand * at(net.target, slot.pattern, now) / 20.0, 1.0)
+    occupancy = slot.load / k.capacity
+    if not published:
+        out[0], out[1], out[2], out[3] = travel_time, future_demand, occupancy, slot.uptime
+        return
+    out[0] = (now - k.start_s) / (k.end_s - k.start_s)
+    out[1], out[2], out[3], out[4] = occupancy, travel_time, future_demand, slot.uptime
+    worn = slot.phase == BROKEN or slot.uptime < k.warning or slot.fuel < k.warning * k.fuel_capacity
+    out[5] = 0.0 if worn else 1.0
+    out[6] = (slot.call - first) / (last - first)
+    out[7] = (following - first) / (last - first)
+
+
+@compiled
+def _observe_control(
+    net: Network, k: np.void, world: World, c: int, n: int, out: NDArray[np.float32]
+) -> None:
+    """The published eight, then the features from index 8 on that holding and service need."""
+    slot, now = world.slots[c, n], world.days[c].now
+    _observe_basic(net, k, world, c, n, out, True)
+    first, last = net.pattern_calls[slot.pattern], net.pattern_calls[slot.pattern + 1] - 1
+    place = slot.call + 1 if slot.phase == DRIVING else slot.call
+    target = at(net.target, slot.pattern, now)
+    event = world.event_time[c, n]
+    since = world.queues[c, place].last_departure
+    ahead, behind = _or_one(slot.ahead), _or_one(slot.behind)
+    out[8] = slot.fuel / k.fuel_capacity
+    out[9] = ahead - 1.0
+    out[10] = behind - 1.0
+    out[11] = 0.5 * (ahead - behind)
+    out[12] = _clip(slot.headway_ratio - 1.0, -1.0, 2.0)
+    departure = net.trip_departure[slot.trip]
+    out[13] = _clip((now - departure - slot.place) / 600.0, -2.0, 2.0)
+    out[14] = slot.place / max(at(net.nominal, last, now), 1.0)
+    rate = net.boarding_rate[place, bin_of(now, k.start_s, net.boarding_rate.shape[1])]
+    out[15] = min(rate * (event - since) / 20.0, 3.0) if since > 0.0 else 0.0
+    out[16] = slot.phase == STANDING
+    out[17] = slot.phase == TERMINAL or slot.phase == DISPATCHED
+    out[18] = slot.phase == AWAY or slot.phase == BROKEN
+    angle = 2.0 * math.pi * now / 86400.0
+    out[19] = math.sin(angle)
+    out[20] = math.cos(angle)
+    out[21] = min(slot.held / 300.0, 3.0)
+    out[22] = min((event - now) / k.tick_s, 5.0) / 5.0
+    out[23] = _clip((event - since) / target - 1.0, -1.0, 2.0) if since > 0.0 and place < last else 0.0
+    out[24] = _clip((departure - now) / 600.0, -2.0, 2.0) if slot.phase == TERMINAL else 0.0
+    out[25] = slot.pattern - net.line_patterns[net.slot_line[n]]
+
+
+@compiled
+def observe(
+    net: Network,
+    k: np.void,
+    world: World,
+    c: int,
+    observations: NDArray[np.float32],
+    alive: NDArray[np.bool_],
+    masks: NDArray[np.bool_],
+) -> None:
+    """Observations (N, D), alive (N,) and action masks (N, 3) of one copy. A slot is alive out of the depot,
+    and from the interval on in which its first decision falls. Dead rows are zeros with every action allowed."""
+    until = world.days[c].now + k.tick_s
+    for n in range(observations.shape[0]):
+        phase = world.slots[c, n].phase
+        alive[n] = phase != DEPOT or world.event_time[c, n] < until
+        masks[n, SERVICE_CENTER] = phase != AWAY and phase != BROKEN
+        if not alive[n]:
+            observations[n, :] = 0.0
+            masks[n, SERVICE_CENTER] = True
+        elif k.observation == 2:
+            _observe_control(net, k, world, c, n, observations[n])
+        else:
+            _observe_basic(net, k, world, c, n, observations[n], k.observation == 1)
+
+
+@compiled
+def _observe_line(
+    net: Network, k: np.void, world: World, c: int, line: int, out: NDArray[np.float32]
+) -> None:
+    """Spacing, load, queue and fleet statistics of a line; the spacings' mean, spread and extremes."""
+    record = world.lines[c, line]
+    total, squares, low, high, found = 0.0, 0.0, 3.0, 0.0, 0
+    load, fuel, uptime = 0.0, 0.0, 0.0
+    first, last = net.line_slots[line], net.line_slots[line + 1]
+    for n in range(first, last):
+        slot = world.slots[c, n]
+        load += slot.load
+        fuel += slot.fuel
+        uptime += slot.uptime
+        if slot.counted == 1 and not np.isnan(slot.ahead):
+            ahead = min(slot.ahead, 3.0)
+            total += ahead
+            squares += ahead * ahead
+            low, high = min(low, ahead), max(high, ahead)
+            found += 1
+    mean = total / found if found > 0 else 1.0
+    out[0] = mean - 1.0
+    out[1] = math.sqrt(max(squares / found - mean * mean, 0.0)) if found > 0 else 0.0
+    out[2] = low - 1.0 if found > 0 else 0.0
+    out[3] = high - 1.0 if found > 0 else 0.0
+    out[4] = record.service
+    out[5] = load / max(record.on_route, 1.0) / k.capacity
+    out[6] = record.alive / (last - first)
+    out[7] = record.on_route / (last - first)
+    out[8] = fuel / (last - first) / k.fuel_capacity
+    out[9] = uptime / (last - first)
+
+
+@compiled
+def observe_state(
+    net: Network,
+    k: np.void,
+    world: World,
+    c: int,
+    observations: NDArray[np.float32],
+    state: NDArray[np.float32],
+) -> None:
+    """State (S,): the day, each line, and under `full` all agents' observations."""
+    day = world.days[c]
+    angle = 2.0 * math.pi * day.now / 86400.0
+    state[0] = (day.now - k.start_s) / (k.end_s - k.start_s)
+    state[1] = math.sin(angle)
+    state[2] = math.cos(angle)
+    place = DAY_STATE
+    for line in range(net.line_slots.shape[0] - 1):
+        _observe_line(net, k, world, c, line, state[place : place + LINE_STATE])
+        place += LINE_STATE
+    if k.full_state:
+        size = observations.shape[1]
+        for n in range(observations.shape[0]):
+            state[place : place + size] = observations[n]
+            place += size

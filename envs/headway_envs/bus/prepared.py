@@ -1,0 +1,113 @@
+"""What all copies of one bus environment share. Light: numpy and the kernel's records only."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.kernel.layout import SETTINGS, Network
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A network and the configuration it was built for; picklable."""
+
+    config: BusConfig
+    network: Network
+    lines: tuple[str, ...]
+    """Name of each line (L)."""
+    source: str
+    """Where the scenario comes from, with its licence."""
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """One name a slot (N): `LINE_NUMBER`."""
+        first = self.network.line_slots
+        return tuple(
+            f"{line}_{n}" for i, line in enumerate(self.lines) for n in range(first[i + 1] - first[i])
+        )
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Each slot's line (N)."""
+        return tuple(self.lines[i] for i in self.network.slot_line)
+
+    @property
+    def full_state(self) -> bool:
+        """Whether the state holds all observations."""
+        match self.config.state:
+            case "auto":
+                return len(self.network.slot_line) <= 50
+            case state:
+                return state == "full"
+
+    @property
+    def settings(self) -> NDArray[Any]:
+        """The configuration as one SETTINGS record, shape (1,)."""
+        settings = np.zeros(1, SETTINGS)
+        for name, value in _settings(self).items():
+            settings[name] = value
+        return settings
+
+
+def arrivals_per_boarding(config: BusConfig) -> float:
+    """Arrivals of those with a competing service for each of them who boards under the target headway.
+
+    Of those who come evenly over a headway H and leave after an exponential wait of mean xH, the share
+    x (1 - exp(-1/x)) is still there when the bus comes."""
+    x = config.competing_headway_share
+    return 1.0 / (x * (1.0 - math.exp(-1.0 / x)))
+
+
+def _settings(prepared: Prepared) -> dict[str, float]:
+    config = prepared.config
+    noise, upkeep, reward = config.noise, config.upkeep, config.reward
+    others = (1.0 - config.captive_share) * arrivals_per_boarding(config)
+    same = (
+        "tick_s hold_s boarding_s alighting_s fixed_dwell_s dispatch_window_s minimum_layover_s capacity"
+    ).split()
+    same_noise = (
+        "trip_sd day_sd evening_peak network_sd incident_probability incident_factor demand_day_sd "
+        "demand_stop_hour_sd dispatch_s"
+    ).split()
+    same_upkeep = "fuel_capacity idle_share warning wear_growth broken_s service_s depot_gap_s".split()
+    return {
+        **{name: getattr(config, name) for name in same},
+        **{name: getattr(noise, name) for name in same_noise},
+        **{name: getattr(upkeep, name) for name in same_upkeep},
+        "start_s": config.start_hour * 3600.0,
+        "end_s": config.end_hour * 3600.0,
+        "captive_arrivals": config.captive_share / (config.captive_share + others),
+        "competing_share": config.competing_headway_share,
+        "fuel_per_s": 1.0 / upkeep.seconds_per_fuel_unit,
+        "uptime_per_s": 1.0 / (upkeep.uptime_hours * 3600.0),
+        "hazard_per_s": upkeep.breakdowns_per_hour / 3600.0,
+        "weight_service": reward.service,
+        "weight_efficiency": reward.efficiency,
+        "weight_maintenance": reward.maintenance,
+        "weight_regularity": reward.regularity,
+        "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
+        "shared": float(reward.shared),
+        "weekday": float(config.day_type == "weekday"),
+        "observation": float(("paper", "published", "control").index(config.observation)),
+        "full_state": float(prepared.full_state),
+    }
+
+
+def prepare(config: BusConfig) -> Prepared:
+    """Read or generate the scenario and build its network, once, in the parent (imports pandas).
+
+    Raises HeadwayError where the scenario cannot be used."""
+    from headway_envs.bus.scenario.network import build
+    from headway_envs.bus.scenario.synthetic import generate
+    from headway_envs.bus.scenario.tables import read_tables
+
+    if config.scenario in ("line", "corridor"):
+        tables = generate(config.scenario, config.scenario_seed)
+    else:
+        tables = read_tables(config.scenario)
+    network, lines = build(tables, config)
+    return Prepared(config, network, lines, str(tables.meta.get("source", "unknown")))

@@ -1,0 +1,333 @@
+"""From tables to the arrays that the kernel reads."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Network
+from headway_envs.bus.prepared import arrivals_per_boarding
+from headway_envs.bus.scenario.tables import Tables
+from headway_envs.bus.scenario.timetable import Departures, Trip, chain, smooth
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+KNOT_HOURS = np.arange(FIRST_KNOT_HOUR, FIRST_KNOT_HOUR + KNOTS)
+KNOT_S = KNOT_HOURS * 3600.0 + 1800.0
+_LARGEST_SD = 0.8
+"""Cells of few observations have log sds up to 1.5; larger ones than this are taken for faults."""
+
+
+def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
+    """The network of the configured day type, and the names of its lines.
+
+    Raises HeadwayError where the day type has no trips, demand or travel times."""
+    day = config.day_type
+    trips = tables.trips[tables.trips["daytype"] == day]
+    begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
+    trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
+    if trips.empty:
+        raise HeadwayError(
+            f"table trips has none on day_type {day} between {config.start_hour} and {config.end_hour} h: "
+            "choose another day_type or hours"
+        )
+    lines, patterns = _order(tables, trips)
+    calls = _calls(tables, patterns)
+    call_counts = calls.groupby("p").size().to_numpy()
+    pattern_calls = _offsets(call_counts)
+    departures = [smooth(trips.loc[trips["pattern"] == p, "dep_s"].to_numpy(float), KNOT_S) for p in patterns]
+    boarding = _hourly_boarding(tables, calls, day)
+    alighting = _alighting(tables, calls)
+    link_s, link_sd = _link_times(tables, calls, day)
+    per_call, dwell = _mean_dwell(boarding, alighting, departures, pattern_calls, config)
+    running, nominal = _running(link_s, dwell, pattern_calls, tables)
+    line_patterns = _offsets(np.array([len(group) for group in lines.values()]))
+    deadhead = _deadheads(tables, calls, pattern_calls, line_patterns)
+    timetable = _timetable(departures, nominal, pattern_calls, line_patterns, deadhead, config)
+    rates, regular = _rates(boarding, departures, nominal, pattern_calls, line_patterns, config)
+    others = (1 - config.captive_share) * arrivals_per_boarding(config)
+    arrival_rate = rates * (config.captive_share + others)
+    network = Network(
+        line_slots=timetable["line_slots"].astype(np.int64),
+        line_patterns=line_patterns,
+        pattern_calls=pattern_calls,
+        pattern_trips=timetable["pattern_trips"].astype(np.int64),
+        trip_pattern=timetable["trip_pattern"].astype(np.int64),
+        trip_departure=timetable["trip_departure"].astype(np.float64),
+        trip_deadhead=timetable["trip_deadhead"].astype(np.float64),
+        slot_trips=timetable["slot_trips"].astype(np.int64),
+        slot_first=timetable["slot_first"].astype(np.int64),
+        slot_line=timetable["slot_line"].astype(np.int64),
+        running=running,
+        nominal=nominal,
+        noise_sd=_remaining_sd(link_sd, config),
+        alighting=alighting,
+        arrival_rate=arrival_rate,
+        boarding_rate=rates,
+        regular_waiting=regular,
+        target=np.array([d.headway for d in departures]),
+        detour=_detours(tables, calls, config),
+        queue_first=_queue_rooms(rates, per_call, config),
+    )
+    return network, tuple(lines)
+
+
+def _offsets(counts: NDArray[np.int64]) -> Integers:
+    return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
+
+
+def _order(tables: Tables, trips: pd.DataFrame) -> tuple[dict[str, list[int]], list[int]]:
+    """Patterns that run, by line: {line: patterns}, and all in that order."""
+    running = tables.patterns[tables.patterns["pattern"].isin(trips["pattern"])]
+    lines: dict[str, list[int]] = {}
+    for line, group in running.sort_values(["line", "dir", "pattern"]).groupby("line", sort=False):
+        lines[str(line)] = [int(p) for p in group["pattern"]]
+    return lines, [p for group in lines.values() for p in group]
+
+
+def _calls(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
+    """One row a call (Q), pattern after pattern: p (index), pattern, seq0, stop, link, lat, lon."""
+    place = pd.Series(range(len(patterns)), index=list(patterns))
+    calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(patterns)].copy()
+    calls["p"] = place.reindex(calls["pattern"]).to_numpy()
+    calls = calls.sort_values(["p", "seq0"]).merge(
+        tables.stops[["stop", "lat", "lon"]], on="stop", how="left"
+    )
+    return calls.reset_index(drop=True)
+
+
+def _call_index(calls: pd.DataFrame) -> pd.Series:
+    keys = pd.MultiIndex.from_frame(calls[["pattern", "seq0"]].astype(np.int64))
+    return pd.Series(np.arange(len(calls)), index=keys)
+
+
+def _rows(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integers]:
+    """The rows of `frame` whose (pattern, seq0) is a call, and that call's index."""
+    keys = pd.MultiIndex.from_frame(frame[["pattern", "seq0"]].astype(np.int64))
+    index = _call_index(calls).reindex(keys).to_numpy()
+    known = ~np.isnan(index)
+    return frame[known], index[known].astype(np.int64)
+
+
+def _hourly_boarding(tables: Tables, calls: pd.DataFrame, day: str) -> Floats:
+    """(Q, K) passengers who board in each hour."""
+    frame, index = _rows(calls, tables.demand[tables.demand["daytype"] == day])
+    if frame.empty:
+        raise HeadwayError(f"table demand has no rows of day_type {day}: add them or choose another day_type")
+    boarding = np.zeros((len(calls), KNOTS))
+    hour = frame["hour"].to_numpy(np.int64) - FIRST_KNOT_HOUR
+    inside = (hour >= 0) & (hour < KNOTS)
+    np.add.at(boarding, (index[inside], hour[inside]), frame["board"].to_numpy(float)[inside])
+    return boarding
+
+
+def _alighting(tables: Tables, calls: pd.DataFrame) -> Floats:
+    """(Q, 4) alighting shares; at a pattern's end everyone."""
+    frame, index = _rows(calls, tables.alighting)
+    alighting = np.zeros((len(calls), 4))
+    alighting[index, frame["period"].to_numpy(np.int64)] = frame["p_alight"].to_numpy(float)
+    alighting[calls["seq0"].to_numpy() == 0] = 0.0
+    last = calls["p"].to_numpy() != np.append(calls["p"].to_numpy()[1:], -1)
+    alighting[last] = 1.0
+    return alighting
+
+
+def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, Floats]:
+    """(Q, K) mean seconds and (Q,) sd of the log on the link that leads away from each call."""
+    frame = tables.link_times[tables.link_times["daytype"] == day]
+    away = np.append(calls["link"].to_numpy(np.int64)[1:], -1)
+    inner = np.append(calls["seq0"].to_numpy()[1:] > 0, False)
+    mean = frame.pivot_table(index="link", columns="hour", values="mean_s")
+    missing = inner & ~np.isin(away, mean.index)
+    if missing.any():
+        raise HeadwayError(
+            f"table link_times has no row of link {away[missing][0]} on day_type {day}: add its mean_s"
+        )
+    mean = mean.reindex(columns=range(int(KNOT_HOURS[0]), int(KNOT_HOURS[-1]) + 1))
+    mean = mean.ffill(axis=1).bfill(axis=1)
+    deviation = frame.groupby("link")["log_sigma"].median()
+    seconds = np.zeros((len(calls), KNOTS))
+    log_sd = np.zeros(len(calls))
+    seconds[inner] = mean.reindex(away[inner]).to_numpy(float)
+    log_sd[inner] = deviation.reindex(away[inner]).to_numpy(float)
+    return seconds, log_sd
+
+
+def _remaining_sd(link_sd: Floats, config: BusConfig) -> Floats:
+    """(Q,) sd left to the link term when the trip's, day's, network's, incidents' and dwell's share of the
+    measured variance is taken away, at least the floor."""
+    noise = config.noise
+    incidents = noise.incident_probability * math.log(max(noise.incident_factor, 1.0)) ** 2
+    others = noise.trip_sd**2 + noise.day_sd**2 + noise.network_sd**2 + noise.dwell_sd**2 + incidents
+    left = np.minimum(link_sd, _LARGEST_SD) ** 2 - others
+    return np.sqrt(np.maximum(left, noise.link_floor_sd**2)) * (link_sd > 0)
+
+
+def _mean_dwell(
+    boarding: Floats,
+    alighting: Floats,
+    departures: Sequence[Departures],
+    pattern_calls: Integers,
+    config: BusConfig,
+) -> tuple[Floats, Floats]:
+    """(Q, K) mean boardings of one call and (Q, K) mean dwell there, s, by carrying mean loads along the
+    pattern; anyone moves with the Poisson chance."""
+    per_call = np.zeros_like(boarding)
+    dwell = np.zeros_like(boarding)
+    periods = np.searchsorted([9, 15, 20], KNOT_HOURS, side="right")
+    for p, departing in enumerate(departures):
+        first, last = pattern_calls[p], pattern_calls[p + 1]
+        buses = 3600.0 / departing.headway
+        load = np.zeros(KNOTS)
+        for call in range(first, last):
+            leaving = load * alighting[call, periods]
+            entering = boarding[call] / buses if call < last - 1 else np.zeros(KNOTS)
+            moving = 1.0 - np.exp(-(leaving + entering))
+            per_call[call] = entering
+            dwell[call] = (
+                entering * config.boarding_s + leaving * config.alighting_s + moving * config.fixed_dwell_s
+            )
+            load = np.minimum(load - leaving + entering, config.capacity)
+        dwell[first] = 0.0  # passengers board during the layover
+    return per_call, dwell
+
+
+def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tables) -> tuple[Floats, Floats]:
+    """(Q, K) running time to the next call, and nominal time since the first call. Where link times hold the
+    dwell at their start, it is subtracted, but never more than half."""
+    if tables.meta.get("link_times_include_dwell", True):
+        running = np.maximum(link_s - dwell, 0.5 * link_s)
+    else:
+        running = link_s
+    nominal = np.zeros_like(running)
+    for first, last in zip(pattern_calls[:-1], pattern_calls[1:], strict=True):
+        for call in range(first + 1, last):
+            # The hour moves on with the bus.
+            hours = (KNOT_S + nominal[call - 1] - KNOT_S[0]) / 3600.0
+            knot = np.clip(hours.astype(np.int64), 0, KNOTS - 1)
+            leg = running[call - 1, knot] + dwell[call - 1, knot]
+            nominal[call] = nominal[call - 1] + leg
+    return running, nominal
+
+
+def _distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
+    """Crow's distance by the local flat approximation, m."""
+    north = (lat2 - lat) * 111_320.0
+    east = (lon2 - lon) * 111_320.0 * np.cos(np.radians(lat))
+    return np.asarray(np.hypot(north, east), dtype=np.float64)
+
+
+def _deadheads(
+    tables: Tables, calls: pd.DataFrame, pattern_calls: Integers, line_patterns: Integers
+) -> list[Floats]:
+    """For each line (patterns, patterns): s from the end of one to the start of the other at 20 km/h over
+    1.3 times the crow's distance; 0 within 300 m."""
+    lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
+    ways = []
+    for begin, end in zip(line_patterns[:-1], line_patterns[1:], strict=True):
+        start, stop = pattern_calls[begin:end], pattern_calls[begin + 1 : end + 1] - 1
+        metres = _distance_m(lat[stop][:, None], lon[stop][:, None], lat[start][None], lon[start][None])
+        ways.append(np.where(metres < 300.0, 0.0, 1.3 * metres / (20.0 / 3.6)))
+    return ways
+
+
+def _timetable(
+    departures: Sequence[Departures],
+    nominal: Floats,
+    pattern_calls: Integers,
+    line_patterns: Integers,
+    deadhead: Sequence[Floats],
+    config: BusConfig,
+) -> dict[str, NDArray[np.float64] | Integers]:
+    """Trips by pattern and departure, and the slots' blocks, as the network's arrays."""
+    trips: list[Trip] = []
+    for p, departing in enumerate(departures):
+        duration = np.interp(departing.times, KNOT_S, nominal[pattern_calls[p + 1] - 1])
+        trips += [Trip(p, t, t + d) for t, d in zip(departing.times, duration, strict=True)]
+    slots: list[list[int]] = []
+    slot_line: list[int] = []
+    before = np.zeros(len(trips))
+    for line, (begin, end) in enumerate(zip(line_patterns[:-1], line_patterns[1:], strict=True)):
+        mine = [i for i, trip in enumerate(trips) if begin <= trip.pattern < end]
+        for driven in chain([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
+            block = [mine[i] for i in driven]
+            for last, following in zip(block[:-1], block[1:], strict=True):
+                before[following] = deadhead[line][
+                    trips[last].pattern - begin, trips[following].pattern - begin
+                ]
+            slots.append(block)
+            slot_line.append(line)
+    return {
+        "line_slots": _offsets(np.bincount(slot_line, minlength=len(deadhead))),
+        "pattern_trips": _offsets(np.array([len(d.times) for d in departures])),
+        "trip_pattern": np.array([trip.pattern for trip in trips]),
+        "trip_departure": np.array([trip.departure for trip in trips]),
+        "trip_deadhead": before,
+        "slot_trips": np.array([i for block in slots for i in block]),
+        "slot_first": _offsets(np.array([len(block) for block in slots])),
+        "slot_line": np.array(slot_line),
+    }
+
+
+def _rates(
+    boarding: Floats,
+    departures: Sequence[Departures],
+    nominal: Floats,
+    pattern_calls: Integers,
+    line_patterns: Integers,
+    config: BusConfig,
+) -> tuple[Floats, Floats]:
+    """(Q, B) passengers per s who board under a regular service, and (L, B) how many it leaves waiting.
+
+    Hourly numbers are interpolated between the middles of the hours. Passengers know the timetable: they come
+    from one headway before the first bus to the last one. Of those with a competing service, a regular
+    service leaves rate x xH (1 - x (1 - exp(-1/x))) waiting, x being the competing share of the headway H."""
+    bins = round(config.day_s / BIN_S + 0.499)
+    middles = config.start_hour * 3600.0 + (np.arange(bins) + 0.5) * BIN_S
+    rates = np.zeros((len(boarding), bins))
+    regular = np.zeros((len(line_patterns) - 1, bins))
+    x, per_boarding = config.competing_headway_share, arrivals_per_boarding(config)
+    others = (1 - config.captive_share) * per_boarding * x * (1 - 1 / per_boarding)
+    for p, departing in enumerate(departures):
+        line = int(np.searchsorted(line_patterns, p, side="right")) - 1
+        headway = np.interp(middles, KNOT_S, departing.headway)
+        for call in range(pattern_calls[p], pattern_calls[p + 1] - 1):
+            rate = np.interp(middles, KNOT_S, boarding[call]) / 3600.0
+            opens = departing.times[0] + np.interp(departing.times[0], KNOT_S, nominal[call])
+            closes = departing.times[-1] + np.interp(departing.times[-1], KNOT_S, nominal[call])
+            first_headway = np.interp(departing.times[0], KNOT_S, departing.headway)
+            served = (middles >= opens - first_headway) & (middles <= closes)
+            rates[call] = rate * served
+            regular[line] += rates[call] * headway * (0.5 * config.captive_share + others)
+    return rates, regular
+
+
+def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
+    """(Q,) s to the nearest service centre; without any in the meta data, the first stop of every tenth line
+    (at least one) has one."""
+    lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
+    centres = tables.meta.get("service_centres")
+    if centres is None:
+        firsts = np.flatnonzero(calls["seq0"].to_numpy() == 0)
+        centres = [[lat[i], lon[i]] for i in firsts[::20]]
+    try:
+        places = np.array(centres, dtype=np.float64).reshape(-1, 2)
+    except (TypeError, ValueError) as error:
+        raise HeadwayError("meta.json: service_centres must be a list of [lat, lon]") from error
+    if len(places) == 0:
+        raise HeadwayError("meta.json: service_centres is empty; give at least one [lat, lon]")
+    metres = _distance_m(lat[:, None], lon[:, None], places[None, :, 0], places[None, :, 1]).min(axis=1)
+    return config.upkeep.detour_fixed_s + 1.3 * metres / (config.upkeep.detour_kmh / 3.6)
+
+
+def _queue_rooms(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
+    """(Q + 1,) offsets of the queues' storage: room for a bus load, three peak hours of passengers, and those
+    of the competing service."""
+    peak = rates.max(axis=1) * 3.0 * 3600.0
+    room = config.capacity + 24 + np.ceil(peak + 6.0 * per_call.max(axis=1)).astype(np.int64)
+    return _offsets(room.astype(np.int64))

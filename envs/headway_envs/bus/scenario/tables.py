@@ -1,0 +1,218 @@
+"""The scenario format: eight tables and `meta.json`, read by one loader that checks everything.
+
+Times are seconds after midnight of the service day and may pass 86,400. Columns beyond those named here are
+kept and ignored.
+"""
+
+import difflib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway.contracts import HeadwayError
+
+FIRST_LINK = 65535
+"""The `link` of a pattern's first stop, to which no link leads."""
+
+DAY_TYPES = ("weekday", "sunday")
+
+COLUMNS = {
+    "stops": ("stop", "lat", "lon"),
+    "patterns": ("pattern", "line", "dir", "n_stops"),
+    "pattern_stops": ("pattern", "seq0", "stop", "link"),
+    "links": ("link", "from_stop", "to_stop", "leg_m"),
+    "link_times": ("link", "hour", "log_sigma", "mean_s", "daytype"),
+    "demand": ("pattern", "seq0", "hour", "calls", "board", "daytype"),
+    "alighting": ("pattern", "seq0", "period", "p_alight"),
+    "trips": ("pattern", "vehicle", "dep_s", "arr_s", "daytype"),
+}
+"""The tables and the columns they must have. `board` is passengers a day in that hour; `p_alight` the share of
+the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
+
+_TEXT = {"line", "dir", "daytype"}
+_RANGES = {
+    "lat": (-90.0, 90.0),
+    "lon": (-180.0, 180.0),
+    "leg_m": (0.0, 1e6),
+    "hour": (0.0, 30.0),
+    "log_sigma": (0.0, 10.0),
+    "mean_s": (0.1, 1e5),
+    "calls": (0.0, 1e6),
+    "board": (0.0, 1e7),
+    "period": (0.0, 3.0),
+    "p_alight": (0.0, 1.0),
+    "dep_s": (0.0, 180000.0),
+    "arr_s": (0.0, 180000.0),
+    "n_stops": (2.0, 1000.0),
+    "seq0": (0.0, 1000.0),
+}
+_KEYS = {
+    "stops": ("stop",),
+    "patterns": ("pattern",),
+    "pattern_stops": ("pattern", "seq0"),
+    "links": ("link",),
+    "link_times": ("link", "hour", "daytype"),
+    "demand": ("pattern", "seq0", "hour", "daytype"),
+    "alighting": ("pattern", "seq0", "period"),
+}
+_REFERENCES = (
+    ("pattern_stops", "pattern", "patterns", "pattern"),
+    ("pattern_stops", "stop", "stops", "stop"),
+    ("links", "from_stop", "stops", "stop"),
+    ("links", "to_stop", "stops", "stop"),
+    ("link_times", "link", "links", "link"),
+    ("demand", "pattern", "patterns", "pattern"),
+    ("alighting", "pattern", "patterns", "pattern"),
+    ("trips", "pattern", "patterns", "pattern"),
+)
+
+
+@dataclass(frozen=True)
+class Tables:
+    """A scenario as data frames with the columns of `COLUMNS`."""
+
+    stops: pd.DataFrame
+    patterns: pd.DataFrame
+    pattern_stops: pd.DataFrame
+    links: pd.DataFrame
+    link_times: pd.DataFrame
+    demand: pd.DataFrame
+    alighting: pd.DataFrame
+    trips: pd.DataFrame
+    meta: dict[str, Any] = field(default_factory=dict)
+    """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool."""
+
+
+def read_tables(folder: str | Path) -> Tables:
+    """Read and check a scenario folder. Raises HeadwayError naming table, row and column."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        near = difflib.get_close_matches(str(folder), ("line", "corridor"), 1, 0.5)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise HeadwayError(
+            f"scenario '{folder}' is neither 'line' nor 'corridor' nor a folder{hint} "
+            "(a scenario folder holds eight Parquet tables and meta.json)"
+        )
+    frames = {}
+    for name in COLUMNS:
+        path = folder / f"{name}.parquet"
+        if not path.is_file():
+            raise HeadwayError(f"scenario '{folder}' lacks table {name}: put {name}.parquet there")
+        try:
+            frames[name] = pd.read_parquet(path)
+        except (OSError, ValueError) as error:
+            raise HeadwayError(
+                f"table {name}: {path} is not a readable Parquet file; write it again ({error})".replace(
+                    "\n", " "
+                )
+            ) from error
+    meta_path = folder / "meta.json"
+    try:
+        meta = json.loads(meta_path.read_text()) if meta_path.is_file() else {}
+    except ValueError as error:
+        raise HeadwayError(f"{meta_path} is not valid JSON: {error}; mend or remove it") from error
+    tables = Tables(**frames, meta=meta)
+    check_tables(tables)
+    return tables
+
+
+def write_tables(tables: Tables, folder: str | Path) -> None:
+    """Write a scenario folder that `read_tables` reads back."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in COLUMNS:
+        getattr(tables, name).to_parquet(folder / f"{name}.parquet", index=False)
+    (folder / "meta.json").write_text(json.dumps(tables.meta, indent=1))
+
+
+def check_tables(tables: Tables) -> None:
+    """Raise HeadwayError at the first fault: columns, blanks, ranges, repeats, references, sequences."""
+    for name, columns in COLUMNS.items():
+        frame: pd.DataFrame = getattr(tables, name)
+        _check_columns(name, frame, columns)
+        if frame.empty:
+            raise HeadwayError(f"table {name} has no rows: write at least one")
+        for column in columns:
+            _check_values(name, frame, column)
+        if name in _KEYS:
+            repeated = frame.duplicated(list(_KEYS[name])).to_numpy()
+            _refuse(name, frame, "+".join(_KEYS[name]), repeated, "repeats an earlier row; keep one")
+    for name, column, other, key in _REFERENCES:
+        frame = getattr(tables, name)
+        missing = ~frame[column].isin(getattr(tables, other)[key]).to_numpy()
+        _refuse(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
+    _check_patterns(tables)
+    _check_calls(tables)
+    backwards = (tables.trips["arr_s"] <= tables.trips["dep_s"]).to_numpy()
+    _refuse("trips", tables.trips, "arr_s", backwards, "is not after dep_s; mend the times")
+
+
+def _refuse(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
+    """Raise naming the first bad row, if any."""
+    if not bad.any():
+        return
+    row = int(np.flatnonzero(bad)[0])
+    values = [str(frame[part].iloc[row]) for part in column.split("+")]
+    raise HeadwayError(f"table {name}, row {row}, column {column}: {', '.join(values)} {what}")
+
+
+def _check_columns(name: str, frame: pd.DataFrame, columns: tuple[str, ...]) -> None:
+    for column in columns:
+        if column not in frame.columns:
+            near = difflib.get_close_matches(column, [str(c) for c in frame.columns], 1, 0.5)
+            hint = f"; rename '{near[0]}'?" if near else ""
+            raise HeadwayError(f"table {name} lacks column {column}: add it{hint}")
+
+
+def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
+    _refuse(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
+    if column == "daytype":
+        wrong = ~frame[column].isin((*DAY_TYPES, "saturday")).to_numpy()
+        _refuse(name, frame, column, wrong, "is not weekday, saturday or sunday; mend it")
+    if column in _TEXT:
+        return
+    if not pd.api.types.is_numeric_dtype(frame[column]):
+        raise HeadwayError(f"table {name}, column {column} is not numeric: write numbers")
+    low, high = _RANGES.get(column, (0.0, 2.0**53))
+    values = frame[column].to_numpy(np.float64)
+    outside = ~((values >= low) & (values <= high))
+    _refuse(name, frame, column, outside, f"lies outside {low:g} to {high:g}; mend it")
+
+
+def _check_patterns(tables: Tables) -> None:
+    """Positions run from 0, and each link leads from the stop before."""
+    calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
+    expected = calls.groupby("pattern").cumcount().to_numpy()
+    gap = calls["seq0"].to_numpy() != expected
+    _refuse("pattern_stops", calls, "seq0", gap, "breaks the sequence 0, 1, 2, ... of its pattern")
+    counts = calls.groupby("pattern").size()
+    stated = tables.patterns.set_index("pattern")["n_stops"]
+    wrong = (counts.reindex(stated.index).fillna(0) != stated).to_numpy()
+    _refuse("patterns", tables.patterns, "n_stops", wrong, "is not the pattern's number of pattern_stops")
+    inner = calls["seq0"].to_numpy() > 0
+    links = tables.links.set_index("link")
+    unknown = inner & ~calls["link"].isin(links.index).to_numpy()
+    _refuse("pattern_stops", calls, "link", unknown, "is not in table links; add it there")
+    before = calls["stop"].shift().to_numpy()
+    starts = links["from_stop"].reindex(calls["link"]).to_numpy()
+    ends = links["to_stop"].reindex(calls["link"]).to_numpy()
+    apart = inner & ((starts != before) | (ends != calls["stop"].to_numpy()))
+    _refuse("pattern_stops", calls, "link", apart, "does not lead from the stop before to this one")
+
+
+def _check_calls(tables: Tables) -> None:
+    """Demand and alighting stand at positions that exist; everyone has left at the last one."""
+    counts = tables.patterns.set_index("pattern")["n_stops"]
+    for name in ("demand", "alighting"):
+        frame: pd.DataFrame = getattr(tables, name)
+        beyond = frame["seq0"].to_numpy() >= counts.reindex(frame["pattern"]).to_numpy()
+        _refuse(name, frame, "seq0", beyond, "is beyond the pattern's last stop; drop the row")
+    frame = tables.alighting
+    last = frame["seq0"].to_numpy() == counts.reindex(frame["pattern"]).to_numpy() - 1
+    staying = last & (frame["p_alight"].to_numpy() < 1)
+    _refuse("alighting", frame, "p_alight", staying, "is below 1 at the last stop; set it to 1")

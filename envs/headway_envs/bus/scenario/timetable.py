@@ -1,0 +1,86 @@
+"""The control mode's timetable: departures smoothed per hour, chained into blocks and given to slots."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_HEADWAY_S, MOST_HEADWAY_S = 150.0, 5400.0
+
+
+@dataclass(frozen=True)
+class Departures:
+    """One pattern's day."""
+
+    times: NDArray[np.float64]
+    """(J,) s, evenly spread at the smoothed rate"""
+    knots: NDArray[np.float64]
+    """(K,) times, s"""
+    headway: NDArray[np.float64]
+    """(K,) target headway at the knots, s"""
+
+
+def smooth(observed: NDArray[np.float64], knots: NDArray[np.float64]) -> Departures:
+    """Spread a pattern's observed departures (s, any order) evenly: departures per hour, smoothed over three
+    hours with weights 1/4, 1/2, 1/4 and interpolated, give a rate; departures stand where its integral,
+    scaled to their number, is whole."""
+    observed = np.sort(observed)
+    first, last, count = observed[0], observed[-1], len(observed)
+    if count == 1:
+        return Departures(observed, knots, np.full(len(knots), MOST_HEADWAY_S))
+    begin = knots - 1800.0
+    hourly = np.array([np.sum((observed >= b) & (observed < b + 3600.0)) for b in begin], np.float64)
+    # The hours of the first and last departure are in service only in part.
+    share = np.clip((np.minimum(begin + 3600.0, last) - np.maximum(begin, first)) / 3600.0, 0.0, 1.0)
+    rate = np.where(share > 0.25, hourly / np.maximum(share, 0.25), np.nan)
+    if np.isnan(rate).all():
+        rate = np.full(len(knots), (count - 1) / max(last - first, 60.0) * 3600.0)
+    inside = np.flatnonzero(~np.isnan(rate))
+    rate = np.interp(np.arange(len(rate)), inside, rate[inside])
+    padded = np.concatenate((rate[:1], rate, rate[-1:]))
+    rate = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
+    rate = np.maximum(rate, 3600.0 / MOST_HEADWAY_S)
+    grid = np.linspace(first, last, max(int((last - first) // 60.0), 1) + 1)
+    flow = np.interp(grid, knots, rate)
+    total = np.concatenate(([0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(grid))))
+    scale = total[-1] / (count - 1)
+    times = np.interp(np.arange(count) * scale, total, grid)
+    headway = np.clip(3600.0 / rate * scale / 3600.0, LEAST_HEADWAY_S, MOST_HEADWAY_S)
+    return Departures(times, knots, headway)
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A trip to be driven."""
+
+    pattern: int
+    departure: float
+    arrival: float
+    """Planned, s."""
+
+
+def chain(
+    trips: list[Trip], deadhead: NDArray[np.float64], first_pattern: int, recovery_share: float
+) -> list[list[int]]:
+    """The trips (indices, ordered by departure) of each slot of one line, for the fewest buses.
+
+    In order of departure each trip goes to the bus that became ready last (so that others rest), ready being
+    the planned arrival, plus recovery of a share of the trip's time and at least five minutes, plus the
+    deadhead (s) between the patterns' ends; a new bus is taken only if none is ready."""
+    order = sorted(range(len(trips)), key=lambda i: (trips[i].departure, trips[i].pattern))
+    slots: list[list[int]] = []
+    for i in order:
+        trip = trips[i]
+        chosen, latest = -1, -np.inf
+        for n, driven in enumerate(slots):
+            last = trips[driven[-1]]
+            recovery = max(300.0, recovery_share * (last.arrival - last.departure))
+            way = float(deadhead[last.pattern - first_pattern, trip.pattern - first_pattern])
+            ready = last.arrival + recovery + way
+            if latest < ready <= trip.departure:
+                chosen, latest = n, ready
+        if chosen < 0:
+            slots.append([i])
+        else:
+            slots[chosen].append(i)
+    return slots
