@@ -1,0 +1,10 @@
+"""Energy and CO2 of a session's jobs, measured by CodeCarbon and shared out so that all shares sum to it.
+
+Importing this imports neither CodeCarbon nor NVML.
+"""
+
+from headway.energy.ledger import Energy, JobUsage
+from headway.energy.meter import EnergyMeter, EnergyReport
+from headway.energy.tracker import PowerModes
+
+__all__ = ["Energy", "EnergyMeter", "EnergyReport", "JobUsage", "PowerModes"]

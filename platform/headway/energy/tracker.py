@@ -1,0 +1,152 @@
+"""CodeCarbon's own tracker: offline, silent, without files, measuring only when it is told to."""
+
+import importlib.util
+import json
+import logging
+import time
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from headway.contracts import HeadwayError
+
+_NEVER = 10 * 365 * 86400.0
+_COUNTERS = {"intel_rapl": "RAPL", "windows_emi": "EMI", "intel_power_gadget": "Power Gadget"}
+NOT_MEASURED = "not measured"
+
+
+class Readings:
+    """An output of CodeCarbon (its public way to be told totals): keeps the latest."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.time = 0.0
+        """When the latest came, `time.monotonic`."""
+        self._totals = self._taken = (0.0, 0.0, 0.0, 0.0)
+
+    def out(self, total: Any, delta: Any) -> None:  # noqa: ANN401 - CodeCarbon's record
+        """Called at each `flush` and `stop`."""
+        self._totals = (total.cpu_energy, total.gpu_energy, total.ram_energy, total.emissions)
+        self.time = time.monotonic()
+        self.count += 1
+
+    def live_out(self, total: Any, delta: Any) -> None:  # noqa: ANN401
+        """Never called: there are no periodic measurements."""
+
+    def task_out(self, data: Any, experiment_name: str) -> None:  # noqa: ANN401
+        """Never called: there are no tasks."""
+
+    def exit(self) -> None:
+        """Called at the end."""
+
+    def increment(self) -> tuple[float, float, float, float]:
+        """kWh of CPU, GPU and RAM and kg CO2eq since the last call, the first time since the start."""
+        cpu, gpu, ram, kg = (now - before for now, before in zip(self._totals, self._taken, strict=True))
+        self._taken = self._totals
+        return cpu, gpu, ram, kg
+
+
+@dataclass(frozen=True)
+class PowerModes:
+    """How each part's power is known: `measured (...)`, `estimated (...)` or `not measured`."""
+
+    cpu: str = NOT_MEASURED
+    gpu: str = NOT_MEASURED
+    ram: str = NOT_MEASURED
+
+    def as_tags(self) -> dict[str, str]:
+        """Tags of a run."""
+        return {"energy.cpu": self.cpu, "energy.gpu": self.gpu, "energy.ram": self.ram}
+
+    def notices(self) -> tuple[str, ...]:
+        """One line for each part that is not measured by a counter, but for the RAM, which never is."""
+        lines = []
+        if self.cpu == NOT_MEASURED:
+            lines.append("the CPU's energy is not measured on this machine and is left out")
+        elif not self.cpu.startswith("measured"):
+            lines.append(
+                f"the CPU's energy is {self.cpu}: its counters (RAPL) cannot be read here; the machine's "
+                "power can be given as force_cpu_power, in watts, in .codecarbon.config"
+            )
+        if self.gpu == NOT_MEASURED and _has_gpu():
+            lines.append("the GPU's energy is not measured (NVML does not answer) and is left out")
+        return tuple(lines)
+
+
+def make_tracker(country: str, readings: Readings) -> Any:  # noqa: ANN401 - CodeCarbon is not typed
+    """A tracker that hands its totals to `readings` at each `flush`.
+
+    All that would reach the network or the disk is given here, so that no configuration file of CodeCarbon's
+    can turn it on; what those say of the hardware (power, PUE) holds.
+    """
+    from codecarbon import OfflineEmissionsTracker
+
+    # It warns while it is being made, before it looks at its log_level.
+    logging.getLogger("codecarbon").setLevel(logging.CRITICAL)
+    return OfflineEmissionsTracker(
+        country_iso_code=country,
+        region=None,
+        cloud_provider=None,
+        cloud_region=None,
+        country_2letter_iso_code=None,
+        electricitymaps_api_token="",
+        emissions_endpoint=None,
+        output_methods=[],
+        output_handlers=[readings],
+        api_call_interval=-1,
+        # Its own timer would measure beside ours, in another thread, and count some energy twice.
+        measure_power_secs=_NEVER,
+        tracking_mode="machine",
+        allow_multiple_runs=True,
+        log_level="critical",
+    )
+
+
+def power_modes(tracker: Any) -> PowerModes:  # noqa: ANN401
+    """How a started tracker knows its powers. CodeCarbon tells it nowhere but in its hardware records."""
+    modes = {}
+    for part in getattr(tracker, "_hardware", ()):
+        match type(part).__name__:
+            case "RAM":
+                modes["ram"] = "estimated (by size)"
+            case "GPU":
+                modes["gpu"] = "measured (NVML)"
+            case "CPU":
+                modes["cpu"] = _cpu_mode(part)
+            case "AppleSiliconChip" | "Raspberry":
+                modes[part.chip_part.lower()] = f"measured ({type(part).__name__})"
+    return PowerModes(**modes)
+
+
+def _cpu_mode(part: Any) -> str:  # noqa: ANN401
+    mode = getattr(part, "_mode", "unknown")
+    if mode in _COUNTERS:
+        return f"measured ({_COUNTERS[mode]})"
+    watts = getattr(part, "_tdp", None)
+    power = f", {watts:g} W at full load" if isinstance(watts, int | float) else ""
+    return f"estimated ({mode}{power})"
+
+
+def check_country(country: str) -> None:
+    """Raises HeadwayError for a code that CodeCarbon would silently take for the world's average."""
+    package = importlib.util.find_spec("codecarbon")
+    if package is None or not package.submodule_search_locations:
+        return
+    mix = Path(package.submodule_search_locations[0], "data/private_infra/global_energy_mix.json")
+    if not mix.exists():
+        return
+    codes = json.loads(mix.read_text())
+    if country in codes:
+        return
+    names = {str(entry.get("country_name", "")).lower(): code for code, entry in codes.items()}
+    named = names.get(country.lower()) or (country.upper() if country.upper() in codes else None)
+    nearest = [named] if named else get_close_matches(country.upper(), codes, n=1, cutoff=0.0)
+    raise HeadwayError(
+        f"energy.country {country!r} is no three-letter code of a country with a known energy mix: "
+        f"did you mean {nearest[0]}?"
+    )
+
+
+def _has_gpu() -> bool:
+    return any(Path(sign).exists() for sign in ("/dev/nvidia0", "/dev/nvidiactl", "/dev/kfd"))
