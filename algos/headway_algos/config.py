@@ -72,9 +72,9 @@ class AlgoConfig:
     normalise_values: bool = True
     """The critic learns returns in units of their running mean and standard deviation."""
     precision: Literal["float32", "float64"] = "float32"
-    piece_rows: int = 512
-    """Rows of a policy worked on at once, so that activations stay in the cache. No effect on results
-    beyond rounding."""
+    piece_samples: int = 5120
+    """Samples, over all policies of a stack, worked on at once, so that activations stay in the cache. No
+    effect on results beyond rounding."""
 
     def __post_init__(self) -> None:
         _require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
@@ -89,4 +89,4 @@ class AlgoConfig:
         _require(self.kl_target > 0, "kl_target must be above 0")
         _require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
         _require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
-        _require(self.piece_rows >= 1, "piece_rows must be at least 1")
+        _require(self.piece_samples >= 1, "piece_samples must be at least 1")
