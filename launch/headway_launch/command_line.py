@@ -77,8 +77,14 @@ def run(arguments: Sequence[str]) -> int:
         print("headway: stopped", file=sys.stderr)
         return 130
     except BrokenPipeError:  # `headway runs | head`
-        sys.stderr.close()
+        sys.stdout = None  # or the interpreter complains when it flushes it
         return 0
+    except Exception as error:
+        if debug:
+            raise
+        text = " ".join(str(error).split())
+        print(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)", file=sys.stderr)
+        return 2
 
 
 def _dispatch(words: Sequence[str], debug: bool) -> int:

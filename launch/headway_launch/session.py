@@ -2,11 +2,13 @@
 
 import signal
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice
 from headway_launch.progress import JobProgress, Progress
 from headway_launch.training_process import TrainingProcess
@@ -44,18 +46,18 @@ class StopRequests:
 
 
 class Session:
-    """Runs jobs, `parallel` at a time. Every event goes to `take(index of the job, event)`; `tick` is called
-    a few times a second. A job that fails does not stop the others."""
+    """Runs jobs, `parallel` at a time, made by `begin(index)` when their turn comes. Every event goes to
+    `take(index, event)`; `tick` is called a few times a second. A job that fails does not stop the others."""
 
     def __init__(
         self,
-        jobs: Sequence["TrainingJob"],
         progress: Sequence[JobProgress],
         parallel: int,
+        begin: Callable[[int], "TrainingJob"],
         take: Callable[[int, Event], None],
-        tick: Callable[[], None] = lambda: None,
+        tick: Callable[[], Sequence[str]] = tuple,
     ) -> None:
-        self._jobs = jobs
+        self._begin = begin
         self._progress = progress
         self._parallel = parallel
         self._take = take
@@ -66,15 +68,16 @@ class Session:
     def run(self) -> bool:
         """Train everything; returns whether the session was asked to stop. Whatever is raised, no training
         process is left."""
-        waiting = list(range(len(self._jobs)))
+        waiting = list(range(len(self._progress)))
         try:
             with StopRequests() as requests, Progress(self._progress) as shown:
                 while self._running or (waiting and not requests.count):
                     while waiting and len(self._running) < self._parallel and not requests.count:
-                        self._start(waiting.pop(0))
+                        self._start(waiting.pop(0), shown)
                     self._hear(shown)
                     self._obey(requests.count, shown)
-                    self._tick()
+                    for line in self._tick():
+                        shown.note(f"headway: {line}")
                     shown.show()
                 return requests.count > 0
         finally:
@@ -82,9 +85,12 @@ class Session:
                 process.kill()
                 process.join()
 
-    def _start(self, index: int) -> None:
+    def _start(self, index: int, shown: Progress) -> None:
         self._progress[index].status = "starting"
-        self._running[index] = TrainingProcess(self._jobs[index])
+        try:
+            self._running[index] = TrainingProcess(self._begin(index))
+        except HeadwayError as error:
+            self._take_event(index, Failed(str(error), traceback.format_exc()), shown)
 
     def _hear(self, shown: Progress) -> None:
         """Take the events that have arrived, waiting a moment if there are none."""

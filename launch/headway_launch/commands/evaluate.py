@@ -1,0 +1,73 @@
+"""`headway evaluate`: a trained policy beside the classical rules, on the same days."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from headway.config import StoreConfig
+from headway.configuration import suggestion
+from headway.contracts.errors import HeadwayError
+from headway_launch.commands.runs import existing_store
+
+if TYPE_CHECKING:
+    from headway_launch.composing import Experiment
+
+EXAMPLES = """\
+examples:
+  headway evaluate s0-20260101-1200                any part of the name that only one run has
+  headway evaluate RUN --episodes 100 --seed 5     other days
+  headway evaluate RUN --mode sampled --rules always_move,headway_holding
+
+The differences are those of the return, policy minus rule, day by day, with 95% intervals over the days.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The run and the days."""
+    parser.add_argument("run", metavar="RUN", help="identity as `headway runs` shows it")
+    parser.add_argument("--episodes", type=int, help="days (default: the run's evaluation.final_episodes)")
+    parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
+    parser.add_argument(
+        "--seed", type=int, help="root of the days' seeds (default: the run's evaluation.seed)"
+    )
+    parser.add_argument("--rules", help="rules to play beside it, with commas (default: all there are)")
+    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Play and print the table."""
+    from headway_launch.threads import limit_threads
+
+    limit_threads()
+    from headway.rollout.episodes import evaluate_rule
+    from headway_launch.results import print_comparison
+    from headway_launch.stored import StoredRun
+    from headway_launch.trained import newest_policy, policy_episodes
+
+    run = StoredRun.find(existing_store(arguments.store), arguments.run)
+    experiment = run.experiment
+    evaluation = experiment.config.evaluation
+    episodes = evaluation.final_episodes if arguments.episodes is None else arguments.episodes
+    root = evaluation.seed if arguments.seed is None else arguments.seed
+    if episodes < 1 or root < 0:
+        raise HeadwayError("--episodes must be at least 1 and --seed at least 0")
+    rules = _rules(arguments.rules, experiment)
+    prepared, spec = experiment.prepare()
+    policy = newest_policy(run, prepared, spec)
+    learned = policy_episodes(policy, root, episodes, greedy=arguments.mode == "greedy")
+    played = {
+        rule: evaluate_rule(experiment.env.make, experiment.env.rules[rule], prepared, root, episodes)
+        for rule in rules
+    }
+    print_comparison({f"{experiment.algo_name} {arguments.mode}": learned}, played)
+    return 0
+
+
+def _rules(names: str | None, experiment: "Experiment") -> tuple[str, ...]:
+    known = experiment.env.rules
+    if names is None:
+        return tuple(known)
+    wanted = tuple(name.strip() for name in names.split(",") if name.strip())
+    for name in wanted:
+        if name not in known:
+            raise HeadwayError(f"--rules: {name!r} is no rule here; {suggestion(name, known)}")
+    return wanted

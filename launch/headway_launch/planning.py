@@ -1,0 +1,94 @@
+"""What a session will do, decided and checked before anything starts."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from headway.config import BackendConfig, ExperimentConfig
+from headway.configuration import plain
+from headway.contracts.environment import EnvSpec
+from headway.contracts.errors import HeadwayError
+from headway_launch.composing import Experiment
+
+_FREE_BYTES = 200 * 2**20
+_FREE_BYTES_A_SEED = 10 * 2**20
+
+
+@dataclass(frozen=True)
+class PlannedJob:
+    """One stack of seeds that one training process will train."""
+
+    experiment: Experiment
+    prepared: Any
+    """What `EnvEntry.prepare` gave; shared by all jobs of an experiment."""
+    spec: EnvSpec
+    seeds: tuple[int, ...]
+    resumed: tuple[str, ...] = ()
+    """Identities of the runs to go on with, one a seed; empty: new ones."""
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How the cores are shared out."""
+
+    parallel: int
+    """Training processes at once."""
+    workers: int
+    """Rollout workers of each."""
+
+
+def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
+    """The jobs of a new experiment. Raises HeadwayError for what cannot run."""
+    prepared, spec = experiment.prepare()
+    seeds, stack = experiment.config.seed, experiment.config.backend.stack
+    return tuple(
+        PlannedJob(experiment, prepared, spec, seeds[first : first + stack])
+        for first in range(0, len(seeds), stack)
+    )
+
+
+def share_cores(backend: BackendConfig, jobs: int, cores: int) -> Shares:
+    """As many training processes as cores (at most one a job); each has its share of the cores as workers."""
+    parallel = min(backend.parallel or cores, jobs)
+    return Shares(parallel, backend.workers or max(1, cores // parallel))
+
+
+def require_free_disk(root: Path, seeds: int) -> None:
+    """Raise HeadwayError if the disk of the store is too full for so many seeds to begin."""
+    existing = next(folder for folder in (root.resolve(), *root.resolve().parents) if folder.exists())
+    free, needed = shutil.disk_usage(existing).free, _FREE_BYTES + seeds * _FREE_BYTES_A_SEED
+    if free < needed:
+        raise HeadwayError(
+            f"only {free / 2**20:,.0f} MiB are free for the store in {root}, and {seeds} seeds need about "
+            f"{needed / 2**20:,.0f} MiB; free some space or set store.root to another disk"
+        )
+
+
+def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:
+    """The whole configuration with every default spelt out, so that a changed default changes no old run."""
+    config: ExperimentConfig = experiment.config
+    return {
+        **plain(config),
+        "seed": list(seeds),
+        "env": {"id": config.env.id, "args": plain(experiment.env_config)},
+        "algo": {**plain(experiment.algo_config), "name": experiment.algo_name},
+    }
+
+
+def cell_parameters(experiment: Experiment) -> dict[str, Any]:
+    """What makes runs the same but for the seed: flat, dotted names."""
+    whole = full_mapping(experiment, ())
+    kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
+    return dict(_flat(kept))
+
+
+def _flat(mapping: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
+    items: list[tuple[str, Any]] = []
+    for key, value in mapping.items():
+        if isinstance(value, Mapping):
+            items += _flat(value, f"{path}{key}.")
+        else:
+            items.append((f"{path}{key}", value))
+    return items

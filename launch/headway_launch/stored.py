@@ -1,0 +1,80 @@
+"""Runs in the store, as experiments again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from headway.contracts.errors import HeadwayError
+from headway.store.durable import read_json
+from headway.store.folder import RunRecord, find_run
+from headway_launch.composing import Experiment, resolve
+from headway_launch.planning import PlannedJob
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """One run folder: what it is, how it was configured, which seeds were trained in its stack."""
+
+    directory: Path
+    record: RunRecord
+    mapping: dict[str, Any]
+    stack: tuple[int, ...]
+
+    @classmethod
+    def find(cls, root: Path, run_id: str) -> "StoredRun":
+        """The run of that identity, or a part of it that only one has.
+
+        Raises HeadwayError if there is none or its folder is incomplete.
+        """
+        import yaml
+
+        directory = find_run(root, run_id)
+        path = directory / "config.yaml"
+        try:
+            mapping = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, yaml.YAMLError) as error:
+            reason = str(error).splitlines()[0]
+            raise HeadwayError(f"{path} cannot be read ({reason}): the run cannot be used") from error
+        if not isinstance(mapping, dict):
+            raise HeadwayError(f"{path} holds no configuration: the run cannot be used")
+        # The store may have been moved since.
+        mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
+        stack = tuple(int(seed) for seed in read_json(directory / "plan.json")["stack"])
+        return cls(directory, RunRecord.read(directory), mapping, stack)
+
+    @property
+    def experiment(self) -> Experiment:
+        """Its configuration, validated anew. Raises HeadwayError if this version refuses it."""
+        return resolve(self.mapping)
+
+
+def jobs_to_resume(runs: Sequence[StoredRun]) -> list[tuple[PlannedJob, ...]]:
+    """The jobs that go on with `runs`, those of one experiment together, stacks as they were.
+
+    Raises HeadwayError where a stack is incomplete: its seeds go on together or not at all.
+    """
+    cells: dict[tuple[str, str], list[StoredRun]] = {}
+    for run in runs:
+        cells.setdefault((run.record.study, run.record.cell), []).append(run)
+    return [_cell_jobs(cell) for cell in cells.values()]
+
+
+def _cell_jobs(runs: Sequence[StoredRun]) -> tuple[PlannedJob, ...]:
+    first = runs[0]
+    seeds = [run.record.seed for run in runs]
+    experiment = resolve({**first.mapping, "seed": seeds})
+    prepared, spec = experiment.prepare()
+    by_seed = {run.record.seed: run for run in runs}
+    stacks = list(dict.fromkeys(run.stack for run in runs))
+    jobs = []
+    for stack in stacks:
+        missing = [seed for seed in stack if seed not in by_seed]
+        if missing:
+            raise HeadwayError(
+                f"seeds {', '.join(map(str, stack))} were trained in one stack and go on together; "
+                f"name the runs of seed {', '.join(map(str, missing))} too"
+            )
+        run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
+        jobs.append(PlannedJob(experiment, prepared, spec, stack, run_ids))
+    return tuple(jobs)

@@ -1,0 +1,63 @@
+"""Policies from checkpoints, and the days that they play."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts.environment import EnvSpec
+from headway.events import Row
+from headway.rollout.episodes import EvaluationRequest, evaluate_policy
+from headway.rollout.plan import RolloutPlan
+from headway.store.checkpoint import load_latest
+from headway.store.folder import CHECKPOINTS
+from headway_launch.stored import StoredRun
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """The policies of one seed, and how they are played."""
+
+    plan: RolloutPlan
+    """Of this seed alone."""
+    parameters: Mapping[str, NDArray[Any]]
+    """Leading axis K: the policies of one replica."""
+    iteration: int
+
+
+def newest_policy(run: StoredRun, prepared: object, spec: EnvSpec) -> TrainedPolicy:
+    """The policies in the newest whole checkpoint of a run. Raises HeadwayError if it has none."""
+    iteration, state, _ = load_latest(checkpoint_folder(run.directory))
+    experiment, rollout = run.experiment, run.experiment.config.rollout
+    policy = experiment.algo.acting_policy(experiment.algo_config, spec)
+    plan = RolloutPlan(
+        experiment.env.make,
+        experiment.env.preload,
+        prepared,
+        spec,
+        policy,
+        (run.record.seed,),
+        rollout.copies,
+        rollout.steps,
+        rollout.block,
+    )
+    replica, replicas = int(state["replica"]), len(run.stack)
+    parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}
+    return TrainedPolicy(plan, parameters, iteration)
+
+
+def policy_episodes(policy: TrainedPolicy, root: int, episodes: int, greedy: bool) -> list[Row]:
+    """One row an episode on the evaluation seeds that follow from `root`."""
+    rows: list[Row] = []
+    for request in EvaluationRequest.split(root, episodes, greedy):
+        rows += evaluate_policy(policy.plan, policy.parameters, request)[0]
+    return rows
+
+
+def checkpoint_folder(directory: Path) -> Path:
+    """Where a run keeps its checkpoints."""
+    inner = directory / CHECKPOINTS
+    return inner if inner.is_dir() else directory
