@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from headway.contracts import EnvSpec, Trajectory
 from headway_algos.acting import OBSERVATION_CLIP
 from headway_algos.config import AlgoConfig
-from headway_algos.experience import Endings, Layout, minibatches, zero_where_absent
+from headway_algos.experience import Endings, Layout, even_slices, minibatches, zero_where_absent
 from headway_algos.grouping import Grouping
 from headway_algos.networks import StackedMLP
 from headway_algos.normalisation import RunningMoments
@@ -109,9 +109,9 @@ class Critic(nn.Module):
 
     def _values(self, rows: Tensor, steps: int) -> NDArray[np.float64]:
         """Values of rows as (T, C, M), in units of return, computed in pieces that stay in the cache."""
-        pieces = torch.split(rows, self.config.piece_rows, dim=1)
+        pieces = even_slices(rows.shape[1], len(rows), self.config.piece_samples)
         with torch.no_grad():
-            values = torch.cat([self.network(piece)[:, 0] for piece in pieces], dim=1).double()
+            values = torch.cat([self.network(rows[:, piece])[:, 0] for piece in pieces], dim=1).double()
         if self.config.normalise_values:
             values = values * self.return_moments.std[..., 0] + self.return_moments.mean[..., 0]
         return self.layout.by_agent(values, steps)
@@ -156,7 +156,7 @@ class Critic(nn.Module):
         targets = targets.to(layout.dtype)
         loss_sum, count = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype), 0
         for pieces in minibatches(
-            selected, generators, config.epochs, config.minibatches, config.piece_rows, layout
+            selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
         ):
             self.optimiser.begin()
             for piece in pieces:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,13 @@ class Endings:
         return result
 
 
+def even_slices(rows: int, stack: int, piece_samples: int) -> list[slice]:
+    """Cuts rows into as few equal pieces as keep `stack` x rows of each within `piece_samples`."""
+    pieces = min(-(-rows * stack // piece_samples), rows)
+    edges = [rows * i // pieces for i in range(pieces + 1)] if pieces else []
+    return [slice(start, end) for start, end in pairwise(edges)]
+
+
 @dataclass(frozen=True)
 class Piece:
     """Rows to work on at once, for every network of a stack."""
@@ -113,7 +121,7 @@ def minibatches(
     generators: Sequence[np.random.Generator],
     epochs: int,
     parts: int,
-    piece_rows: int,
+    piece_samples: int,
     layout: Layout,
 ) -> Iterator[list[Piece]]:
     """Shuffled minibatches, each a list of pieces whose gradients add up to the minibatch's.
@@ -134,12 +142,11 @@ def minibatches(
             for p, chunk in enumerate(chunks):
                 index[p, : len(chunk)] = chunk
                 weight[p, : len(chunk)] = 1 / max(len(chunk), 1)
+            index += offsets
             yield [
                 Piece(
-                    torch.from_numpy((index + offsets)[:, start : start + piece_rows].ravel()).to(
-                        layout.device
-                    ),
-                    torch.from_numpy(weight[:, start : start + piece_rows]).to(layout.device, layout.dtype),
+                    torch.from_numpy(index[:, rows].ravel()).to(layout.device),
+                    torch.from_numpy(weight[:, rows]).to(layout.device, layout.dtype),
                 )
-                for start in range(0, width, piece_rows)
+                for rows in even_slices(width, stack, piece_samples)
             ]

@@ -11,7 +11,7 @@ from torch import Tensor
 from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
-from headway_algos.experience import Layout, Piece, minibatches
+from headway_algos.experience import Layout, Piece, even_slices, minibatches
 from headway_algos.optimiser import StackedAdam
 
 
@@ -48,8 +48,9 @@ def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
 def _old_distribution(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
     """Network outputs (P, B, A) at the parameters that acted, for the KL penalty."""
     with torch.no_grad():
-        pieces = torch.split(rows.observations, config.piece_rows, dim=1)
-        return torch.cat([actor.network(piece) for piece in pieces], dim=2).transpose(1, 2).contiguous()
+        pieces = even_slices(rows.observations.shape[1], len(rows.observations), config.piece_samples)
+        outputs = torch.cat([actor.network(rows.observations[:, piece]) for piece in pieces], dim=2)
+        return outputs.transpose(1, 2).contiguous()
 
 
 def _kl_to_old(
@@ -87,7 +88,7 @@ def ppo(
     totals = torch.zeros(4, len(kl_coeff), device=layout.device, dtype=layout.dtype)
     steps = 0
     batches = minibatches(
-        rows.selected, generators, config.epochs, config.minibatches, config.piece_rows, layout
+        rows.selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
     )
     for pieces in batches:
         optimiser.begin()
@@ -131,8 +132,7 @@ def _mean_kl(
     selected = torch.from_numpy(rows.selected).to(old_outputs.device)
     total = torch.zeros(len(selected), device=old_outputs.device, dtype=old_outputs.dtype)
     with torch.no_grad():
-        for start in range(0, selected.shape[1], config.piece_rows):
-            part = slice(start, start + config.piece_rows)
+        for part in even_slices(selected.shape[1], len(selected), config.piece_samples):
             masks = rows.masks[:, part] if rows.masks is not None else None
             kl = _kl_to_old(
                 actor(rows.observations[:, part], masks), old_outputs[:, part], masks, old_log_std
