@@ -45,13 +45,17 @@ def _check_rows(
     first_copy: int,
 ) -> None:
     """Values (C, N, ...), rows (C, N): which to look at."""
+    remedy = {
+        "an observation": "mend the environment, or mark the agent as not alive",
+        "a reward": "mend the environment; who gets nothing gets 0",
+        "a final observation": "mend the environment; an agent that is away has its last observation there",
+    }[what]
     faults = np.argwhere(rows & ~np.isfinite(values).all(axis=-1))
     if len(faults):
         copy, agent = faults[0]
         raise HeadwayError(
             f"environment '{spec.name}' gave {what} that is not finite: copy {first_copy + copy}, "
-            f"agent '{spec.agents[agent]}', step {step}: {_first_bad(values[copy, agent])}; "
-            f"mend the environment, or mark the agent as not alive"
+            f"agent '{spec.agents[agent]}', step {step}: {_first_bad(values[copy, agent])}; {remedy}"
         )
 
 

@@ -56,7 +56,7 @@ class SingleAgent:
 
 
 class GymnasiumBatch(ParallelEnvBatch):
-    """C copies of a Gymnasium environment as a `BatchedEnv`; rules, seeds and errors as `ParallelEnvBatch`."""
+    """C copies of a Gymnasium environment as a `BatchedEnv`; the rest is as in `ParallelEnvBatch`."""
 
     def __init__(
         self,

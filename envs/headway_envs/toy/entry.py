@@ -1,0 +1,68 @@
+"""The toy environments by name."""
+
+from typing import Any
+
+from headway.contracts import EnvEntry
+from headway_envs.toy.matrix import Matrix, MatrixConfig, OptimalMatrix
+from headway_envs.toy.random_rule import RandomRule
+from headway_envs.toy.tracking import OptimalTracking, Tracking, TrackingConfig
+from headway_envs.toy.trivial import OptimalTrivial, Trivial, TrivialConfig
+from headway_envs.toy.visitors import OptimalVisitors, Visitors, VisitorsConfig
+
+# PettingZoo is imported only by those who ask for a ParallelEnv: workers go without.
+
+
+def _trivial_parallel(config: TrivialConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
+    from headway_envs.toy.trivial_parallel import TrivialParallel
+
+    return TrivialParallel(config)
+
+
+def _matrix_parallel(config: MatrixConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
+    from headway_envs.toy.parallel_face import ParallelFace
+
+    return ParallelFace(lambda copies: Matrix(config, copies))
+
+
+def _tracking_parallel(config: TrackingConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
+    from headway_envs.toy.parallel_face import ParallelFace
+
+    return ParallelFace(lambda copies: Tracking(config, copies))
+
+
+def _visitors_parallel(config: VisitorsConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
+    from headway_envs.toy.parallel_face import ParallelFace
+
+    return ParallelFace(lambda copies: Visitors(config, copies))
+
+
+ENTRIES: dict[str, EnvEntry] = {
+    "trivial": EnvEntry(
+        summary="toy: ten agents name the largest of three numbers; measures everything around it",
+        config=TrivialConfig,
+        make=Trivial,
+        parallel_env=_trivial_parallel,
+        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalTrivial()},
+    ),
+    "matrix": EnvEntry(
+        summary="toy: one-step matrix game of two agents with a trap beside the best payoff",
+        config=MatrixConfig,
+        make=Matrix,
+        parallel_env=_matrix_parallel,
+        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalMatrix()},
+    ),
+    "tracking": EnvEntry(
+        summary="toy: agents with continuous actions follow a target; the optimum is in closed form",
+        config=TrackingConfig,
+        make=Tracking,
+        parallel_env=_tracking_parallel,
+        rules={"random": lambda config: RandomRule(), "optimal": OptimalTracking},
+    ),
+    "visitors": EnvEntry(
+        summary="toy: agents come, go and retire, with action masks and NaN in every absent row",
+        config=VisitorsConfig,
+        make=Visitors,
+        parallel_env=_visitors_parallel,
+        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalVisitors()},
+    ),
+}

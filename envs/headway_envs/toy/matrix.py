@@ -1,0 +1,107 @@
+"""A one-step cooperative matrix game: two agents, one shared payoff, and a trap on the way to the best.
+
+The default is the climbing game of Claus and Boutilier, "The Dynamics of Reinforcement Learning in
+Cooperative Multiagent Systems" (AAAI 1998): 11 is next to -30, so learners who explore drift to 5 or 7.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome
+
+CLIMBING = ((11.0, -30.0, 0.0), (-30.0, 7.0, 6.0), (0.0, 0.0, 5.0))
+NUM_AGENTS = 2
+
+
+@dataclass(frozen=True)
+class MatrixConfig:
+    """The game. The best return of an episode is the largest payoff."""
+
+    payoff: tuple[tuple[float, ...], ...] = CLIMBING
+    """Payoff of the row agent's (first) and the column agent's choice; as many rows as columns."""
+
+    def __post_init__(self) -> None:
+        size = len(self.payoff)
+        if size < 1 or any(len(row) != size for row in self.payoff):
+            raise ValueError(
+                f"payoff must have as many columns as rows, not rows of {[len(row) for row in self.payoff]}"
+            )
+        if not np.isfinite(self.payoff).all():
+            raise ValueError("payoff must hold finite numbers only")
+
+
+class Matrix:
+    """C copies. Each agent observes which one it is (one-hot, D = 2); every step ends the episode."""
+
+    def __init__(self, config: MatrixConfig, copies: int) -> None:
+        self._payoff = np.array(config.payoff, dtype=np.float64)
+        self._spec = EnvSpec(
+            name="matrix",
+            agents=("row", "column"),
+            observation_size=NUM_AGENTS,
+            action_space=Discrete(len(self._payoff)),
+            state_size=1,
+            shared_reward=True,
+            metrics=("optimal",),
+            snapshots=True,
+        )
+        agents = (copies, NUM_AGENTS)
+        observations = np.tile(np.eye(NUM_AGENTS, dtype=np.float32), (copies, 1, 1))
+        alive = np.ones(agents, dtype=np.bool_)
+        self._observed = Observed(observations, np.ones((copies, 1), dtype=np.float32), alive)
+        self._outcome = Outcome(
+            rewards=np.zeros(agents, dtype=np.float32),
+            terminated=np.ones(agents, dtype=np.bool_),
+            truncated=np.zeros(agents, dtype=np.bool_),
+            acting=alive,
+            episode_ended=np.ones(copies, dtype=np.bool_),
+            final_observations=observations,
+            final_states=self._observed.states,
+            metrics=np.zeros((copies, 1), dtype=np.float64),
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return len(self._observed.alive)
+
+    @property
+    def best(self) -> tuple[int, int]:
+        """The row and the column of the largest payoff."""
+        row, column = np.unravel_index(int(np.argmax(self._payoff)), self._payoff.shape)
+        return int(row), int(column)
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        """Nothing is drawn at random, so `seeds` change nothing."""
+        return self._observed
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        payoff = self._payoff[actions[:, 0], actions[:, 1]]
+        self._outcome.rewards[:] = payoff[:, None]
+        self._outcome.metrics[:, 0] = payoff == self._payoff.max()
+        return self._outcome, self._observed
+
+    def snapshot(self) -> None:
+        """There is nothing to remember between episodes of one step."""
+
+    def restore(self, snapshot: None) -> Observed:
+        return self._observed
+
+    def close(self) -> None:
+        pass
+
+
+class OptimalMatrix:
+    """Both agents play their part of the largest payoff."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        """(C, 2)"""
+        if not isinstance(env, Matrix):
+            raise TypeError("the optimal rule of 'matrix' reads the payoff of a Matrix")
+        return np.tile(np.array(env.best, dtype=np.int64), (env.num_copies, 1))

@@ -1,0 +1,157 @@
+"""One copy of a batched environment as a PettingZoo ParallelEnv, for use in other libraries."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from headway.contracts import (
+    BatchedEnv,
+    Box,
+    Discrete,
+    EnvSpec,
+    MultiDiscrete,
+    Observed,
+    Outcome,
+    child_seeds,
+)
+
+
+class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
+    """`reset(seed=s)` begins episode 0 of seed s; `reset()` one of a seed derived from the last.
+
+    Agents stay in `agents` until they are terminated or truncated. Infos hold `alive` and `acting` where
+    agents come and go (one that is away observes zeros), `action_mask` where actions are masked, and
+    `episode_metrics` at an episode's end.
+    """
+
+    render_mode = None
+
+    def __init__(self, make: Callable[[int], BatchedEnv]) -> None:
+        """`make`: (copies) -> batched environment."""
+        self._env = make(1)
+        spec = self._env.spec
+        self.metadata = {
+            "name": spec.name,
+            "render_modes": [],
+            "episode_metrics": spec.metrics,
+            "agents_come_and_go": spec.agents_come_and_go,
+        }
+        self.possible_agents = list(spec.agents)
+        self.agents: list[str] = []
+        self._index = {agent: index for index, agent in enumerate(spec.agents)}
+        self._observation_space = spaces.Box(-np.inf, np.inf, (spec.observation_size,), np.float32)
+        self._action_spaces = {agent: _action_space(spec) for agent in spec.agents}
+        self._actions = _no_actions(spec)
+        self._seed = int(np.random.SeedSequence().generate_state(1)[0])
+        self._state = np.zeros(spec.state_size, dtype=np.float32)
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        return self._observation_space
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        return self._action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        self._seed = int(child_seeds(self._seed, "face", 1, 1)[0]) if seed is None else seed
+        observed = self._env.reset(np.array([self._seed], dtype=np.uint64))
+        self.agents = list(self.possible_agents)
+        self._state = observed.states[0].copy()
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        self._add_presence(infos, observed)
+        return self._shown(observed.observations, observed.alive), infos
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[
+        dict[str, NDArray[np.float32]],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        for agent, action in actions.items():
+            self._actions[0, self._index[agent]] = action
+        outcome, observed = self._env.step(self._actions)
+        stepped = self.agents
+        ended = bool(outcome.episode_ended[0])
+        over = outcome.terminated[0] | outcome.truncated[0]
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in stepped}
+        if ended:
+            observations = self._shown(outcome.final_observations, over[None])
+            self._state = outcome.final_states[0].copy()
+            metrics = dict(zip(self._env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+            for info in infos.values():
+                info["episode_metrics"] = metrics
+        else:
+            observations = self._shown(
+                np.where(over[None, :, None], outcome.final_observations, observed.observations),
+                observed.alive | over[None],
+            )
+            self._state = observed.states[0].copy()
+            self._add_presence(infos, observed)
+        if self._env.spec.agents_come_and_go:
+            for agent, info in infos.items():
+                info["acting"] = bool(outcome.acting[0, self._index[agent]])
+        self.agents = [] if ended else [agent for agent in stepped if not over[self._index[agent]]]
+        return (observations, *self._results(stepped, outcome), infos)
+
+    def state(self) -> NDArray[np.float32]:
+        """(S,); raises NotImplementedError where the environment gives no state."""
+        if not self._env.spec.state_size:
+            raise NotImplementedError(f"environment '{self._env.spec.name}' has no state")
+        return self._state
+
+    def render(self) -> None:
+        """There is nothing to see."""
+
+    def close(self) -> None:
+        self._env.close()
+
+    def _shown(self, values: NDArray[np.float32], given: NDArray[np.bool_]) -> dict[str, NDArray[np.float32]]:
+        """Values (1, N, D) of the agents there are, zeros where not `given` (1, N)."""
+        rows = np.where(given[0, :, None], values[0], np.float32(0))
+        return {agent: rows[self._index[agent]] for agent in self.agents}
+
+    def _add_presence(self, infos: dict[str, dict[str, Any]], observed: Observed) -> None:
+        for agent, info in infos.items():
+            index = self._index[agent]
+            if self._env.spec.agents_come_and_go:
+                info["alive"] = bool(observed.alive[0, index])
+            if observed.action_masks is not None:
+                info["action_mask"] = observed.action_masks[0, index].copy()
+
+    def _results(
+        self, stepped: list[str], outcome: Outcome
+    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
+        index = self._index
+        return (
+            {agent: float(outcome.rewards[0, index[agent]]) for agent in stepped},
+            {agent: bool(outcome.terminated[0, index[agent]]) for agent in stepped},
+            {agent: bool(outcome.truncated[0, index[agent]]) for agent in stepped},
+        )
+
+
+def _action_space(spec: EnvSpec) -> spaces.Space[Any]:
+    match spec.action_space:
+        case Discrete(n=n):
+            return spaces.Discrete(n)
+        case MultiDiscrete(nvec=nvec):
+            return spaces.MultiDiscrete(list(nvec))
+        case Box(low=low, high=high):
+            return spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32))
+
+
+def _no_actions(spec: EnvSpec) -> NDArray[Any]:
+    match spec.action_space:
+        case Discrete():
+            return np.zeros((1, spec.num_agents), dtype=np.int64)
+        case MultiDiscrete(nvec=nvec):
+            return np.zeros((1, spec.num_agents, len(nvec)), dtype=np.int64)
+        case Box(low=low):
+            return np.zeros((1, spec.num_agents, len(low)), dtype=np.float32)

@@ -1,0 +1,201 @@
+"""Agents follow a moving target in the plane: linear dynamics, quadratic cost, an optimum in closed form.
+
+The target moves at a constant velocity v, drawn for each episode. Agent i stands off by e_i = target -
+position and moves by its action: e' = e + v - a + w. It is charged |e'|^2 + effort |a|^2 at each step,
+so the best policy is that of a linear-quadratic regulator (Bertsekas, "Dynamic Programming and Optimal
+Control", vol. 1, section 3.1), whose actions stay within the bounds of the action space.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Box, EnvSpec, Observed, Outcome, generator
+
+DIMENSIONS = 2
+SPEED = 0.1
+"""Bound on each component of the target's velocity."""
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """Size and costs. Rewards are each agent's own."""
+
+    agents: int = 3
+    """N."""
+    steps: int = 50
+    """Steps of an episode, which is then truncated."""
+    effort: float = 0.1
+    """Cost of a squared unit of action, beside 1 for a squared unit of distance."""
+    noise: float = 0.02
+    """Each component of w is uniform within this bound."""
+
+    def __post_init__(self) -> None:
+        if self.agents < 1:
+            raise ValueError(f"agents must be at least 1, not {self.agents}")
+        if self.steps < 1:
+            raise ValueError(f"steps must be at least 1, not {self.steps}")
+        if not 0 <= self.effort <= 10:
+            raise ValueError(f"effort must be within 0 and 10, not {self.effort}")
+        if not 0 <= self.noise <= 0.1:
+            raise ValueError(f"noise must be within 0 and 0.1, not {self.noise}")
+
+
+def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The optimal policy and its cost by the Riccati recursion, one component of the plane at a time.
+
+    Returns gains (T, 2) and values (T + 1, 3): with t steps taken, the best action is gains[t] @ (e, v), and
+    the expected cost still to come is p e^2 + 2 q e v + s v^2 (p, q, s = values[t]), besides what noise adds:
+    (1 + p) noise^2 / 3 for every step, p being that of the step after.
+    """
+    gains = np.zeros((config.steps, 2))
+    values = np.zeros((config.steps + 1, 3))
+    for t in reversed(range(config.steps)):
+        p, q, s = values[t + 1]
+        # With u = e + v - a the next distance, the cost is (1 + p) u^2 + 2 q u v + s v^2 + effort a^2.
+        weight = 1 + p + config.effort
+        gains[t] = (1 + p) / weight, (1 + p + q) / weight
+        # e + v - a and a are linear in (e, v): their coefficients give the new quadratic form.
+        rest = np.array([1.0, 1.0]) - gains[t]
+        velocity = np.array([0.0, 1.0])
+        form = (
+            (1 + p) * np.outer(rest, rest)
+            + q * (np.outer(rest, velocity) + np.outer(velocity, rest))
+            + s * np.outer(velocity, velocity)
+            + config.effort * np.outer(gains[t], gains[t])
+        )
+        values[t] = form[0, 0], form[0, 1], form[1, 1]
+    return gains, values
+
+
+class Tracking:
+    """C copies. Agents observe (e, v), D = 4, and act within [-2, 2]; the state holds every e, then v."""
+
+    def __init__(self, config: TrackingConfig, copies: int) -> None:
+        self._config, n = config, config.agents
+        size = 2 * DIMENSIONS
+        self._spec = EnvSpec(
+            name="tracking",
+            agents=tuple(f"agent_{index}" for index in range(n)),
+            observation_size=size,
+            action_space=Box((-2.0,) * DIMENSIONS, (2.0,) * DIMENSIONS),
+            state_size=(n + 1) * DIMENSIONS,
+            metrics=("distance", "effort"),
+            snapshots=True,
+        )
+        self._seeds = np.zeros(copies, dtype=np.uint64)
+        self._episode = 0
+        self._step = 0
+        self._offset = np.zeros((copies, n, DIMENSIONS))
+        self._velocity = np.zeros((copies, 1, DIMENSIONS))
+        self._noise = np.zeros((config.steps, copies, n, DIMENSIONS))
+        self._sums = np.zeros((copies, 2))
+        self._observed = Observed(
+            observations=np.zeros((copies, n, size), dtype=np.float32),
+            states=np.zeros((copies, (n + 1) * DIMENSIONS), dtype=np.float32),
+            alive=np.ones((copies, n), dtype=np.bool_),
+        )
+        self._outcome = Outcome(
+            rewards=np.zeros((copies, n), dtype=np.float32),
+            terminated=np.zeros((copies, n), dtype=np.bool_),
+            truncated=np.zeros((copies, n), dtype=np.bool_),
+            acting=self._observed.alive,
+            episode_ended=np.zeros(copies, dtype=np.bool_),
+            final_observations=np.zeros((copies, n, size), dtype=np.float32),
+            final_states=np.zeros((copies, (n + 1) * DIMENSIONS), dtype=np.float32),
+            metrics=np.zeros((copies, 2), dtype=np.float64),
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return len(self._seeds)
+
+    @property
+    def steps_taken(self) -> int:
+        """In the running episode; the same for all copies."""
+        return self._step
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        self._seeds[:] = seeds
+        self._begin(episode=0)
+        return self._show()
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        outcome = self._outcome
+        moves = np.clip(actions.astype(np.float64), -2.0, 2.0)
+        self._offset += self._velocity - moves + self._noise[self._step]
+        distance = (self._offset**2).sum(axis=-1)
+        effort = (moves**2).sum(axis=-1)
+        outcome.rewards[:] = -distance - self._config.effort * effort
+        self._sums += np.stack([distance.mean(axis=1), effort.mean(axis=1)], axis=1)
+        self._step += 1
+        ended = self._step == self._config.steps
+        outcome.truncated.fill(ended)
+        outcome.episode_ended.fill(ended)
+        if ended:
+            last = self._show()
+            outcome.final_observations[:] = last.observations
+            outcome.final_states[:] = last.states
+            outcome.metrics[:] = self._sums / self._step
+            self._begin(self._episode + 1)
+        return outcome, self._show()
+
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "seeds": self._seeds.copy(),
+            "episode": self._episode,
+            "step": self._step,
+            "offset": self._offset.copy(),
+            "sums": self._sums.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> Observed:
+        self._seeds[:] = snapshot["seeds"]
+        self._begin(snapshot["episode"])
+        self._step = snapshot["step"]
+        self._offset[:] = snapshot["offset"]
+        self._sums[:] = snapshot["sums"]
+        return self._show()
+
+    def close(self) -> None:
+        pass
+
+    def _begin(self, episode: int) -> None:
+        self._episode, self._step = episode, 0
+        self._sums.fill(0)
+        bound = self._config.noise
+        for copy, seed in enumerate(self._seeds):
+            draw = generator(int(seed), "tracking", episode)
+            self._offset[copy] = draw.uniform(-1, 1, self._offset[copy].shape)
+            self._velocity[copy] = draw.uniform(-SPEED, SPEED, (1, DIMENSIONS))
+            self._noise[:, copy] = draw.uniform(-bound, bound, self._noise[:, copy].shape)
+
+    def _show(self) -> Observed:
+        observed, n = self._observed, self._spec.num_agents
+        observed.observations[..., :DIMENSIONS] = self._offset
+        observed.observations[..., DIMENSIONS:] = self._velocity
+        observed.states[:, : n * DIMENSIONS] = self._offset.reshape(self.num_copies, -1)
+        observed.states[:, n * DIMENSIONS :] = self._velocity[:, 0]
+        return observed
+
+
+class OptimalTracking:
+    """The linear-quadratic regulator of the steps that are left."""
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self._gains, _ = regulator(config)
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+        """(C, N, 2)"""
+        if not isinstance(env, Tracking):
+            raise TypeError("the optimal rule of 'tracking' reads the time of a Tracking")
+        on_offset, on_velocity = self._gains[env.steps_taken]
+        offset, velocity = np.split(observed.observations, 2, axis=-1)
+        actions: NDArray[np.float32] = (on_offset * offset + on_velocity * velocity).astype(np.float32)
+        return actions

@@ -1,0 +1,148 @@
+"""Random play of an environment kept in full, and compared bit for bit."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.adapters.finite import check_finite
+from headway.contracts import (
+    BatchedEnv,
+    Box,
+    Discrete,
+    EnvSpec,
+    MultiDiscrete,
+    Observed,
+    Trajectory,
+    TrajectoryLayout,
+    generator,
+)
+
+_FACED = ("observations", "states", "alive", "action_masks")
+_GIVEN = ("rewards", "terminated", "truncated", "acting", "final_observations", "final_states")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """T steps of random play: a trajectory, and what a trajectory leaves out."""
+
+    spec: EnvSpec
+    trajectory: Trajectory
+    """Its `log_probs` are 0."""
+    episode_ended: NDArray[np.bool_]
+    """(T, C)"""
+    metrics: NDArray[np.float64]
+    """(T, C, M)"""
+
+    @property
+    def steps(self) -> int:
+        """T."""
+        return len(self.episode_ended)
+
+    def of_copy(self, copy: int, first: int = 0, steps: int | None = None) -> "Recording":
+        """Steps first to first + steps - 1 of one copy; all that follow where `steps` is None."""
+        last = self.steps if steps is None else first + steps
+        return Recording(
+            self.spec,
+            _between(self.trajectory.of_copies(copy, 1), self.spec, first, last),
+            self.episode_ended[first:last, copy : copy + 1],
+            self.metrics[first:last, copy : copy + 1],
+        )
+
+
+class RandomPlay:
+    """Uniformly random allowed actions. A copy's depend on its seed and on how often they were asked for."""
+
+    def __init__(self, seeds: NDArray[np.uint64]) -> None:
+        self._generators = [generator(int(seed), "random play") for seed in seeds]
+
+    def act(self, spec: EnvSpec, observed: Observed) -> NDArray[Any]:
+        """Actions as `BatchedEnv.step` takes them; unbounded Box actions are drawn within 10 of 0."""
+        masks = observed.action_masks
+        return np.stack(
+            [
+                _draw(draw, spec, None if masks is None else masks[copy])
+                for copy, draw in enumerate(self._generators)
+            ]
+        )
+
+
+def record(env: BatchedEnv, observed: Observed, play: RandomPlay, longest: int, episodes: int) -> Recording:
+    """Play on from `observed` for `longest` steps, or until every copy has ended `episodes` episodes.
+
+    Raises AssertionError where a shape or a type is not the contract's, and HeadwayError where a number that
+    means something is not finite.
+    """
+    spec, copies = env.spec, env.num_copies
+    track = Trajectory.allocate(TrajectoryLayout(spec, longest, copies))
+    ended = np.zeros((longest, copies), dtype=np.bool_)
+    metrics = np.zeros((longest, copies, len(spec.metrics)))
+    check_finite(spec, None, observed, step=0)
+    _note_observed(track, 0, observed)
+    steps = 0
+    while steps < longest and (ended.sum(axis=0) < episodes).any():
+        actions = play.act(spec, observed)
+        outcome, observed = env.step(actions)
+        check_finite(spec, outcome, observed, step=steps + 1)
+        track.actions[steps] = actions
+        for name in _GIVEN:
+            _note(getattr(track, name)[steps], getattr(outcome, name), name)
+        _note(ended[steps], outcome.episode_ended, "episode_ended")
+        _note(metrics[steps], outcome.metrics, "metrics")
+        steps += 1
+        _note_observed(track, steps, observed)
+    return Recording(spec, _between(track, spec, 0, steps), ended[:steps], metrics[:steps])
+
+
+def assert_same(one: Recording, other: Recording) -> None:
+    """AssertionError unless both are equal to the last bit wherever the contract gives a value a meaning."""
+    assert one.steps == other.steps, f"{one.steps} steps against {other.steps}"
+    mine, theirs = one.trajectory, other.trajectory
+    for name in ("states", "alive", "rewards", "terminated", "truncated", "acting"):
+        np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name), name)
+    np.testing.assert_array_equal(one.episode_ended, other.episode_ended, "episode_ended")
+    over = mine.terminated | mine.truncated
+    meant = [("observations", mine.alive), ("final_observations", over), ("final_states", one.episode_ended)]
+    if one.spec.has_action_mask:
+        meant.append(("action_masks", mine.alive))
+    for name, rows in meant:
+        np.testing.assert_array_equal(getattr(mine, name)[rows], getattr(theirs, name)[rows], name)
+    np.testing.assert_array_equal(one.metrics[one.episode_ended], other.metrics[one.episode_ended], "metrics")
+
+
+def _between(trajectory: Trajectory, spec: EnvSpec, first: int, last: int) -> Trajectory:
+    names = TrajectoryLayout(spec, steps=1, copies=1).arrays
+    return Trajectory(
+        **{name: getattr(trajectory, name)[first : last + 1 if name in _FACED else last] for name in names}
+    )
+
+
+def _draw(draw: np.random.Generator, spec: EnvSpec, mask: NDArray[np.bool_] | None) -> NDArray[Any]:
+    n = spec.num_agents
+    match spec.action_space:
+        case Discrete(n=choices):
+            score = draw.random((n, choices))
+            actions: NDArray[Any] = (score if mask is None else np.where(mask, score, -1)).argmax(axis=-1)
+            return actions
+        case MultiDiscrete(nvec=nvec):
+            return draw.integers(0, nvec, (n, len(nvec)))
+        case Box(low=low, high=high):
+            bounds = np.clip(low, -10, 10), np.clip(high, -10, 10)
+            return draw.uniform(*bounds, (n, len(low))).astype(np.float32)
+
+
+def _note_observed(track: Trajectory, step: int, observed: Observed) -> None:
+    for name in ("observations", "states", "alive"):
+        _note(getattr(track, name)[step], getattr(observed, name), name)
+    if len(track.action_masks):
+        assert observed.action_masks is not None, "the spec promises action masks, and there are none"
+        _note(track.action_masks[step], observed.action_masks, "action_masks")
+    else:
+        assert observed.action_masks is None, "there are action masks that the spec does not promise"
+
+
+def _note(place: NDArray[Any], value: NDArray[Any], name: str) -> None:
+    assert value.dtype == place.dtype, f"{name} is {value.dtype}, not {place.dtype}"
+    assert value.shape == place.shape, f"{name} has shape {value.shape}, not {place.shape}"
+    place[...] = value

@@ -1,0 +1,393 @@
+"""PettingZoo's environments as batches: who is there, what ends, what is refused."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+import supersuit
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from headway.adapters.conformance import play
+from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
+from headway.contracts import Box, Discrete, HeadwayError, MultiDiscrete
+from headway_envs.toy.entry import ENTRIES
+
+Space = spaces.Space[Any]
+Script = Callable[["Scripted"], None]
+
+
+class Scripted(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
+    """Two agents observe (seed, steps taken, own number); `script` then changes what the step returns."""
+
+    metadata: Mapping[str, Any] = {"name": "scripted"}
+
+    def __init__(
+        self,
+        script: Script = lambda env: None,
+        observation_spaces: Mapping[str, Space] | None = None,
+        action_spaces: Mapping[str, Space] | None = None,
+        **metadata: object,
+    ) -> None:
+        self.script, self.metadata = script, {"name": "scripted", **metadata}
+        self.possible_agents = ["a", "b"]
+        self.observation_spaces = observation_spaces or dict.fromkeys("ab", spaces.Box(-9, 2**31, (3,)))
+        self.action_spaces = action_spaces or dict.fromkeys("ab", spaces.Discrete(2))
+        self.given: list[dict[str, Any]] = []
+        self.agents: list[str] = []
+        self.render_mode, self.length = None, 4
+        self.start = 0
+
+    def observation_space(self, agent: str) -> Space:
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Space:
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: object = None) -> tuple[dict[str, Any], dict[str, Any]]:
+        self.agents, self.steps, self.start = ["a", "b"], 0, (seed or 0) % 1000
+        self._collect(ended=False)
+        return self.observations, self.infos
+
+    def step(self, actions: dict[str, Any]) -> tuple[Any, ...]:
+        self.given.append(actions)
+        self.steps += 1
+        self._collect(ended=self.steps == self.length)
+        self.agents = [x for x in self.agents if not (self.terminated.get(x) or self.truncated.get(x))]
+        return self.observations, self.rewards, self.terminated, self.truncated, self.infos
+
+    def _collect(self, ended: bool) -> None:
+        sizes = {agent: self.observation_space(agent).shape for agent in self.agents}
+        self.observations: dict[str, Any] = {}
+        for number, agent in enumerate(self.agents):
+            row = np.zeros(sizes[agent] or (), dtype=np.float32)
+            row.flat[:3] = (self.start, self.steps, number)
+            self.observations[agent] = row
+        self.rewards: dict[str, Any] = dict.fromkeys(self.agents, 1.0)
+        self.terminated: dict[str, Any] = dict.fromkeys(self.agents, False)
+        self.truncated: dict[str, Any] = dict.fromkeys(self.agents, ended)
+        self.infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        self.script(self)
+
+
+def batch(script: Script = lambda env: None, agents_come_and_go: bool | None = None) -> ParallelEnvBatch:
+    return ParallelEnvBatch(lambda: Scripted(script), 2, "scripted", agents_come_and_go=agents_come_and_go)
+
+
+def seeds(count: int = 2) -> NDArray[np.uint64]:
+    return np.arange(count, dtype=np.uint64)
+
+
+NOTHING = np.zeros((2, 2), dtype=np.int64)
+
+
+def test_an_episode_runs_out_and_the_next_begins_with_a_seed_of_its_own() -> None:
+    env = batch()
+    observed = env.reset(seeds())
+    first = [episode_seed(copy, 0) % 1000 for copy in range(2)]
+    np.testing.assert_array_equal(observed.observations[:, 0, 0], first)
+    for _ in range(3):
+        outcome, observed = env.step(NOTHING)
+        assert not outcome.episode_ended.any()
+    outcome, observed = env.step(NOTHING)
+    assert outcome.episode_ended.all()
+    assert outcome.truncated.all()
+    assert not outcome.terminated.any()
+    np.testing.assert_array_equal(outcome.final_observations[:, 0, :2], [[first[0], 4], [first[1], 4]])
+    second = [episode_seed(copy, 1) % 1000 for copy in range(2)]
+    np.testing.assert_array_equal(observed.observations[:, 0, :2], [[second[0], 0], [second[1], 0]])
+    assert first != second
+
+
+def kill_b_at_two(env: Scripted) -> None:
+    if env.steps == 2:
+        env.terminated["b"] = True
+        env.rewards["b"] = -5.0
+
+
+def test_an_agent_that_dies_is_gone_until_the_next_episode() -> None:
+    env = batch(kill_b_at_two, agents_come_and_go=True)
+    env.reset(seeds())
+    env.step(NOTHING)
+    outcome, observed = env.step(NOTHING)
+    np.testing.assert_array_equal(outcome.terminated[0], [False, True])
+    np.testing.assert_array_equal(outcome.rewards[0], [1, -5])
+    np.testing.assert_array_equal(outcome.final_observations[0, 1, 1:], [2, 1])
+    np.testing.assert_array_equal(observed.alive[0], [True, False])
+    outcome, observed = env.step(NOTHING)
+    np.testing.assert_array_equal(outcome.rewards[0], [1, 0])
+    np.testing.assert_array_equal(outcome.acting[0], [True, False])
+    assert not (outcome.terminated | outcome.truncated).any()
+    assert not observed.alive[0, 1]
+    outcome, observed = env.step(NOTHING)
+    np.testing.assert_array_equal(outcome.truncated[0], [True, False])
+    np.testing.assert_array_equal(outcome.terminated[0], [False, True])
+    assert outcome.episode_ended.all()
+    assert observed.alive.all()
+
+
+def test_only_agents_that_are_there_are_given_actions() -> None:
+    made = Scripted(kill_b_at_two)
+    env = ParallelEnvBatch(lambda: made, 1, "scripted", agents_come_and_go=True)
+    env.reset(seeds(1))
+    for _ in range(4):
+        env.step(np.array([[1, 0]]))
+    assert made.given == [{"a": 1, "b": 0}, {"a": 1, "b": 0}, {"a": 1}, {"a": 1}]
+
+
+def test_an_agent_may_not_leave_early_unless_that_is_declared() -> None:
+    env = batch(kill_b_at_two)
+    env.reset(seeds())
+    env.step(NOTHING)
+    with pytest.raises(HeadwayError, match="'scripted': agent 'b' of copy 0 is not there at step 2"):
+        env.step(NOTHING)
+
+
+def leave_at_two(env: Scripted) -> None:
+    """Leave without a word, as PettingZoo's tests forbid and some environments do."""
+    if env.steps == 2:
+        env.agents.remove("b")
+
+
+def test_an_agent_that_is_away_at_the_end_is_truncated_with_its_last_observation() -> None:
+    env = batch(leave_at_two, agents_come_and_go=True)
+    env.reset(seeds())
+    for _ in range(3):
+        outcome, _ = env.step(NOTHING)
+        assert not (outcome.terminated | outcome.truncated).any()
+    outcome, _ = env.step(NOTHING)
+    assert outcome.truncated.all()
+    np.testing.assert_array_equal(outcome.final_observations[0, :, 1:], [[4, 0], [2, 1]])
+
+
+def away_at_one_and_two(env: Scripted) -> None:
+    """Absent rows are NaN; the key is missing again when the agent is back."""
+    if env.steps in (1, 2):
+        env.infos["b"] = {"alive": False}
+        env.observations["b"] = np.full(3, np.nan)
+    if env.steps == 2:
+        env.infos["a"] = {"acting": False}
+
+
+def test_infos_say_who_is_alive_and_who_acted() -> None:
+    env = batch(away_at_one_and_two, agents_come_and_go=True)
+    assert env.reset(seeds()).alive.all()
+    outcome, observed = env.step(NOTHING)
+    assert outcome.acting.all()
+    np.testing.assert_array_equal(observed.alive[0], [True, False])
+    outcome, observed = env.step(NOTHING)
+    np.testing.assert_array_equal(outcome.acting[0], [False, False])
+    outcome, observed = env.step(NOTHING)
+    np.testing.assert_array_equal(outcome.acting[0], [True, False])
+    assert observed.alive.all()
+
+
+def mask_by_step(env: Scripted) -> None:
+    env.infos["a"] = {"action_mask": np.array([env.steps % 2 == 0, True])}
+
+
+def test_masks_and_metrics_are_read_from_infos() -> None:
+    def script(env: Scripted) -> None:
+        mask_by_step(env)
+        if env.steps == env.length:
+            env.infos["b"] = {"episode_metrics": {"score": 7.5}}
+
+    env = ParallelEnvBatch(lambda: Scripted(script, episode_metrics=("score", "other")), 2, "scripted")
+    assert env.spec.has_action_mask
+    assert env.spec.metrics == ("score", "other")
+    observed = env.reset(seeds())
+    for step in range(1, 5):
+        outcome, observed = env.step(NOTHING)
+        assert observed.action_masks is not None
+        row = [(step % 4) % 2 == 0, True]
+        np.testing.assert_array_equal(observed.action_masks[0], [row, [True, True]])
+    np.testing.assert_array_equal(outcome.metrics[0], [7.5, np.nan])
+
+
+def test_a_live_agent_without_any_allowed_action_is_refused() -> None:
+    def script(env: Scripted) -> None:
+        env.infos["b"] = {"action_mask": np.full(2, env.steps != 1)}
+
+    env = batch(script)
+    env.reset(seeds())
+    with pytest.raises(HeadwayError, match="allows agent 'b' of copy 0 no action at step 1"):
+        env.step(NOTHING)
+
+
+def test_termination_hides_truncation() -> None:
+    def script(env: Scripted) -> None:
+        if env.steps == 4:
+            env.terminated = dict.fromkeys(env.agents, True)
+
+    env = batch(script)
+    env.reset(seeds())
+    for _ in range(4):
+        outcome, _ = env.step(NOTHING)
+    assert outcome.terminated.all()
+    assert not outcome.truncated.any()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "what"),
+    [
+        ("observations", np.array([0, np.nan, 0]), "an observation.*component 1 is nan"),
+        ("rewards", np.inf, "a reward.*component 0 is inf"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_named(field: str, value: object, what: str) -> None:
+    def script(env: Scripted) -> None:
+        if env.steps == 3 and env.start == episode_seed(1, 0) % 1000:
+            getattr(env, field)["b"] = value
+
+    env = batch(script)
+    env.reset(seeds())
+    env.step(NOTHING)
+    env.step(NOTHING)
+    with pytest.raises(HeadwayError, match=f"'scripted' gave {what.split('.*')[0]}") as caught:
+        env.step(NOTHING)
+    assert "copy 1, agent 'b', step 3" in str(caught.value)
+    assert what.split(".*")[1] in str(caught.value)
+
+
+def test_spaces_that_differ_are_refused_until_padded() -> None:
+    def differing() -> Scripted:
+        return Scripted(
+            observation_spaces={"a": spaces.Box(-9, 2**31, (3,)), "b": spaces.Box(-9, 2**31, (5,))},
+            action_spaces={"a": spaces.Discrete(2), "b": spaces.Discrete(4)},
+        )
+
+    with pytest.raises(HeadwayError, match=r"different observation spaces \(a: .*; b: .*pad_observations_v0"):
+        ParallelEnvBatch(differing, 1, "scripted")
+    with pytest.raises(HeadwayError, match=r"different action spaces \(a: .*; b: .*pad_action_space_v0"):
+        ParallelEnvBatch(lambda: supersuit.pad_observations_v0(differing()), 1, "scripted")
+    env = ParallelEnvBatch(
+        lambda: supersuit.pad_action_space_v0(supersuit.pad_observations_v0(differing())), 1, "scripted"
+    )
+    assert env.spec.observation_size == 5
+    assert env.spec.action_space == Discrete(4)
+    env.reset(seeds(1))
+    env.step(np.array([[3, 3]]))
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"observation_spaces": dict.fromkeys("ab", spaces.Discrete(3))}, "agent 'a' observes a Discrete"),
+        ({"observation_spaces": dict.fromkeys("ab", spaces.Dict({}))}, r"info\['action_mask'\]"),
+        ({"action_spaces": dict.fromkeys("ab", spaces.Tuple(()))}, "agent 'a' acts in a Tuple"),
+    ],
+)
+def test_spaces_of_other_kinds_are_refused(keywords: dict[str, Any], message: str) -> None:
+    with pytest.raises(HeadwayError, match=message):
+        ParallelEnvBatch(lambda: Scripted(**keywords), 1, "scripted")
+
+
+@pytest.mark.parametrize(
+    ("space", "kind", "actions", "given"),
+    [
+        (spaces.Discrete(3, start=5), Discrete(3), [[0, 2]], [5, 7]),
+        (spaces.MultiDiscrete([2, 4]), MultiDiscrete((2, 4)), [[[1, 3], [0, 2]]], [[1, 3], [0, 2]]),
+        (
+            spaces.Box(-1, 1, (1, 2), np.float64),
+            Box((-1.0, -1.0), (1.0, 1.0)),
+            [[[0.5, 3.0], [-3.0, 0.0]]],
+            [[[0.5, 1.0]], [[-1.0, 0.0]]],
+        ),
+    ],
+)
+def test_actions_arrive_as_the_environments_own_space_has_them(
+    space: Space, kind: object, actions: list[Any], given: list[Any]
+) -> None:
+    made = Scripted(action_spaces=dict.fromkeys("ab", space))
+    env = ParallelEnvBatch(lambda: made, 1, "scripted")
+    assert env.spec.action_space == kind
+    env.reset(seeds(1))
+    env.step(np.array(actions))
+    for agent, expected in zip("ab", given, strict=True):
+        np.testing.assert_array_equal(made.given[0][agent], expected)
+        assert space.contains(made.given[0][agent])
+
+
+def test_what_infos_say_survives_supersuits_wrappers() -> None:
+    entry = ENTRIES["visitors"]
+    parallel_env, config = entry.parallel_env, entry.config()
+    assert parallel_env is not None
+
+    def wrapped() -> object:
+        return supersuit.agent_indicator_v0(supersuit.frame_stack_v1(parallel_env(config), 2))
+
+    plain = play(lambda copies: ParallelEnvBatch(lambda: parallel_env(config), copies, "visitors"))
+    other = play(lambda copies: ParallelEnvBatch(wrapped, copies, "visitors"))
+    assert other.spec.observation_size == 2 * plain.spec.observation_size + plain.spec.num_agents
+    for name in (
+        "alive",
+        "acting",
+        "action_masks",
+        "actions",
+        "rewards",
+        "terminated",
+        "truncated",
+        "states",
+    ):
+        np.testing.assert_array_equal(getattr(other.trajectory, name), getattr(plain.trajectory, name), name)
+    np.testing.assert_array_equal(other.metrics, plain.metrics)
+
+
+def test_observations_of_more_axes_are_flattened() -> None:
+    made = Scripted(observation_spaces=dict.fromkeys("ab", spaces.Box(-9, 2**31, (2, 3))))
+    env = ParallelEnvBatch(lambda: made, 1, "scripted")
+    assert env.spec.observation_size == 6
+    np.testing.assert_array_equal(env.reset(seeds(1)).observations[0, 1, 1:], [0, 1, 0, 0, 0])
+
+
+def test_observations_of_another_shape_than_promised_are_named() -> None:
+    def script(env: Scripted) -> None:
+        if env.steps == 1:
+            env.observations["b"] = np.zeros(4)
+
+    env = batch(script)
+    env.reset(seeds())
+    with pytest.raises(HeadwayError, match=r"'b': \(4,\).*should be given 3 numbers"):
+        env.step(NOTHING)
+
+
+def test_an_agent_that_was_never_announced_is_named() -> None:
+    def script(env: Scripted) -> None:
+        env.agents = ["a", "stranger"]
+
+    env = batch()
+    env._envs[0].script = script  # type: ignore[attr-defined]  # ours is a Scripted
+    with pytest.raises(HeadwayError, match="agent 'stranger', which is not in its possible_agents"):
+        env.reset(seeds())
+
+
+def test_an_environment_without_agents_is_refused() -> None:
+    made = Scripted()
+    made.possible_agents = []
+    with pytest.raises(HeadwayError, match="has no possible_agents"):
+        ParallelEnvBatch(lambda: made, 1, "scripted")
+
+
+def test_there_are_no_snapshots() -> None:
+    env = batch()
+    assert not env.spec.snapshots
+    with pytest.raises(HeadwayError, match="has no snapshots"):
+        env.snapshot()
+
+
+def test_the_state_is_used_where_there_is_one() -> None:
+    class WithState(Scripted):
+        def state(self) -> NDArray[np.float64]:
+            return np.array([self.start, self.steps], dtype=np.float64)
+
+    assert batch().spec.state_size == 0
+    env = ParallelEnvBatch(WithState, 1, "scripted")
+    observed = env.reset(seeds(1))
+    first, second = (episode_seed(0, episode) % 1000 for episode in (0, 1))
+    np.testing.assert_array_equal(observed.states, [[first, 0]])
+    for _ in range(4):
+        outcome, observed = env.step(NOTHING[:1])
+    np.testing.assert_array_equal(outcome.final_states, [[first, 4]])
+    np.testing.assert_array_equal(observed.states, [[second, 0]])

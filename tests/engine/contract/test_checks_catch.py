@@ -1,0 +1,113 @@
+"""The checks of the contract fail for an environment that breaks it, each for its own reason."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from headway.adapters.conformance import CHECKS, play
+from headway.contracts import EnvSpec, HeadwayError, Observed, Outcome
+from headway_envs.toy.visitors import Visitors, VisitorsConfig
+
+Change = Callable[[Outcome, Observed, int], None]
+
+
+class Broken(Visitors):
+    """Visitors with one promise broken: `change` spoils what each step returns."""
+
+    def __init__(self, copies: int, change: Change, promises: Mapping[str, Any]) -> None:
+        super().__init__(VisitorsConfig(), copies)
+        self._change, self._calls = change, 0
+        self._promised = dataclasses.replace(super().spec, **promises)
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._promised
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        outcome, observed = super().step(actions)
+        self._calls += 1
+        self._change(outcome, observed, self._calls)
+        return outcome, observed
+
+
+def keep(outcome: Outcome, observed: Observed, call: int) -> None:
+    pass
+
+
+def act_while_away(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.acting.fill(True)
+
+
+def set_both(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.truncated[outcome.episode_ended] = True
+    outcome.terminated[outcome.episode_ended] = True
+
+
+def leave_one_running(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.terminated[:, 0] = outcome.truncated[:, 0] = False
+
+
+def return_from_the_end(outcome: Outcome, observed: Observed, call: int) -> None:
+    observed.alive.fill(True)
+    np.nan_to_num(observed.observations, copy=False)
+
+
+def allow_nothing(outcome: Outcome, observed: Observed, call: int) -> None:
+    assert observed.action_masks is not None
+    observed.action_masks[:, :3] = False
+
+
+def pay_by_call(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.rewards[:] += call % 11
+
+
+def pay_by_neighbour(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.rewards[:] += outcome.rewards[-1].sum()
+
+
+def spoil_metrics(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.metrics.fill(np.nan)
+
+
+@pytest.mark.parametrize(
+    ("check", "change", "spec"),
+    [
+        ("alive", act_while_away, {}),
+        ("alive", return_from_the_end, {}),
+        ("alive", keep, {"agents_come_and_go": False}),
+        ("ends", set_both, {}),
+        ("ends", leave_one_running, {}),
+        ("ends", spoil_metrics, {}),
+        ("masks", allow_nothing, {}),
+        ("shared reward", keep, {"shared_reward": True}),
+        ("determinism", pay_by_call, {}),
+        ("copies", pay_by_neighbour, {}),
+        ("snapshots", pay_by_call, {}),
+        ("snapshots", keep, {"snapshots": False}),
+        ("spec", keep, {"groups": ("one",)}),
+    ],
+)
+def test_a_broken_promise_is_caught(check: str, change: Change, spec: dict[str, Any]) -> None:
+    def make(copies: int) -> Broken:
+        return Broken(copies, change, spec)
+
+    with pytest.raises(AssertionError):
+        CHECKS[check](make, play(make))
+
+
+def test_promised_masks_that_are_missing_are_caught() -> None:
+    with pytest.raises(AssertionError, match="does not promise"):
+        play(lambda copies: Broken(copies, keep, {"has_action_mask": False}))
+
+
+def test_nan_in_a_live_row_is_caught_while_playing() -> None:
+    def spoil(outcome: Outcome, observed: Observed, call: int) -> None:
+        if call == 4:
+            observed.observations[1] = np.nan
+
+    with pytest.raises(HeadwayError, match=r"'visitors'.*copy 1, agent 'visitor_\d', step 4"):
+        play(lambda copies: Broken(copies, spoil, {}))

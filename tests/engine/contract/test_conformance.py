@@ -1,0 +1,100 @@
+"""Every registered environment, native and through its ParallelEnv, keeps the contract."""
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+from headway.adapters.conformance import CHECKS, Make, play
+from headway.adapters.gymnasium import GymnasiumBatch
+from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
+from headway.adapters.recording import Recording
+from headway.contracts import EnvEntry
+from headway_envs.entries import ENTRIES
+
+WITH_PARALLEL_ENV = [name for name, entry in ENTRIES.items() if entry.parallel_env is not None]
+
+
+def native(entry: EnvEntry) -> Make:
+    return lambda copies: entry.make(entry.prepare(entry.config()), copies)
+
+
+def adapted(name: str) -> Make:
+    entry = ENTRIES[name]
+    config, parallel_env = entry.config(), entry.parallel_env
+    assert parallel_env is not None
+    shared = native(entry)(1).spec.shared_reward
+    return lambda copies: ParallelEnvBatch(lambda: parallel_env(config), copies, name, shared_reward=shared)
+
+
+def gymnasium_batch(name: str) -> Make:
+    return lambda copies: GymnasiumBatch(lambda: gymnasium.make(name), copies, name)
+
+
+CASES: dict[str, Callable[[], Make]] = {
+    **{name: partial(native, entry) for name, entry in ENTRIES.items()},
+    **{f"{name} adapted": partial(adapted, name) for name in WITH_PARALLEL_ENV},
+    **{name: partial(gymnasium_batch, name) for name in ("CartPole-v1", "Pendulum-v1")},
+}
+RECORDED: dict[str, Recording] = {}
+
+
+def recorded(case: str) -> Recording:
+    if case not in RECORDED:
+        RECORDED[case] = play(CASES[case]())
+    return RECORDED[case]
+
+
+@pytest.mark.parametrize("check", CHECKS)
+@pytest.mark.parametrize("case", CASES)
+def test_keeps_the_contract(case: str, check: str) -> None:
+    CHECKS[check](CASES[case](), recorded(case))
+
+
+@pytest.mark.parametrize("name", WITH_PARALLEL_ENV)
+def test_batched_and_parallel_env_are_the_same_game(name: str) -> None:
+    """Episode i of the adapter is episode 0 of the batch with the seed that the adapter derives for i."""
+    config = ENTRIES[name].config()
+    env = native(ENTRIES[name])(1)
+    through = recorded(f"{name} adapted").of_copy(0)
+    track, start = through.trajectory, 0
+    for episode in range(int(through.episode_ended.sum())):
+        observed = env.reset(np.array([episode_seed(5, episode)], dtype=np.uint64))
+        gone = np.zeros(env.spec.num_agents, dtype=np.bool_)
+        for step in range(start, through.steps):
+            np.testing.assert_array_equal(observed.alive, track.alive[step])
+            live = observed.alive
+            np.testing.assert_array_equal(observed.observations[live], track.observations[step][live])
+            np.testing.assert_array_equal(observed.states, track.states[step])
+            if observed.action_masks is not None:
+                np.testing.assert_array_equal(observed.action_masks[live], track.action_masks[step][live])
+            outcome, observed = env.step(track.actions[step])
+            for field in ("rewards", "terminated", "truncated", "acting"):
+                np.testing.assert_array_equal(getattr(outcome, field), getattr(track, field)[step], field)
+            # An agent that had ended before is only marked again: its final observation was given then.
+            over = (outcome.terminated | outcome.truncated) & ~gone
+            np.testing.assert_array_equal(
+                outcome.final_observations[over], track.final_observations[step][over]
+            )
+            gone |= over[0]
+            if outcome.episode_ended[0]:
+                np.testing.assert_array_equal(outcome.final_states, track.final_states[step])
+                np.testing.assert_array_equal(outcome.metrics, through.metrics[step])
+                start = step + 1
+                break
+    assert start > 0, f"no episode of {config} ended within the recording"
+
+
+@pytest.mark.parametrize("name", WITH_PARALLEL_ENV)
+def test_passes_pettingzoos_own_tests(name: str) -> None:
+    entry = ENTRIES[name]
+    parallel_env, config = entry.parallel_env, entry.config()
+    assert parallel_env is not None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(parallel_env(config), num_cycles=300)
+        parallel_seed_test(lambda: parallel_env(config), num_cycles=50)
