@@ -168,7 +168,7 @@ class Critic(nn.Module):
                 loss_sum += loss.detach()
             self.optimiser.step()
             count += 1
-        return loss_sum / count
+        return loss_sum / max(count, 1)
 
     def absorb(self, trajectory: Trajectory) -> None:
         """Add an iteration's inputs to the normaliser's statistics (once an iteration, after learning)."""

@@ -128,6 +128,7 @@ def minibatches(
 
     Every network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts`
     equal minibatches, whatever the others have: so a network's updates do not depend on its stack.
+    Minibatches in which no network has a row are left out.
     """
     stack, batch = selected.shape
     candidates = [np.flatnonzero(row) for row in selected]
@@ -137,6 +138,8 @@ def minibatches(
         for part in range(parts):
             chunks = [rows[len(rows) * part // parts : len(rows) * (part + 1) // parts] for rows in shuffled]
             width = max(len(chunk) for chunk in chunks)
+            if width == 0:
+                continue
             index = np.zeros((stack, width), np.int64)
             weight = np.zeros((stack, width))
             for p, chunk in enumerate(chunks):

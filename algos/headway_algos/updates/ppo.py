@@ -110,7 +110,7 @@ def ppo(
             totals[:3] += _weighted(piece, kl, entropy, ((ratio - 1).abs() > config.clip).to(layout.dtype))
         totals[3] += optimiser.step()
         steps += 1
-    kl, entropy, clipped, norm = totals / steps
+    kl, entropy, clipped, norm = totals / max(steps, 1)
     info = {"kl": kl, "entropy": entropy, "clip_fraction": clipped, "gradient_norm": norm}
     if penalised:
         final_kl = _mean_kl(actor, rows, old_outputs, old_log_std, config)
