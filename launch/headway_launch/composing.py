@@ -14,6 +14,7 @@ from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries, algo_entry, env_entries, env_entry
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
+_DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     if "seed" in values:
         values["seed"] = parse_seeds(values["seed"])
     config = build(ExperimentConfig, values)
+    if not _DEVICE.fullmatch(config.device):
+        raise HeadwayError(f"device={config.device} is none; write auto, cpu, cuda or cuda:NUMBER")
     env = env_entry(config.env.id)
     hyper_parameters = dict(config.algo)
     name = hyper_parameters.pop("name", None)

@@ -47,7 +47,8 @@ class Conductor:
         self._experiment = jobs[0].experiment
         self._config: ExperimentConfig = self._experiment.config
         self._debug = debug
-        self._jobs = [_Job(job, JobProgress(job.seeds, self._config.iterations)) for job in jobs]
+        mode = self._config.evaluation.modes[0]
+        self._jobs = [_Job(job, JobProgress(job.seeds, self._config.iterations, mode)) for job in jobs]
         self._shares: Shares = share_cores(self._config.backend, len(jobs), usable_cores())
         seeds = sum(len(job.seeds) for job in jobs)
         require_free_disk(Path(self._config.store.root), seeds)

@@ -24,6 +24,8 @@ class JobProgress:
 
     seeds: tuple[int, ...]
     iterations: int
+    mode: str
+    """The evaluation mode whose return is shown."""
     status: Status = "waiting"
     iteration: int = 0
     env_steps: int = 0
@@ -40,7 +42,7 @@ class JobProgress:
                 # Speed counts from the end of the first iteration, which holds the start and compilation.
                 self.iteration, self.env_steps = iteration, env_steps
                 self._marks.append((now, iteration, env_steps))
-            case EvaluationFinished(mode=mode, curve=curve):
+            case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
                 returns = [float(row[f"evaluation_{mode}/return"]) for row in curve]
                 self.evaluation_return = sum(returns) / len(returns)
 

@@ -130,7 +130,8 @@ def evaluated_rules(experiment: "Experiment", prepared: object) -> dict[str, lis
 def print_results(
     config: ExperimentConfig, results: Sequence[SeedResult], rules: Mapping[str, Sequence[Row]]
 ) -> None:
-    """The table of seeds, mean and sample standard deviation of the finished ones, then the comparison with the rules."""
+    """The table of seeds, with mean and sample standard deviation of the finished ones, and the comparison
+    with the rules."""
     if not results:
         return
     rows = [result.cells for result in results]

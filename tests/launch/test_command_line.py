@@ -1,0 +1,70 @@
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from headway_launch.command_line import run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["rnu"], ["'rnu' is no command", "did you mean headway run?"]),
+        (["list", "experimens"], ["did you mean headway list experiments?"]),
+        (["list", "envs", "trivail"], ["did you mean trivial?"]),
+        (["list", "algos", "mapo"], ["did you mean mappo?"]),
+        (["list", "experiments", "bus_mapo"], ["did you mean bus_mappo?"]),
+        (["list"], ["KIND", "headway list --help"]),
+        (["run", "--fast"], ["--fast", "headway run --help"]),
+        (["run", "experiment=bus_mapo"], ["did you mean experiment=bus_mappo?"]),
+        (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
+        (["evaluate", "x", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
+        (["resume", "--store", "."], ["name a run or --study"]),
+    ],
+)
+def test_errors_are_one_line_with_the_fix_and_exit_code_2(
+    arguments: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("headway: ")
+    assert captured.err.count("\n") == 1
+    for part in parts:
+        assert part in captured.err
+
+
+@pytest.mark.parametrize("command", ["run", "sweep", "resume", "runs", "evaluate", "browse", "list"])
+def test_every_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert f"usage: headway {command}" in shown
+    assert "examples:" in shown
+
+
+def test_help_is_quick() -> None:
+    began = time.monotonic()
+    shown = subprocess.run(
+        [sys.executable, "-m", "headway_launch", "--help"], capture_output=True, text=True, check=True
+    ).stdout
+    assert "headway run" in shown
+    assert time.monotonic() - began < 5  # 0.1 s alone; a busy machine is slower
+
+
+def test_lists_are_tables_with_tabs_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["list", "algos", "mappo"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split("\t") == ["key", "type", "default", "meaning"]
+    assert any(line.startswith("algo.lr\tnumber\t") for line in lines)
+
+
+def test_debug_shows_the_traceback() -> None:
+    with pytest.raises(Exception, match="no command"):
+        run(["--debug", "rnu"])
+
+
+def test_an_empty_store_has_no_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["runs", "--store", str(tmp_path), "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out) == []

@@ -1,0 +1,95 @@
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_launch.composing import compose, groups, resolve, summary_of
+from headway_launch.planning import cell_parameters, full_mapping, plan_jobs, share_cores
+
+
+def test_overrides_reach_keys_that_no_file_has() -> None:
+    experiment = compose(
+        ["env=trivial", "algo=ippo", "algo.lr=3e-4", "env.args.agents=3", "rollout.steps=1e2", "seed=0..2"]
+    )
+    assert experiment.algo_config.lr == 3e-4
+    assert experiment.env_config.agents == 3
+    assert experiment.config.rollout.steps == 100
+    assert experiment.config.seed == (0, 1, 2)
+
+
+def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
+    experiment = compose(["env=trivial", "preset=paper", "algo.clip=0.1", "rollout=short"])
+    assert experiment.algo_config.gae_lambda == 1.0
+    assert experiment.algo_config.clip == 0.1
+    assert experiment.config.rollout.steps == 128
+
+
+@pytest.mark.parametrize("seeds", ["0,1,2", "[0,1,2]", "0..2", "range(0,3)"])
+def test_every_seed_form_works_as_an_override(seeds: str) -> None:
+    assert compose(["env=trivial", f"seed={seeds}"]).config.seed == (0, 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("override", "parts"),
+    [
+        ("algo.lrr=3e-4", ["algo.lrr is not a key of mappo", "did you mean algo.lr?"]),
+        ("rolout.steps=3", ["rolout is not a key", "did you mean rollout?"]),
+        ("rollout.stesp=3", ["did you mean rollout.steps?"]),
+        ("env.args.agent=3", ["env.args.agent is not a key of trivial", "did you mean env.args.agents?"]),
+        ("algo.lr=fast", ["algo.lr='fast' is text, where number is wanted"]),
+        ("rollout.steps=true", ["rollout.steps=true is true or false"]),
+        ("algo.gamma=2", ["algo.gamma must lie in [0, 1]"]),
+        ("rollout.block=3", ["rollout.block 3 must divide copies 8"]),
+        ("algo=mapo", ["algo=mapo", "did you mean algo=mappo?"]),
+        ("experiment=bus_mapo", ["did you mean experiment=bus_mappo?"]),
+        ("env=trivail", ["did you mean env=trivial?"]),
+        ("algo=ippo,mappo", ["one option at a time"]),
+        ("env.id=bsu", ["'bsu' is no environment"]),
+        ("algo.name=ipo", ["'ipo' is no algorithm", "did you mean ippo?"]),
+        ("seed=1..x", ["seed=1..x is not a list of seeds", "0..49"]),
+        ("seed=1,1", ["seeds must differ"]),
+        ("bus_mappo", ["write key=value", "did you mean experiment=bus_mappo?"]),
+        ("algo.model.hidden=[32", ["the configuration cannot be composed"]),
+        ("algo.lr=${nowhere}", ["the configuration cannot be composed", "nowhere"]),
+        ("env.args._target_=os.system", ["_target_ is not allowed"]),
+        ("device=gpu", ["device", "cuda"]),
+    ],
+)
+def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> None:
+    with pytest.raises(HeadwayError) as caught:
+        compose(["env=trivial", override])
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message
+
+
+def test_a_rule_that_is_not_there_is_refused_before_anything_starts() -> None:
+    experiment = compose(["env=trivial", "evaluation.rules=[optimum]"])
+    with pytest.raises(HeadwayError, match=r"'optimum' is no rule of trivial; did you mean optimal\?"):
+        experiment.prepare()
+
+
+def test_a_stored_configuration_gives_the_same_experiment() -> None:
+    experiment = compose(["env=trivial", "preset=paper", "seed=0..3"])
+    again = resolve(full_mapping(experiment, [2]))
+    assert again.algo_config == experiment.algo_config
+    assert again.env_config == experiment.env_config
+    assert again.config.seed == (2,)
+    assert cell_parameters(again) == cell_parameters(experiment)
+
+
+@pytest.mark.parametrize("option", groups()["experiment"])
+def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
+    assert summary_of("experiment", option)
+    assert compose([f"experiment={option}"]).config.study
+
+
+def test_jobs_are_stacks_of_seeds_in_order() -> None:
+    jobs = plan_jobs(compose(["env=trivial", "seed=0..4", "backend.stack=2"]))
+    assert [job.seeds for job in jobs] == [(0, 1), (2, 3), (4,)]
+
+
+def test_cores_go_to_training_processes_first() -> None:
+    backend = compose(["env=trivial"]).config.backend
+    assert (share_cores(backend, 50, 16).parallel, share_cores(backend, 50, 16).workers) == (16, 1)
+    assert (share_cores(backend, 4, 16).parallel, share_cores(backend, 4, 16).workers) == (4, 4)
+    assert (share_cores(backend, 1, 2).parallel, share_cores(backend, 1, 2).workers) == (1, 2)
