@@ -83,7 +83,8 @@ class BusBatchedEnv:
         if actions.shape != self._never.shape:
             raise ValueError(f"actions must have shape {self._never.shape}, not {actions.shape}")
         outputs = self.outputs
-        tick.step(self.network, self.settings, self.world, outputs, actions)
+        if tick.step(self.network, self.settings, self.world, outputs, actions):
+            tick.turn(self.network, self.settings, self.world, outputs)
         self._terminated[...] = outputs.ended[:, None]
         outcome = Outcome(
             rewards=outputs.rewards,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.compiled import compiled, compiled_allocating
 from headway_envs.bus.kernel.draws import (
     DAY,
     DEMAND_DAY,
@@ -38,7 +38,7 @@ def _draw_congestion(k: np.void, world: World, c: int) -> None:
         network = kept * network + math.sqrt(1.0 - kept * kept) * normal(key, NETWORK, edge + 1, 0)
 
 
-@compiled
+@compiled_allocating
 def begin_day(net: Network, k: np.void, world: World, c: int, seed: np.uint64, episode: int) -> None:
     """Reset copy c to the first instant of day `episode`."""
     world.days[c : c + 1] = np.zeros(1, world.days.dtype)
@@ -87,7 +87,7 @@ def quantile_of_counts(counts: NDArray[np.uint32], share: float) -> float:
     return 0.0
 
 
-@compiled
+@compiled_allocating
 def end_day(net: Network, k: np.void, world: World, c: int, metrics: NDArray[np.float64]) -> None:
     """Fill the episode metrics, in the order of `layout.METRICS`. Those left waiting count with their wait
     so far."""

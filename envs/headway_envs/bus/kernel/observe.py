@@ -174,7 +174,7 @@ def observe_state(
         _observe_line(net, k, world, c, line, state[place : place + LINE_STATE])
         place += LINE_STATE
     if k.full_state:
-        size = observations.shape[1]
         for n in range(observations.shape[0]):
-            state[place : place + size] = observations[n]
-            place += size
+            for feature in range(observations.shape[1]):
+                state[place] = observations[n, feature]
+                place += 1

@@ -1,9 +1,9 @@
-"""The two entries of the kernel: begin, and step."""
+"""The entries of the kernel: begin, step, and the turn of the day."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.compiled import compiled, compiled_allocating
 from headway_envs.bus.kernel.day import begin_day, end_day
 from headway_envs.bus.kernel.layout import Network, Outputs, World
 from headway_envs.bus.kernel.motion import advance
@@ -26,7 +26,7 @@ def _space(net: Network, k: np.void, world: World, c: int) -> None:
         space_line(net, k, world, c, line)
 
 
-@compiled
+@compiled_allocating
 def _begin(
     net: Network, k: np.void, world: World, outputs: Outputs, c: int, seed: np.uint64, episode: int
 ) -> None:
@@ -36,7 +36,7 @@ def _begin(
     _look(net, k, world, outputs, c)
 
 
-@compiled
+@compiled_allocating
 def begin(
     net: Network, settings: NDArray[np.void], world: World, outputs: Outputs, seeds: NDArray[np.uint64]
 ) -> None:
@@ -52,18 +52,28 @@ def step(
     world: World,
     outputs: Outputs,
     actions: NDArray[np.int64],
-) -> None:
-    """Advance every copy by one control interval; a copy whose day is over begins the next one."""
+) -> bool:
+    """Advance every copy by one control interval; returns whether the day of any has ended, which `turn`
+    must then follow."""
     k = settings[0]
+    ended = False
     for c in range(actions.shape[0]):
         outputs.acting[c] = False
         advance(net, k, world, c, actions[c], outputs.acting[c])
         _space(net, k, world, c)
         pay(net, k, world, c, outputs.rewards[c])
-        ended = world.days[c].now >= k.end_s
-        outputs.ended[c] = ended
         _look(net, k, world, outputs, c)
-        if ended:
+        outputs.ended[c] = world.days[c].now >= k.end_s
+        ended = ended or outputs.ended[c]
+    return ended
+
+
+@compiled_allocating
+def turn(net: Network, settings: NDArray[np.void], world: World, outputs: Outputs) -> None:
+    """Close the books of every copy whose day has ended, and begin its next day."""
+    k = settings[0]
+    for c in range(outputs.ended.shape[0]):
+        if outputs.ended[c]:
             outputs.final_observations[c] = outputs.observations[c]
             outputs.final_states[c] = outputs.states[c]
             end_day(net, k, world, c, outputs.metrics[c])
