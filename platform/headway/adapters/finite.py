@@ -1,11 +1,14 @@
 """NaN and infinity are found where they arise, not in a loss many steps later."""
 
+from math import isfinite
+
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, HeadwayError, Observed, Outcome
 
 
+@np.errstate(over="ignore")
 def check_finite(
     spec: EnvSpec, outcome: Outcome | None, observed: Observed, step: int, first_copy: int = 0
 ) -> None:
@@ -18,22 +21,28 @@ def check_finite(
     `step` and `first_copy` (the global index of copy 0) only make the message exact. Raises HeadwayError
     naming the environment, the copy, the agent and the step.
     """
-    if not np.isfinite(observed.observations).all():
+    if not _surely_finite(observed.observations):
         _check_rows(spec, "an observation", observed.observations, observed.alive, step, first_copy)
-    if observed.states.size and not np.isfinite(observed.states).all():
+    if not _surely_finite(observed.states):
         _check_states(spec, "the state", observed.states, None, step, first_copy)
     if outcome is None:
         return
-    if not np.isfinite(outcome.rewards).all():
+    if not _surely_finite(outcome.rewards):
         everyone = np.ones_like(observed.alive)
         _check_rows(spec, "a reward", outcome.rewards[..., None], everyone, step, first_copy)
-    ended = outcome.terminated | outcome.truncated
-    if not ended.any():
+    if not (outcome.terminated.any() or outcome.truncated.any()):
         return
-    if not np.isfinite(outcome.final_observations).all():
+    ended = outcome.terminated | outcome.truncated
+    if not _surely_finite(outcome.final_observations):
         _check_rows(spec, "a final observation", outcome.final_observations, ended, step, first_copy)
-    if not np.isfinite(outcome.final_states).all():
+    if not _surely_finite(outcome.final_states):
         _check_states(spec, "the final state", outcome.final_states, outcome.episode_ended, step, first_copy)
+
+
+def _surely_finite(values: NDArray[np.float32]) -> bool:
+    """One product, several times faster than looking at each number; false too where squares overflow."""
+    flat = values.reshape(-1)
+    return isfinite(flat.dot(flat))
 
 
 def _check_rows(

@@ -80,6 +80,8 @@ class ParallelEnvBatch:
         max_copies_per_process: int | None = None,
     ) -> None:
         """`agents_come_and_go` and `metrics` default to what the environment's metadata and infos say."""
+        if copies < 1:
+            raise HeadwayError(f"environment '{name}' needs at least 1 copy, not {copies}")
         self._envs: list[ParallelEnv] = [make_parallel_env() for _ in range(copies)]
         first = self._envs[0]
         agents = tuple(getattr(first, "possible_agents", ()))
@@ -153,6 +155,8 @@ class ParallelEnvBatch:
         return len(self._envs)
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        if len(seeds) != self.num_copies:
+            raise ValueError(f"reset takes one seed a copy: {self.num_copies}, not {len(seeds)}")
         self._seeds = [int(seed) for seed in seeds]
         self._steps = 0
         for copy in range(self.num_copies):
@@ -216,7 +220,7 @@ class ParallelEnvBatch:
             and True not in terminated.values()
             and True not in truncated.values()
         ):
-            self._outcome.rewards[copy] = [rewards[agent] for agent in agents]
+            self._outcome.rewards[copy] = [rewards.get(agent, 0.0) for agent in agents]
             if self._spec.agents_come_and_go:
                 self._observed.alive[copy] = True
         else:

@@ -370,6 +370,13 @@ def test_an_environment_without_agents_is_refused() -> None:
         ParallelEnvBatch(lambda: made, 1, "scripted")
 
 
+def test_copies_and_seeds_are_counted() -> None:
+    with pytest.raises(HeadwayError, match="at least 1 copy, not 0"):
+        ParallelEnvBatch(Scripted, 0, "scripted")
+    with pytest.raises(ValueError, match="one seed a copy: 2, not 3"):
+        batch().reset(seeds(3))
+
+
 def test_there_are_no_snapshots() -> None:
     env = batch()
     assert not env.spec.snapshots

@@ -51,11 +51,6 @@ def leave_one_running(outcome: Outcome, observed: Observed, call: int) -> None:
     outcome.terminated[:, 0] = outcome.truncated[:, 0] = False
 
 
-def return_from_the_end(outcome: Outcome, observed: Observed, call: int) -> None:
-    observed.alive.fill(True)
-    np.nan_to_num(observed.observations, copy=False)
-
-
 def allow_nothing(outcome: Outcome, observed: Observed, call: int) -> None:
     assert observed.action_masks is not None
     observed.action_masks[:, :3] = False
@@ -77,7 +72,6 @@ def spoil_metrics(outcome: Outcome, observed: Observed, call: int) -> None:
     ("check", "change", "spec"),
     [
         ("alive", act_while_away, {}),
-        ("alive", return_from_the_end, {}),
         ("alive", keep, {"agents_come_and_go": False}),
         ("ends", set_both, {}),
         ("ends", leave_one_running, {}),
