@@ -44,13 +44,16 @@ class StackedActingPolicy:
     hidden: tuple[int, ...]
     activation: str
     precision: str
+    normalise: bool
+    """Observations are normalised, and cut, before the network."""
 
     @classmethod
     def of(cls, config: AlgoConfig, spec: EnvSpec) -> "StackedActingPolicy":
         """The policy of an algorithm's config on an environment."""
         actor_outputs(spec)
-        grouping = Grouping.of(config.policies, spec)
-        return cls(spec, grouping, config.model.hidden, config.model.activation, config.precision)
+        model, grouping = config.model, Grouping.of(config.policies, spec)
+        normalise = config.normalise_observations
+        return cls(spec, grouping, model.hidden, model.activation, config.precision, normalise)
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
         """Names are those of the actor's tensors, besides the observation normaliser's mean and scale."""
@@ -81,7 +84,9 @@ class StackedActingPolicy:
         replicas = stack // self.grouping.num_policies
         rows = self.grouping.gather(observed.observations[None], replicas)
         if self.spec.agents_come_and_go:
-            rows[~self.grouping.gather(observed.alive[None], replicas)] = 0
+            # Not in place: rows can be a view of the environment's own memory.
+            alive = self.grouping.gather(observed.alive[None], replicas)
+            rows = np.where(alive[..., None], rows, np.float32(0))
         outputs = self.grouping.scatter(self._forward(parameters, rows), replicas, steps=1)[0]
         if isinstance(self.spec.action_space, Discrete):
             masks = observed.action_masks
@@ -93,8 +98,11 @@ class StackedActingPolicy:
 
     def _forward(self, parameters: Parameters, rows: NDArray[np.float32]) -> NDArray[Any]:
         """Network outputs (P, B, outputs) of observations (P, B, D)."""
-        x = (rows - parameters["observation_mean"]) * parameters["observation_scale"]
-        x = np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP, out=x).swapaxes(1, 2)
+        x: NDArray[Any] = rows
+        if self.normalise:
+            x = (rows - parameters["observation_mean"]) * parameters["observation_scale"]
+            np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP, out=x)
+        x = x.swapaxes(1, 2)
         last = len(self.hidden)
         for i in range(last + 1):
             x = np.matmul(parameters[f"weight_{i}"], x)
