@@ -102,6 +102,8 @@ class Ledger:
     def __init__(self, began: float, cores: int, memory_bytes: int) -> None:
         self._bounds = [began]
         self._increments: list[Increment] = []
+        self._machine = np.zeros((0, 4))
+        """(intervals, 4): kWh of CPU, GPU and RAM, and kg CO2eq; 0 where unknown."""
         self._cores, self._memory_bytes = cores, memory_bytes
         self._accounts: dict[str, _Account] = {}
         self._settled: dict[str, Energy] = {}
@@ -132,6 +134,8 @@ class Ledger:
         """End the open interval with what the machine used in it."""
         self._bounds.append(time)
         self._increments.append(increment)
+        parts = (increment.cpu_kwh, increment.gpu_kwh, increment.ram_kwh, increment.kg_co2)
+        self._machine = np.vstack([self._machine, [part or 0.0 for part in parts]])
         self._spent = np.vstack([self._spent, np.zeros((1, 4))])
 
     def settle(self, job: str) -> Energy:
@@ -154,22 +158,17 @@ class Ledger:
     def idle(self) -> Energy:
         """What no job has used."""
         spent = self._spent + sum(self._used().values(), np.zeros_like(self._spent))
-        rest = np.column_stack([np.zeros(len(spent)), self._machine() - spent[:, 1:]])
+        rest = np.column_stack([np.zeros(len(spent)), self._machine[:, :3] - spent[:, 1:]])
         return self._energy(np.maximum(rest, 0.0), None)
 
     def total(self) -> Energy:
         """What the machine has used."""
-        parts = np.column_stack([np.zeros(len(self._increments)), self._machine()])
+        parts = np.column_stack([np.zeros(len(self._increments)), self._machine[:, :3]])
         return self._energy(parts, None)
-
-    def _machine(self) -> _Shares:
-        """(intervals, 3): kWh of CPU, GPU and RAM, 0 where unknown."""
-        parts = [(part.cpu_kwh, part.gpu_kwh, part.ram_kwh) for part in self._increments]
-        return np.array([[value or 0.0 for value in row] for row in parts]).reshape(-1, 3)
 
     def _used(self) -> dict[str, _Shares]:
         """Of each job not settled (intervals, 4), as `_spent`."""
-        bounds, machine = np.array(self._bounds), self._machine()
+        bounds, machine = np.array(self._bounds), self._machine[:, :3]
         capacity = np.maximum(np.diff(bounds) * self._cores, 1e-12)
         wanted = {
             job: np.column_stack(
@@ -195,12 +194,10 @@ class Ledger:
         return used
 
     def _energy(self, used: _Shares, account: _Account | None) -> Energy:
-        machine = self._machine().sum(axis=1)
-        kg = np.array([part.kg_co2 or 0.0 for part in self._increments])
+        machine, kg = self._machine[:, :3].sum(axis=1), self._machine[:, 3]
         share = np.divide(used[:, 1:].sum(axis=1), machine, out=np.zeros(len(machine)), where=machine > 0)
         cpu, gpu, ram = used[:, 1:].sum(axis=0)
-        first = account.first_interval if account else 0
-        known = self._known(first)
+        known = self._known(account.first_interval if account else 0)
         return Energy(
             cpu_kwh=float(cpu) if known["cpu_kwh"] else None,
             gpu_kwh=float(gpu) if known["gpu_kwh"] else None,
@@ -219,4 +216,10 @@ class Ledger:
 
 
 def _column(by_interval: Mapping[int, float], intervals: int) -> _Shares:
-    return np.array([by_interval.get(index, 0.0) for index in range(intervals)])
+    column = np.zeros(intervals)
+    # An interval noted but still open has no place yet.
+    known = [(index, share) for index, share in by_interval.items() if index < intervals]
+    if known:
+        indices, shares = zip(*known, strict=True)
+        column[list(indices)] = shares
+    return column
