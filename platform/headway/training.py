@@ -223,7 +223,7 @@ class _Training:
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
-        self.collector.restore(state["snapshots"])
+        self.collector.restore(state["snapshots"], iteration)
         for log in self.logs:
             log.rewind(iteration)
 

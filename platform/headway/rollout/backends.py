@@ -1,6 +1,7 @@
 """Collectors: where rollouts run. Every backend gives the same trajectory bit for bit."""
 
 import multiprocessing
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import connection
@@ -30,6 +31,9 @@ from headway.rollout.worker import (
 
 Notify = Callable[[str], None]
 
+GRACE_S = 5.0
+"""How long workers that are told to end may finish what they do."""
+
 
 class Collector(Protocol):
     """Rollouts and evaluations with given parameters."""
@@ -51,8 +55,11 @@ class Collector(Protocol):
         """Where every shard stands, for a checkpoint; entries are None where the environment cannot tell."""
         ...
 
-    def restore(self, snapshots: list[Any]) -> None:
-        """Go on from a checkpoint's snapshots."""
+    def restore(self, snapshots: list[Any], iteration: int) -> None:
+        """Go on from the snapshots of a checkpoint after `iteration`; where they are None, start anew.
+
+        Raises HeadwayError if they are those of another number of workers.
+        """
         ...
 
     def process_ids(self) -> list[int]:
@@ -94,10 +101,11 @@ class SerialCollector:
         """One shard."""
         return [self.sampler.snapshot()]
 
-    def restore(self, snapshots: list[Any]) -> None:
+    def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Go on from a checkpoint, or start afresh where it holds no snapshot."""
+        _require_shards(snapshots, 1)
         if snapshots[0] is None:
-            self.sampler.begin("env restart")
+            self.sampler.begin(_restart(iteration))
         else:
             self.sampler.restore(snapshots[0])
 
@@ -119,15 +127,37 @@ def _joined(plan: RolloutPlan, parts: Iterable[list[list[Row]]]) -> list[list[Ro
     return [[row for part in collected for row in part[r]] for r in range(plan.replicas)]
 
 
+def _require_shards(snapshots: list[Any], shards: int) -> None:
+    if len(snapshots) != shards:
+        raise HeadwayError(
+            f"the checkpoint was made with {len(snapshots)} workers; "
+            f"set backend.name=process backend.workers={len(snapshots)}"
+        )
+
+
+def _restart(iteration: int) -> str:
+    """Purpose of the seeds of episodes that start anew after an iteration: not those of an earlier start."""
+    return f"env restart {iteration}"
+
+
 @dataclass
 class _Worker:
     """A worker process and what is known of it."""
 
     process: ForkServerProcess
     pipe: connection.Connection
+    begun: bool = False
+    """Its episodes have started."""
     snapshot: Any = None
+    """Where it stood after its last command that moved it."""
     cpu_seconds: float = 0.0
     memory_bytes: int = 0
+
+    def remember(self, command: Command, done: Done) -> None:
+        """Note what it says of itself after a command."""
+        self.cpu_seconds, self.memory_bytes = done.cpu_seconds, done.memory_bytes
+        if not isinstance(command, Evaluate):
+            self.begun, self.snapshot = True, done.snapshot
 
 
 class ProcessCollector:
@@ -144,6 +174,7 @@ class ProcessCollector:
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
         self.lost_cpu_seconds = 0.0
+        self.iteration = 0
         self.workers = [self._start(shard) for shard in range(len(self.shards))]
 
     def begin(self) -> None:
@@ -154,6 +185,7 @@ class ProcessCollector:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
         self._publish(parameters)
         done = self._all([Collect(iteration)] * len(self.workers))
+        self.iteration = iteration
         return [episode for part in done for episode in part.episodes]
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
@@ -170,13 +202,11 @@ class ProcessCollector:
         """One a worker, as of the end of the last iteration."""
         return [worker.snapshot for worker in self.workers]
 
-    def restore(self, snapshots: list[Any]) -> None:
+    def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Go on from a checkpoint, or start afresh where it holds no snapshots."""
-        if len(snapshots) != len(self.workers):
-            raise HeadwayError(
-                f"the checkpoint was made with {len(snapshots)} workers; set backend.workers={len(snapshots)}"
-            )
-        self._all([Begin("env restart") if s is None else Restore(s) for s in snapshots])
+        _require_shards(snapshots, len(self.workers))
+        self.iteration = iteration
+        self._all([_stand(snapshot, iteration) for snapshot in snapshots])
 
     def process_ids(self) -> list[int]:
         """Worker processes, by id."""
@@ -188,11 +218,12 @@ class ProcessCollector:
         return cpu, sum(worker.memory_bytes for worker in self.workers)
 
     def close(self) -> None:
-        """End the workers."""
+        """End the workers, busy ones after some seconds of grace."""
         for worker in self.workers:
             worker.pipe.close()
+        deadline = time.monotonic() + GRACE_S
         for worker in self.workers:
-            worker.process.join(5)
+            worker.process.join(max(deadline - time.monotonic(), 0))
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
@@ -226,10 +257,7 @@ class ProcessCollector:
             if isinstance(answer, Broken) and answer.is_users:
                 raise HeadwayError(answer.line)
             answer = self._again(shard, command, answer)
-        worker = self.workers[shard]
-        worker.cpu_seconds, worker.memory_bytes = answer.cpu_seconds, answer.memory_bytes
-        if not isinstance(command, Evaluate):
-            worker.snapshot = answer.snapshot
+        self.workers[shard].remember(command, answer)
         return answer
 
     def _again(self, shard: int, command: Command, first: Broken | str) -> Done:
@@ -241,21 +269,24 @@ class ProcessCollector:
         old.pipe.close()
         self.lost_cpu_seconds += old.cpu_seconds
         worker = self.workers[shard] = self._start(shard)
-        exact = old.snapshot is not None
-        again = "repeating its part from its snapshot" if exact else "its episodes start again"
-        self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
         steps: list[Command] = [command]
-        if isinstance(command, Collect | Evaluate):
-            steps.insert(0, Restore(old.snapshot) if exact else Begin("env restart"))
+        # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
+        if isinstance(command, Collect | Evaluate) and old.begun:
+            steps.insert(0, _stand(old.snapshot, self.iteration))
+        anew = any(isinstance(step, Begin) for step in steps)
+        again = "its episodes start again" if anew else "repeating its part from where it stood"
+        self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
         answer: Done | Broken | str = first
         for step in steps:
             _send(worker, step)
             answer = _receive(worker)
             if not isinstance(answer, Done):
                 break
-            worker.snapshot = answer.snapshot
+            worker.remember(step, answer)
         if isinstance(answer, Done):
             return answer
+        if isinstance(answer, Broken) and answer.is_users:
+            raise HeadwayError(answer.line)
         if isinstance(answer, Broken):
             raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
         raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
@@ -267,6 +298,11 @@ class WorkerFailedError(HeadwayError):
     def __init__(self, line: str, worker_traceback: str) -> None:
         super().__init__(line)
         self.worker_traceback = worker_traceback
+
+
+def _stand(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque
+    """Bring a worker to where a snapshot stands, or to new episodes where there is none."""
+    return Begin(_restart(iteration)) if snapshot is None else Restore(snapshot)
 
 
 def _send(worker: _Worker, command: Command) -> None:

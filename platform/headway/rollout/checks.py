@@ -1,45 +1,57 @@
 """NaN and infinity are caught where they come in, with the place named."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, HeadwayError, Observed, Outcome
 
+NameCopy = Callable[[int], str]
+"""What to call a copy of a batch, by its row: "copy 3 of seed 7", say."""
+
 
 def check_finite(
-    spec: EnvSpec, outcome: Outcome | None, observed: Observed, step: int, first_copy: int
+    spec: EnvSpec, outcome: Outcome | None, observed: Observed, step: int, name_copy: NameCopy
 ) -> None:
-    """Raise HeadwayError for a NaN or infinity in what a live agent observes or is paid.
+    """Raise HeadwayError for a NaN or infinity where a learner looks: observations of live agents, final
+    observations of agents whose stream ends, states, and all rewards (who gets nothing gets 0).
 
-    One sum an array: a sum is finite unless an entry is not (or the sum overflows, which the precise
-    look that follows tells apart).
+    Whole arrays are tested first, so a step without fault costs a few microseconds. `outcome` is None
+    where nothing was done yet.
     """
-    if not np.isfinite(observed.observations.sum()):
-        _locate(spec, observed.observations, observed.alive, "observation", step, first_copy)
-    if observed.states.size and not np.isfinite(observed.states.sum()):
-        everywhere = np.ones((len(observed.states), 1), np.bool_)
-        _locate(spec, observed.states[:, None], everywhere, "state", step, first_copy)
-    if outcome is not None and not np.isfinite(outcome.rewards.sum()):
-        _locate(
-            spec, outcome.rewards[..., None], np.isfinite(outcome.rewards) | True, "reward", step, first_copy
-        )
 
+    def check(what: str, values: NDArray[np.float32], present: NDArray[np.bool_], remedy: str) -> None:
+        if np.isfinite(values).all():
+            return
+        bad = ~np.isfinite(values).all(axis=-1) & present
+        if bad.any():
+            raise HeadwayError(_line(spec, what, values, bad, step, name_copy) + remedy)
 
-def _locate(
-    spec: EnvSpec,
-    values: NDArray[np.float32],
-    present: NDArray[np.bool_],
-    what: str,
-    step: int,
-    first_copy: int,
-) -> None:
-    bad = ~np.isfinite(values).all(axis=-1) & present
-    if not bad.any():
+    everywhere = np.ones((len(observed.states), 1), np.bool_)
+    check("observation", observed.observations, observed.alive, ", or mark the agent as not alive there")
+    check("state", observed.states[:, None], everywhere, "")
+    if outcome is None:
         return
+    check("reward", outcome.rewards[..., None], np.ones_like(observed.alive), "; who gets nothing gets 0")
+    over = outcome.terminated | outcome.truncated
+    if over.any():
+        check("final observation", outcome.final_observations, over, "")
+        check("final state", outcome.final_states[:, None], outcome.episode_ended[:, None], "")
+
+
+def _line(
+    spec: EnvSpec,
+    what: str,
+    values: NDArray[np.float32],
+    bad: NDArray[np.bool_],
+    step: int,
+    name_copy: NameCopy,
+) -> str:
     copy, agent = (int(i) for i in np.argwhere(bad)[0])
-    who = "" if what == "state" else f" of agent {spec.agents[agent]}"
+    who = "" if what.endswith("state") else f" of agent {spec.agents[agent]}"
     value = values[copy, agent][~np.isfinite(values[copy, agent])][0]
-    raise HeadwayError(
-        f"environment {spec.name} gave {value} as {what}{who} in copy {first_copy + copy} at step {step}; "
-        "mend the environment, or mark the agent as not alive there"
+    return (
+        f"environment {spec.name} gave {value} as {what}{who} in {name_copy(copy)} at step {step}; "
+        "mend the environment"
     )

@@ -1,6 +1,7 @@
 """Whole episodes on given seeds: evaluation of policies and rules."""
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, Observed, Rule, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
+from headway.rollout.checks import NameCopy, check_finite
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
 from headway.rollout.sampler import BlockwiseActing, Tally
 
@@ -32,6 +34,15 @@ class EvaluationRequest:
         starts = range(0, episodes, EVALUATION_BLOCK)
         return [cls(root, first, min(EVALUATION_BLOCK, episodes - first), greedy) for first in starts]
 
+    @property
+    def seeds(self) -> NDArray[np.uint64]:
+        """Seeds of its episodes, (count,)."""
+        return evaluation_seeds(self.root, self.first, self.count)
+
+    def name_copy(self, row: int) -> str:
+        """What to call a row of a batch that holds these episodes, once or for every replica."""
+        return f"evaluation episode {self.first + row % self.count}"
+
 
 def evaluation_seeds(root: int, first: int, count: int) -> NDArray[np.uint64]:
     """Seeds of evaluation episodes, the same for every run, algorithm and rule."""
@@ -39,16 +50,24 @@ def evaluation_seeds(root: int, first: int, count: int) -> NDArray[np.uint64]:
 
 
 def run_episodes(
-    env: BatchedEnv, seeds: NDArray[np.uint64], act: Callable[[Observed, int], NDArray[Any]]
+    env: BatchedEnv,
+    seeds: NDArray[np.uint64],
+    act: Callable[[Observed, int], NDArray[Any]],
+    name_copy: NameCopy,
 ) -> list[Row]:
-    """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step."""
+    """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step.
+
+    Raises HeadwayError where the environment gives a NaN or an infinity.
+    """
     observed = env.reset(seeds)
+    check_finite(env.spec, None, observed, 0, name_copy)
     tally = Tally(env.num_copies, env.spec.metrics)
     rows: dict[int, Row] = {}
     step = 0
     while len(rows) < env.num_copies:
         outcome, observed = env.step(act(observed, step))
         step += 1
+        check_finite(env.spec, outcome, observed, step, name_copy)
         for copy, row in tally.add(outcome):
             rows.setdefault(copy, row)
     return [rows[copy] for copy in range(env.num_copies)]
@@ -63,9 +82,8 @@ def evaluate_policy(plan: RolloutPlan, parameters: Parameters, request: Evaluati
     def act(observed: Observed, step: int) -> NDArray[Any]:
         return acting.act(parameters, observed, None if noise is None else noise.at(step))[0]
 
-    seeds = evaluation_seeds(request.root, request.first, request.count)
-    rows = run_episodes(env, np.tile(seeds, plan.replicas), act)
-    env.close()
+    with closing(env):
+        rows = run_episodes(env, np.tile(request.seeds, plan.replicas), act, request.name_copy)
     labelled: list[Row] = [
         {"episode_seed": request.first + i % request.count, **row} for i, row in enumerate(rows)
     ]
@@ -101,8 +119,8 @@ def evaluate_rule(
     for request in EvaluationRequest.split(root, episodes, greedy=True):
         env, rule = make_env(prepared, request.count), make_rule(prepared)
         act = _RuleActing(env, rule)
-        played = run_episodes(env, evaluation_seeds(root, request.first, request.count), act)
-        env.close()
+        with closing(env):
+            played = run_episodes(env, request.seeds, act, request.name_copy)
         rows += [{"episode_seed": request.first + i, **row} for i, row in enumerate(played)]
     return rows
 

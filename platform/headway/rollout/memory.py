@@ -11,6 +11,7 @@ from multiprocessing import reduction
 from typing import Any, Self
 
 from headway.contracts import HeadwayError
+from headway.rollout.usage import available_memory
 
 
 class SharedBlock:
@@ -23,15 +24,20 @@ class SharedBlock:
     @classmethod
     def create(cls, nbytes: int) -> Self:
         """A new block of zeros. Raises HeadwayError where the memory cannot be had."""
+        available = available_memory()
+        if available is not None and nbytes > available:
+            # An anonymous file has no limit of its own: the system would kill a process instead.
+            raise _refusal(nbytes, f"{available / 2**20:.0f} MiB are free")
         try:
             descriptor = _anonymous_file()
-            os.posix_fallocate(descriptor, 0, max(nbytes, 1))
         except OSError as error:
-            raise HeadwayError(
-                f"no {nbytes / 2**20:.0f} MiB of shared memory for trajectories ({error.strerror}); "
-                "lower rollout.copies, rollout.steps or backend.parallel"
-            ) from error
-        return cls(descriptor, nbytes)
+            raise _refusal(nbytes, error.strerror) from error
+        try:
+            os.posix_fallocate(descriptor, 0, max(nbytes, 1))
+            return cls(descriptor, nbytes)
+        except OSError as error:
+            os.close(descriptor)
+            raise _refusal(nbytes, error.strerror) from error
 
     @property
     def buffer(self) -> mmap.mmap:
@@ -43,8 +49,17 @@ class SharedBlock:
         return _attach, (reduction.DupFd(self._descriptor), self.nbytes)
 
     def close(self) -> None:
-        """Give up the descriptor; arrays over the memory stay valid."""
-        os.close(self._descriptor)
+        """Give up the descriptor; arrays over the memory stay valid. Closing again does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+        self._descriptor = -1
+
+
+def _refusal(nbytes: int, reason: str | None) -> HeadwayError:
+    return HeadwayError(
+        f"no {nbytes / 2**20:.0f} MiB of shared memory for trajectories ({reason}); "
+        "lower rollout.copies, rollout.steps or backend.parallel"
+    )
 
 
 def _attach(descriptor: Any, nbytes: int) -> SharedBlock:  # noqa: ANN401 - a private class of multiprocessing

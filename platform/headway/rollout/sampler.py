@@ -128,14 +128,14 @@ class Sampler:
         observed, views, spec = self.observed, self.views, self.plan.spec
         noise = self._noise(iteration)
         episodes = []
-        check_finite(spec, None, observed, 0, self.first)
+        check_finite(spec, None, observed, 0, self._name_copy)
         for t in range(self.plan.steps):
             self._store_observed(t, observed)
             actions, log_probs = self.acting.act(parameters, observed, noise[t])
             views["actions"][t] = self._by_replica(actions)
             views["log_probs"][t] = self._by_replica(log_probs)
             outcome, observed = self.env.step(actions)
-            check_finite(spec, outcome, observed, t + 1, self.first)
+            check_finite(spec, outcome, observed, t + 1, self._name_copy)
             for name in ("rewards", "terminated", "truncated", "acting"):
                 views[name][t] = self._by_replica(getattr(outcome, name))
             if outcome.terminated.any() or outcome.truncated.any():
@@ -164,6 +164,10 @@ class Sampler:
 
     def _by_replica(self, array: NDArray[Any]) -> NDArray[Any]:
         return array.reshape(self.plan.replicas, self.count, *array.shape[1:])
+
+    def _name_copy(self, row: int) -> str:
+        replica, copy = divmod(row, self.count)
+        return f"copy {self.first + copy} of seed {self.plan.seeds[replica]}"
 
     def _episode(self, copy: int, row: dict[str, float | int | str]) -> Episode:
         return Episode(copy // self.count, {"copy": self.first + copy % self.count, **row})

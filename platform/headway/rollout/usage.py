@@ -1,4 +1,4 @@
-"""What a process has used, by the operating system's account."""
+"""What a process has used and could still have, by the operating system's account."""
 
 import time
 from pathlib import Path
@@ -11,11 +11,27 @@ def cpu_seconds() -> float:
 
 def proportional_memory() -> int:
     """Bytes of this process, shared pages divided by their users (Linux's PSS); 0 where it cannot be told."""
+    return _field(Path("/proc/self/smaps_rollup"), "Pss:") or 0
+
+
+def available_memory(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgroup")) -> int | None:
+    """Bytes that could still be had without swapping, within the machine and, in a container, within its
+    control group (version 2); None where it cannot be told."""
+    bounds = [_field(proc / "meminfo", "MemAvailable:")]
     try:
-        text = Path("/proc/self/smaps_rollup").read_text()
+        limit, used = ((group / name).read_text().strip() for name in ("memory.max", "memory.current"))
     except OSError:
-        return 0
-    for line in text.splitlines():
-        if line.startswith("Pss:"):
-            return int(line.split()[1]) * 1024
-    return 0
+        limit, used = "max", ""
+    if limit != "max":
+        bounds.append(max(int(limit) - int(used), 0))
+    return min((bound for bound in bounds if bound is not None), default=None)
+
+
+def _field(path: Path, name: str) -> int | None:
+    """A field in kB of a file of /proc, in bytes; None where there is none."""
+    try:
+        text = path.read_text()
+    except OSError:
+        return None
+    found = [line.split()[1] for line in text.splitlines() if line.startswith(name)]
+    return int(found[0]) * 1024 if found else None

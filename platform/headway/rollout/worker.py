@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
-from multiprocessing import connection, parent_process
+from multiprocessing import connection, parent_process, reduction
 from typing import Any
 
 import numpy as np
@@ -114,36 +114,39 @@ def run_worker(setup: WorkerSetup, commands: connection.Connection) -> None:
     while True:
         try:
             command: Command = commands.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
-        episodes: list[Episode] = []
-        evaluation: list[list[Row]] = []
         try:
-            if isinstance(command, Evaluate):
-                evaluation = evaluate_policy(plan, parameters, command.request)
-            else:
-                if sampler is None:
-                    sampler = Sampler(plan, setup.first, setup.count, trajectory)
-                episodes = _carry_out(command, sampler, parameters)
+            if sampler is None and not isinstance(command, Evaluate):
+                sampler = Sampler(plan, setup.first, setup.count, trajectory)
+            # Pickled here, so that a snapshot that cannot be is an error like any other.
+            answer = reduction.ForkingPickler.dumps(_carry_out(command, plan, sampler, parameters))
         except Exception as error:
             line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
-            commands.send(Broken(line, traceback.format_exc(), isinstance(error, HeadwayError)))
-            continue
-        snapshot = sampler.snapshot() if sampler is not None and not isinstance(command, Evaluate) else None
-        commands.send(Done(episodes, evaluation, snapshot, cpu_seconds(), proportional_memory()))
+            is_users = isinstance(error, HeadwayError)
+            answer = reduction.ForkingPickler.dumps(Broken(line, traceback.format_exc(), is_users))
+        try:
+            commands.send_bytes(answer)
+        except OSError:
+            return  # nobody listens any more
 
 
 def _carry_out(
-    command: Begin | Restore | Collect, sampler: Sampler, parameters: dict[str, NDArray[Any]]
-) -> list[Episode]:
+    command: Command, plan: RolloutPlan, sampler: Sampler | None, parameters: dict[str, NDArray[Any]]
+) -> Done:
+    if isinstance(command, Evaluate):
+        evaluation = evaluate_policy(plan, parameters, command.request)
+        return Done([], evaluation, None, cpu_seconds(), proportional_memory())
+    assert sampler is not None
+    episodes: list[Episode] = []
     match command:
         case Begin(purpose=purpose):
             sampler.begin(purpose)
         case Restore(snapshot=snapshot):
             sampler.restore(snapshot)
         case Collect(iteration=iteration):
-            return sampler.collect(iteration, parameters)
-    return []
+            episodes = sampler.collect(iteration, parameters)
+    return Done(episodes, [], sampler.snapshot(), cpu_seconds(), proportional_memory())
 
 
 def _end_with_parent() -> None:

@@ -1,0 +1,127 @@
+"""No backend, no number of workers and no company of other seeds changes what a run sees."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rehearsal import (
+    TOYS,
+    Taken,
+    assert_same,
+    collector_of,
+    iterations_of,
+    parameters_of,
+    plan_of_toy,
+)
+
+from headway.contracts import HeadwayError
+from headway.rollout.plan import RolloutPlan
+
+
+def _collected(plan: RolloutPlan, name: str, workers: int = 1, iterations: int = 3) -> list[Taken]:
+    with collector_of(plan, name, workers) as collector:
+        collector.begin()
+        return iterations_of(collector, parameters_of(plan), 1, iterations)
+
+
+@pytest.mark.parametrize("toy", TOYS)
+@pytest.mark.parametrize("seeds", [(5,), (5, 6, 7)])
+def test_every_backend_and_number_of_workers_gives_the_same_trajectory(
+    toy: str, seeds: tuple[int, ...]
+) -> None:
+    plan = plan_of_toy(toy, seeds=seeds, copies=5)
+    serial = _collected(plan, "serial")
+    assert sum(len(taken.episodes) for taken in serial) >= 5
+    for workers in (1, 2, 3):  # five copies by three workers: shards of 1, 2 and 2
+        assert_same(serial, _collected(plan, "process", workers))
+
+
+@pytest.mark.parametrize("block", [1, 2, 4])
+def test_whole_blocks_go_to_workers_and_change_nothing(block: int) -> None:
+    plan = plan_of_toy("visitors", copies=4, block=block)
+    assert_same(_collected(plan, "serial"), _collected(plan, "process", 4))
+
+
+@pytest.mark.parametrize("toy", TOYS)
+def test_a_seed_in_a_stack_sees_what_it_sees_alone(toy: str) -> None:
+    stacked = _collected(plan_of_toy(toy, seeds=(5, 6, 7), block=2), "serial")
+    for replica, seed in enumerate((5, 6, 7)):
+        alone = _collected(plan_of_toy(toy, seeds=(seed,), block=2), "serial")
+        for together, single in zip(stacked, alone, strict=True):
+            rows = slice(replica * 4, replica * 4 + 4)
+            for name, array in single.arrays.items():
+                np.testing.assert_array_equal(together.arrays[name][:, rows], array, err_msg=name)
+            ours = [replace(e, replica=0) for e in together.episodes if e.replica == replica]
+            assert ours == single.episodes
+
+
+def test_seeds_copies_and_iterations_have_draws_of_their_own() -> None:
+    plan = plan_of_toy("trivial", seeds=(5, 6), copies=2, steps=7)  # one episode an iteration
+    first, second = _collected(plan, "serial", iterations=2)
+    rows = [taken.arrays["observations"][:-1, c].tobytes() for taken in (first, second) for c in range(4)]
+    assert len(set(rows)) == 8
+    draws = [first.arrays["actions"][:, c].tobytes() for c in range(4)]
+    assert len(set(draws)) == 4
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+@pytest.mark.parametrize("episodes", [1, 10, 23])
+def test_evaluation_is_the_same_on_every_backend(greedy: bool, episodes: int) -> None:
+    plan = plan_of_toy("visitors", seeds=(5, 6))
+    parameters = parameters_of(plan)
+    with collector_of(plan, "serial") as serial, collector_of(plan, workers=2) as process:
+        expected = serial.evaluate(1_000_003, episodes, greedy, parameters)
+        assert [[row["episode_seed"] for row in rows] for rows in expected] == [list(range(episodes))] * 2
+        assert process.evaluate(1_000_003, episodes, greedy, parameters) == expected
+
+
+def test_evaluation_takes_nothing_from_training() -> None:
+    plan = plan_of_toy("visitors")
+    parameters, undisturbed = parameters_of(plan), _collected(plan_of_toy("visitors"), "serial")
+    for name in ("serial", "process"):
+        with collector_of(plan, name) as collector:
+            collector.begin()
+            collected = []
+            for iteration in (1, 2, 3):
+                collector.evaluate(1_000_003, 3, False, parameters)
+                collected += iterations_of(collector, parameters, iteration, iteration)
+            assert_same(undisturbed, collected)
+
+
+def test_workers_use_the_parameters_of_the_moment() -> None:
+    plan = plan_of_toy("visitors")
+    early, late = parameters_of(plan), parameters_of(replace(plan, seeds=(99,)))
+    taken = []
+    for name in ("serial", "process"):
+        with collector_of(plan, name) as collector:
+            collector.begin()
+            taken.append(iterations_of(collector, early, 1, 1) + iterations_of(collector, late, 2, 2))
+    assert_same(*taken)
+    assert (taken[0][0].arrays["actions"] != taken[0][1].arrays["actions"]).any()
+
+
+@pytest.mark.parametrize("toy", TOYS)
+@pytest.mark.parametrize("name", ["serial", "process"])
+def test_a_snapshot_goes_on_bit_for_bit(toy: str, name: str) -> None:
+    plan = plan_of_toy(toy, seeds=(5, 6))
+    parameters = parameters_of(plan)
+    with collector_of(plan, name) as collector:
+        collector.begin()
+        iterations_of(collector, parameters, 1, 1)
+        snapshots = collector.snapshot()
+        expected = iterations_of(collector, parameters, 2, 3)
+    with collector_of(plan, name) as collector:
+        collector.restore(snapshots, 1)
+        assert_same(expected, iterations_of(collector, parameters, 2, 3))
+
+
+@pytest.mark.parametrize(("name", "workers"), [("serial", 1), ("process", 1), ("process", 4)])
+def test_snapshots_of_other_shards_are_refused_in_one_line(name: str, workers: int) -> None:
+    plan = plan_of_toy("visitors")
+    with collector_of(plan, workers=2) as collector:
+        collector.begin()
+        snapshots = collector.snapshot()
+    with collector_of(plan, name, workers) as collector:
+        with pytest.raises(HeadwayError, match="workers=2") as refusal:
+            collector.restore(snapshots, 1)
+        assert "\n" not in str(refusal.value)
