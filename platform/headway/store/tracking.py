@@ -44,7 +44,7 @@ class Tracker:
         make_folder(self.root)
         # Sessions that start at once would race to create the database's tables.
         with self._alone("MLflow's database was prepared"):
-            self._client = _client(self.uri)
+            self._client = _within(wait_s, self.uri, lambda: _client(self.uri))
             self._ask("search_experiments", max_results=1)
 
     def cell(

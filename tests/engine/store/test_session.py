@@ -1,0 +1,257 @@
+"""The session's side of the store, with the real MLflow on SQLite."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from headway.config import StoreConfig
+from headway.contracts import HeadwayError
+from headway.events import Row
+from headway.store import Run, RunIndex, RunLog, SessionStore, sync
+from headway.store.checkpoint import save_checkpoint
+from headway.store.durable import read_json
+from headway.store.tracking import Tracker
+
+ITERATIONS = 40
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root with an MLflow database, made once: creating one takes a second."""
+    root = tmp_path_factory.mktemp("prepared")
+    Tracker(root)
+    return root / "mlflow.db"
+
+
+@pytest.fixture
+def root(tmp_path: Path, prepared: Path) -> Path:
+    (tmp_path / "mlflow.db").write_bytes(prepared.read_bytes())
+    return tmp_path
+
+
+def _row(iteration: int) -> Row:
+    steps = {"iteration": iteration, "env_steps": 100 * iteration, "wall_s": 0.5 * iteration}
+    return {**steps, "train/reward": float(iteration), "train/loss": 1.0 / iteration}
+
+
+def _begin(store: SessionStore, seed: int = 0, algorithm: str = "mappo") -> Run:
+    cell = store.begin_cell("study one", "bus", algorithm, {"algo.lr": 3e-4})
+    return cell.begin_run(seed, "seed: 0\n", {"copies": 8}, iterations=ITERATIONS, policies="shared")
+
+
+def _train(run: Run, first: int, last: int) -> None:
+    """What a training process and its session do from iteration `first` to `last`."""
+    log = RunLog(run.directory)
+    for iteration in range(first, last + 1):
+        log.append("curve", [_row(iteration)])
+        run.points([_row(iteration)])
+        if iteration % 10 == 0:
+            log.commit(iteration)
+            save_checkpoint(run.directory / "checkpoints", iteration, {"at": iteration})
+            run.durable(iteration)
+
+
+def _histories(root: Path, run: Run) -> dict[str, list[tuple[int, float]]]:
+    """Every metric's (step, value) of a run in MLflow, from the database itself."""
+    child = read_json(run.directory / "tracking.json")["run"]
+    with sqlite3.connect(root / "mlflow.db") as database:
+        rows = database.execute(
+            "SELECT key, step, value FROM metrics WHERE run_uuid = ? ORDER BY step", [child]
+        )
+        found: dict[str, list[tuple[int, float]]] = {}
+        for key, step, value in rows:
+            found.setdefault(key, []).append((step, value))
+    return found
+
+
+def _mlflow(root: Path) -> Any:  # noqa: ANN401 - MLflow is not typed
+    from mlflow.tracking import MlflowClient
+
+    return MlflowClient(f"sqlite:///{root / 'mlflow.db'}")
+
+
+def test_a_run_from_beginning_to_end(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root), curve_points=11))
+    cell = store.begin_cell("study one", "bus", "mappo", {"algo.lr": 3e-4}, {"owner": "me"})
+    runs = [cell.begin_run(seed, "seed: 0\n", {"copies": 8}, iterations=ITERATIONS) for seed in (0, 1)]
+    for run in runs:
+        _train(run, 1, ITERATIONS)
+        run.energy({"elapsed_s": 5.0, "kwh": 0.001})
+        run.finish("FINISHED", {"final_reward": -3.5, "auc": 0.6, "kwh": 0.002, "kg_co2": None})
+    cell.finish("FINISHED", {"final_reward_mean": -3.5})
+    assert store.close() == ()
+
+    client = _mlflow(root)
+    experiment = client.get_experiment_by_name("study one").experiment_id
+    found = {entry.info.run_name: entry for entry in client.search_runs([experiment])}
+    assert set(found) == {cell.name, *(run.run_id for run in runs)}
+    child, parent = found[runs[0].run_id], found[cell.name]
+    assert child.info.status == parent.info.status == "FINISHED"
+    assert child.data.tags["mlflow.parentRunId"] == parent.info.run_id
+    assert child.data.params == {"algo.lr": "0.0003"}
+    assert child.data.metrics["summary/final_reward"] == -3.5
+    assert "summary/kg_co2" not in child.data.metrics
+    assert {"owner", "version.torch", "hardware.cpu"} <= set(child.data.tags)
+    artifacts = {artifact.path for artifact in client.list_artifacts(child.info.run_id)}
+    assert {"config.yaml", "plan.json", "curve-000010.parquet", "energy.parquet"} <= artifacts
+
+    curve = _histories(root, runs[1])["train/reward"]
+    assert len(curve) <= 11
+    assert curve[0] == (100, 1.0)
+    assert curve[-1] == (4000, 40.0)
+
+
+def test_only_durable_points_reach_mlflow(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    _train(run, 1, 25)
+    store.close()
+    assert [step for step, _ in _histories(root, run)["train/reward"]] == [100 * i for i in range(1, 21)]
+    assert (run.record.durable_iteration, run.record.durable_env_steps) == (20, 2000)
+
+
+def test_a_resumed_run_repeats_no_point(root: Path) -> None:
+    config = StoreConfig(root=str(root))
+    first = SessionStore.open(config)
+    run = _begin(first)
+    _train(run, 1, 25)
+    run.finish("KILLED", {})
+    first.close()
+
+    second = SessionStore.open(config)
+    resumed = second.resume(run.run_id)
+    RunLog(resumed.directory).rewind(20)
+    _train(resumed, 21, ITERATIONS)
+    resumed.finish("FINISHED", {"final_reward": 1.0})
+    assert second.close() == ()
+    expected = [(100 * i, float(i)) for i in range(1, ITERATIONS + 1)]
+    assert _histories(root, run)["train/reward"] == expected
+    [row] = RunIndex(root).rows()
+    assert (row.status, row.iterations, row.final_reward) == ("FINISHED", ITERATIONS, 1.0)
+    with pytest.raises(HeadwayError, match="has finished"):
+        second.resume(run.run_id)
+
+
+def test_a_running_run_is_not_taken_over(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    with pytest.raises(HeadwayError, match=f"process {os.getpid()}"):
+        store.resume(run.run_id)
+    with pytest.raises(HeadwayError, match="the nearest is bus-mappo"):
+        store.resume("bus-mapo")
+    store.close()
+
+
+def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
+    whole = (root / "mlflow.db").read_bytes()
+    (root / "mlflow.db").write_bytes(b"no database at all" * 100)
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    _train(run, 1, ITERATIONS)
+    run.finish("FINISHED", {"final_reward": 2.0})
+    [notice] = store.close()
+    assert notice.startswith("MLflow is behind")
+    assert "\n" not in notice
+
+    (root / "mlflow.db").write_bytes(whole)
+    assert sync(root) == (f"{run.run_id} is up to date in MLflow",)
+    assert sync(root) == ()
+    histories = _histories(root, run)
+    assert histories["train/loss"][-1] == (4000, 1 / 40)
+    assert histories["summary/final_reward"] == [(0, 2.0)]
+
+    # As after a crash between sending and noting it: nothing is sent twice.
+    (run.directory / "tracking.json").unlink()
+    sync(root)
+    assert _histories(root, run)["train/loss"] == histories["train/loss"]
+    assert len(_mlflow(root).search_runs(["1"])) == 2
+
+
+def test_a_locked_database_is_waited_for_within_a_bound(root: Path) -> None:
+    other = sqlite3.connect(root / "mlflow.db", isolation_level=None)
+    tracker = Tracker(root, wait_s=0.5)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(HeadwayError, match=r"stayed locked for 0\.5 s"):
+        tracker.cell("study", "cell", {}, {})
+    other.execute("ROLLBACK")
+    other.close()
+    tracker.cell("study", "cell", {}, {})
+
+
+_ONE_OF_FOUR = """
+import sys, time
+root, folder, seed, moment = sys.argv[1:]
+sys.path.insert(0, folder)
+from test_session import StoreConfig, SessionStore, _begin, _train
+time.sleep(max(0.0, float(moment) - time.time()))
+store = SessionStore.open(StoreConfig(root=root))
+run = _begin(store, int(seed))
+_train(run, 1, 10)
+run.finish("FINISHED", {"final_reward": float(seed)})
+rows, notices = store.index.rows(), store.close()
+sys.exit(str(notices) if notices or not rows else 0)
+"""
+
+
+def test_four_sessions_open_a_new_store_at_once(tmp_path: Path) -> None:
+    moment, here = str(time.time() + 1.5), str(Path(__file__).parent)
+    commands = [
+        [sys.executable, "-c", _ONE_OF_FOUR, str(tmp_path), here, str(seed), moment] for seed in range(4)
+    ]
+    sessions = [subprocess.Popen(command) for command in commands]
+    assert [session.wait(60) for session in sessions] == [0, 0, 0, 0]
+    assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1, 2, 3]
+    client = _mlflow(tmp_path)
+    assert len(client.search_experiments()) == 2
+    # One parent for the cell that all four share.
+    assert len(client.search_runs(["1"])) == 5
+
+
+_KILLED = """
+import sys
+sys.path.insert(0, sys.argv[2])
+from test_session import StoreConfig, SessionStore, _begin, _train
+store = SessionStore.open(StoreConfig(root=sys.argv[1]))
+run = _begin(store)
+_train(run, 1, 25)
+print(run.run_id, flush=True)
+import time
+time.sleep(60)
+"""
+
+
+def test_a_killed_session_leaves_a_run_that_can_be_resumed(root: Path) -> None:
+    session = subprocess.Popen(
+        [sys.executable, "-c", _KILLED, str(root), str(Path(__file__).parent)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert session.stdout is not None
+    run_id = session.stdout.readline().strip()
+    assert [row.status for row in RunIndex(root).rows()] == ["RUNNING"]
+    session.send_signal(signal.SIGKILL)
+    session.wait()
+    session.stdout.close()
+    [row] = RunIndex(root).rows()
+    assert (row.run_id, row.status, row.iterations) == (run_id, "KILLED", 20)
+
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = store.resume(run_id)
+    RunLog(run.directory).rewind(20)
+    _train(run, 21, ITERATIONS)
+    run.finish("FINISHED", {})
+    assert store.close() == ()
+    assert len(_histories(root, run)["train/reward"]) == ITERATIONS
+
+
+def test_importing_the_store_is_cheap() -> None:
+    heavy = "{'mlflow', 'pandas', 'pyarrow', 'torch', 'scipy'}"
+    code = f"import sys, headway.store; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
