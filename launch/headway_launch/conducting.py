@@ -14,6 +14,7 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.provenance import usable_cores
 from headway.store.session import Cell, Run, SessionStore
 from headway.training import TrainingJob
+from headway_launch.comparison import rule_episodes
 from headway_launch.planning import (
     PlannedJob,
     Shares,
@@ -24,7 +25,7 @@ from headway_launch.planning import (
 )
 from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
-from headway_launch.results import SeedResult, evaluated_rules, print_results, seed_result
+from headway_launch.results import SeedResult, print_results, seed_result
 from headway_launch.session import Session
 from headway_launch.trained import checkpoint_folder
 
@@ -181,8 +182,10 @@ class Conductor:
     def _rules(self) -> dict[str, list[Row]]:
         if not any(result.status == "FINISHED" for result in self._results):
             return {}
-        planned = self._jobs[0].planned
-        return evaluated_rules(self._experiment, planned.prepared)
+        evaluation = self._config.evaluation
+        episodes = max(evaluation.final_episodes, evaluation.episodes)
+        prepared = self._jobs[0].planned.prepared
+        return rule_episodes(self._experiment, prepared, evaluation.rules, evaluation.seed, episodes)
 
     def _exit_code(self, stopped: bool) -> int:
         if stopped:

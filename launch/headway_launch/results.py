@@ -1,22 +1,21 @@
-"""What an experiment came to: one row a seed, their mean and deviation, the rules on the same days."""
+"""What an experiment came to: one row a seed, their mean and deviation."""
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.config import ExperimentConfig
 from headway.events import Row
+from headway_launch.comparison import print_comparison
 from headway_launch.tables import Cell, print_table
 
 if TYPE_CHECKING:
     from headway.energy.ledger import Energy
     from headway.store.session import Run
-    from headway_launch.composing import Experiment
     from headway_launch.recording import JobRecording
 
 _COLUMNS = ("seed", "status", "final reward", "AUC", "env steps", "steps/s", "CPU s", "kWh", "kg CO2eq")
-_NOT_METRICS = ("episode_seed", "copy", "length", "return", "iteration", "env_steps", "mode", "final")
 
 
 @dataclass(frozen=True)
@@ -113,20 +112,6 @@ def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     return final_reward(steps, values), auc(steps, values)
 
 
-def evaluated_rules(experiment: "Experiment", prepared: object) -> dict[str, list[Row]]:
-    """Episodes of every rule that the experiment names, on its evaluation seeds."""
-    from headway.rollout.episodes import evaluate_rule
-
-    evaluation, rows = experiment.config.evaluation, {}
-    for rule in evaluation.rules:
-        if sys.stderr.isatty():
-            print(f"evaluating the rule {rule} ...", end="\r", file=sys.stderr, flush=True)
-        make_rule = experiment.env.rules[rule]
-        episodes = max(evaluation.final_episodes, evaluation.episodes)
-        rows[rule] = evaluate_rule(experiment.env.make, make_rule, prepared, evaluation.seed, episodes)
-    return rows
-
-
 def print_results(
     config: ExperimentConfig, results: Sequence[SeedResult], rules: Mapping[str, Sequence[Row]]
 ) -> None:
@@ -141,58 +126,24 @@ def print_results(
     print_table(_COLUMNS, rows, title=f"{config.algo.get('name')} on {config.env.id}")
     if rules:
         print()
-        print_comparison(_final_episodes(config, results), rules)
+        print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
 
 
-def print_comparison(learned: Mapping[str, Sequence[Row]], rules: Mapping[str, Sequence[Row]]) -> None:
-    """Mean return and metrics of policies and rules on the same days, and the paired difference in return
-    to the first policy (mean and 95% interval over days)."""
-    from headway.stats import paired_difference
-
-    controllers = {**learned, **{f"rule {name}": rows for name, rows in rules.items()}}
-    metrics = list(
-        dict.fromkeys(name for rows in controllers.values() for name in rows[0] if name not in _NOT_METRICS)
-    )
-    first = next(iter(learned.values()), ())
-    table: list[tuple[Cell, ...]] = []
-    for name, rows in controllers.items():
-        returns = [float(row["return"]) for row in rows]
-        against: tuple[Cell, Cell, Cell] = (None, None, None)
-        if rows is not first and len(first) == len(rows) > 1:
-            difference = paired_difference([float(row["return"]) for row in first], returns)
-            against = (difference.estimate, difference.low, difference.high)
-        means = [sum(float(row[metric]) for row in rows) / len(rows) for metric in metrics]
-        table.append((name, len(rows), sum(returns) / len(returns), *against, *means))
-    better = f"{next(iter(learned), 'it')} better by"
-    print_table(("controller", "days", "return", better, "from", "to", *metrics), table)
-
-
-def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> dict[str, list[Row]]:
-    """The last evaluation, in the first mode: each day's mean over the finished seeds, so that days pair."""
-    from pathlib import Path
-
+def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> list[list[Row]]:
+    """The last evaluation of each finished seed, in the first mode: seeds x days, days in order."""
     from headway.store.log import read_rows
 
-    mode, by_day = config.evaluation.modes[0], dict[int, list[Row]]()
+    mode = config.evaluation.modes[0]
     finished = [result for result in results if result.status == "FINISHED"]
-    for result in finished:
-        for row in read_rows(Path(result.directory), "evaluation"):
-            if row["mode"] == mode and row["final"]:
-                by_day.setdefault(int(row["episode_seed"]), []).append(row)
-    if not by_day:
-        return {}
-    days = [_mean_row(by_day[day]) for day in sorted(by_day)]
-    label = (
-        f"{config.algo.get('name')}, mean of {len(finished)}"
-        if len(finished) > 1
-        else str(config.algo.get("name"))
-    )
-    return {label: days}
-
-
-def _mean_row(rows: Sequence[Row]) -> Row:
-    numbers = [name for name, value in rows[0].items() if not isinstance(value, str)]
-    return {name: sum(float(row[name]) for row in rows) / len(rows) for name in numbers}
+    played = [
+        [
+            row
+            for row in read_rows(Path(result.directory), "evaluation")
+            if row["mode"] == mode and row["final"]
+        ]
+        for result in finished
+    ]
+    return [sorted(rows, key=lambda row: int(row["episode_seed"])) for rows in played]
 
 
 def _over_seeds(name: str, rows: Sequence[tuple[Cell, ...]]) -> tuple[Cell, ...]:

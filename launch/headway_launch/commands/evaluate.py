@@ -38,8 +38,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway.rollout.episodes import evaluate_rule
-    from headway_launch.results import print_comparison
+    from headway_launch.comparison import print_comparison, rule_episodes
     from headway_launch.stored import StoredRun
     from headway_launch.trained import newest_policy, policy_episodes
 
@@ -54,11 +53,8 @@ def execute(arguments: argparse.Namespace) -> int:
     prepared, spec = experiment.prepare()
     policy = newest_policy(run, prepared, spec)
     learned = policy_episodes(policy, root, episodes, greedy=arguments.mode == "greedy")
-    played = {
-        rule: evaluate_rule(experiment.env.make, experiment.env.rules[rule], prepared, root, episodes)
-        for rule in rules
-    }
-    print_comparison({f"{experiment.algo_name} {arguments.mode}": learned}, played)
+    played = rule_episodes(experiment, prepared, rules, root, episodes)
+    print_comparison(f"{experiment.algo_name} {arguments.mode}", [learned], played)
     return 0
 
 
