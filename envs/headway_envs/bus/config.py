@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-
 SCENARIOS = ("line", "corridor")
 """Names of the built-in synthetic scenarios; anything else is the path of a scenario folder."""
 

@@ -66,14 +66,36 @@ def _settings(prepared: Prepared) -> dict[str, float]:
     config = prepared.config
     noise, upkeep, reward = config.noise, config.upkeep, config.reward
     others = (1.0 - config.captive_share) * arrivals_per_boarding(config)
-    same = (
-        "tick_s hold_s boarding_s alighting_s fixed_dwell_s dispatch_window_s minimum_layover_s capacity"
-    ).split()
-    same_noise = (
-        "trip_sd day_sd evening_peak network_sd incident_probability incident_factor demand_day_sd "
-        "demand_stop_hour_sd dispatch_s"
-    ).split()
-    same_upkeep = "fuel_capacity idle_share warning wear_growth broken_s service_s depot_gap_s".split()
+    same = [
+        "tick_s",
+        "hold_s",
+        "boarding_s",
+        "alighting_s",
+        "fixed_dwell_s",
+        "dispatch_window_s",
+        "minimum_layover_s",
+        "capacity",
+    ]
+    same_noise = [
+        "trip_sd",
+        "day_sd",
+        "evening_peak",
+        "network_sd",
+        "incident_probability",
+        "incident_factor",
+        "demand_day_sd",
+        "demand_stop_hour_sd",
+        "dispatch_s",
+    ]
+    same_upkeep = [
+        "fuel_capacity",
+        "idle_share",
+        "warning",
+        "wear_growth",
+        "broken_s",
+        "service_s",
+        "depot_gap_s",
+    ]
     return {
         **{name: getattr(config, name) for name in same},
         **{name: getattr(noise, name) for name in same_noise},

@@ -74,13 +74,43 @@ class Network(NamedTuple):
 SETTINGS = np.dtype(
     [
         (name, np.float64)
-        for name in (
-            "tick_s hold_s start_s end_s boarding_s alighting_s fixed_dwell_s captive_arrivals competing_share "
-            "dispatch_window_s minimum_layover_s trip_sd day_sd evening_peak network_sd incident_probability "
-            "incident_factor demand_day_sd demand_stop_hour_sd dispatch_s fuel_capacity fuel_per_s idle_share "
-            "uptime_per_s warning hazard_per_s wear_growth broken_s service_s depot_gap_s weight_service "
-            "weight_efficiency weight_maintenance weight_regularity low_occupancy"
-        ).split()
+        for name in [
+            "tick_s",
+            "hold_s",
+            "start_s",
+            "end_s",
+            "boarding_s",
+            "alighting_s",
+            "fixed_dwell_s",
+            "captive_arrivals",
+            "competing_share",
+            "dispatch_window_s",
+            "minimum_layover_s",
+            "trip_sd",
+            "day_sd",
+            "evening_peak",
+            "network_sd",
+            "incident_probability",
+            "incident_factor",
+            "demand_day_sd",
+            "demand_stop_hour_sd",
+            "dispatch_s",
+            "fuel_capacity",
+            "fuel_per_s",
+            "idle_share",
+            "uptime_per_s",
+            "warning",
+            "hazard_per_s",
+            "wear_growth",
+            "broken_s",
+            "service_s",
+            "depot_gap_s",
+            "weight_service",
+            "weight_efficiency",
+            "weight_maintenance",
+            "weight_regularity",
+            "low_occupancy",
+        ]
     ]
     + [(name, np.int64) for name in ("capacity", "shared", "weekday", "observation", "full_state")],
     align=True,
@@ -139,17 +169,53 @@ PATTERN = np.dtype([("last_finish", np.float64), ("next_trip", np.int64)], align
 LINE = np.dtype(
     [
         (name, np.float64)
-        for name in "service efficiency maintenance regularity alive on_route counted waiting".split()
+        for name in [
+            "service",
+            "efficiency",
+            "maintenance",
+            "regularity",
+            "alive",
+            "on_route",
+            "counted",
+            "waiting",
+        ]
     ],
     align=True,
 )
 """A line in the last control interval: the four components of its reward, and what they were means of."""
 
-COUNTS = ("arrived boarded alighted requeued lost denied visits breakdowns headways bunched loads").split()
-SUMS = (
-    "captive_boarded captive_wait wait headway_ratio headway_ratio_squared headway headway_squared "
-    "headway_target load ride fuel held reward service efficiency maintenance regularity"
-).split()
+COUNTS = [
+    "arrived",
+    "boarded",
+    "alighted",
+    "requeued",
+    "lost",
+    "denied",
+    "visits",
+    "breakdowns",
+    "headways",
+    "bunched",
+    "loads",
+]
+SUMS = [
+    "captive_boarded",
+    "captive_wait",
+    "wait",
+    "headway_ratio",
+    "headway_ratio_squared",
+    "headway",
+    "headway_squared",
+    "headway_target",
+    "load",
+    "ride",
+    "fuel",
+    "held",
+    "reward",
+    "service",
+    "efficiency",
+    "maintenance",
+    "regularity",
+]
 
 DAY = np.dtype(
     [("seed", np.uint64), ("key", np.uint64), ("episode", np.int64), ("tick", np.int64)]
@@ -213,10 +279,28 @@ LINE_STATE = 10
 DAY_STATE = 3
 """State features of the day: progress, and the hour as sine and cosine."""
 
-METRICS = (
-    "mean_wait_min p95_wait_min captive_wait_min excess_wait_min headway_cv bunched_share denied_boardings "
-    "boardings lost_share occupancy_mean occupancy_p95 in_vehicle_min trip_time_spread_min held_min_per_trip "
-    "breakdowns service_visits fuel_used reward_service reward_efficiency reward_maintenance "
-    "reward_regularity team_reward"
-).split()
+METRICS = [
+    "mean_wait_min",
+    "p95_wait_min",
+    "captive_wait_min",
+    "excess_wait_min",
+    "headway_cv",
+    "bunched_share",
+    "denied_boardings",
+    "boardings",
+    "lost_share",
+    "occupancy_mean",
+    "occupancy_p95",
+    "in_vehicle_min",
+    "trip_time_spread_min",
+    "held_min_per_trip",
+    "breakdowns",
+    "service_visits",
+    "fuel_used",
+    "reward_service",
+    "reward_efficiency",
+    "reward_maintenance",
+    "reward_regularity",
+    "team_reward",
+]
 """Names of the episode metrics, with their units."""

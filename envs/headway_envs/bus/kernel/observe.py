@@ -15,9 +15,11 @@ from headway_envs.bus.kernel.layout import (
     DISPATCHED,
     DRIVING,
     LINE_STATE,
+    MOVE,
     SERVICE_CENTER,
     STANDING,
     TERMINAL,
+    WAIT,
     Network,
     World,
 )
@@ -111,6 +113,8 @@ def observe(
     for n in range(observations.shape[0]):
         phase = world.slots[c, n].phase
         alive[n] = phase != DEPOT or world.event_time[c, n] < until
+        masks[n, WAIT] = True
+        masks[n, MOVE] = True
         masks[n, SERVICE_CENTER] = phase != AWAY and phase != BROKEN
         if not alive[n]:
             observations[n, :] = 0.0

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -74,7 +75,8 @@ def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
         detour=_detours(tables, calls, config),
         queue_first=_queue_rooms(rates, per_call, config),
     )
-    return network, tuple(lines)
+    # One memory layout: another would be compiled anew.
+    return Network(*(np.ascontiguousarray(array) for array in network)), tuple(lines)
 
 
 def _offsets(counts: NDArray[np.int64]) -> Integers:
@@ -256,7 +258,7 @@ def _timetable(
         mine = [i for i, trip in enumerate(trips) if begin <= trip.pattern < end]
         for driven in chain([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
             block = [mine[i] for i in driven]
-            for last, following in zip(block[:-1], block[1:], strict=True):
+            for last, following in pairwise(block):
                 before[following] = deadhead[line][
                     trips[last].pattern - begin, trips[following].pattern - begin
                 ]

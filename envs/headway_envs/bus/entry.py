@@ -1,0 +1,81 @@
+"""The bus environment's entry in the registry. Imports nothing heavy."""
+
+from typing import TYPE_CHECKING, Any
+
+from headway.contracts import BatchedEnv, EnvEntry, Rule
+from headway_envs.bus.config import BusConfig
+
+if TYPE_CHECKING:
+    from headway_envs.bus.prepared import Prepared
+
+
+def _prepare(config: BusConfig) -> "Prepared":
+    from headway_envs.bus.prepared import prepare
+
+    return prepare(config)
+
+
+def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
+    from headway_envs.bus.env import BusBatchedEnv
+
+    return BusBatchedEnv(prepared, copies)
+
+
+def _parallel_env(config: BusConfig) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    from headway_envs.bus.parallel import BusParallelEnv
+
+    return BusParallelEnv(config)
+
+
+def _always_move(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import AlwaysMove
+
+    return AlwaysMove()
+
+
+def _holding_07(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import HeadwayHolding
+
+    return HeadwayHolding(0.7, prepared.config.dispatch_window_s)
+
+
+def _holding_09(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import HeadwayHolding
+
+    return HeadwayHolding(0.9, prepared.config.dispatch_window_s)
+
+
+def _even_headway(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import EvenHeadway
+
+    return EvenHeadway()
+
+
+def _schedule_holding(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import ScheduleHolding
+
+    return ScheduleHolding()
+
+
+def _random(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import Random
+
+    return Random()
+
+
+ENTRY = EnvEntry(
+    summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",
+    config=BusConfig,
+    make=_make,
+    prepare=_prepare,
+    parallel_env=_parallel_env,
+    rules={
+        "always_move": _always_move,
+        "headway_holding_0.7": _holding_07,
+        "headway_holding_0.9": _holding_09,
+        "even_headway": _even_headway,
+        "schedule_holding": _schedule_holding,
+        "random": _random,
+    },
+    preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),
+)

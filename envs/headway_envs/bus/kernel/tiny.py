@@ -1,0 +1,47 @@
+"""The smallest network: one bus, one trip, two stops."""
+
+import numpy as np
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import KNOTS, Network
+from headway_envs.bus.prepared import Prepared
+
+
+def _whole(*values: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    return np.array(values, np.int64)
+
+
+def tiny_network() -> Network:
+    """One trip at 05:10, 100 s long, one passenger every 200 s."""
+    return Network(
+        line_slots=_whole(0, 1),
+        line_patterns=_whole(0, 1),
+        pattern_calls=_whole(0, 2),
+        pattern_trips=_whole(0, 1),
+        trip_pattern=_whole(0),
+        trip_departure=np.array([18600.0]),
+        trip_deadhead=np.zeros(1),
+        slot_trips=_whole(0),
+        slot_first=_whole(0, 1),
+        slot_line=_whole(0),
+        running=np.array([[100.0] * KNOTS, [0.0] * KNOTS]),
+        nominal=np.array([[0.0] * KNOTS, [100.0] * KNOTS]),
+        noise_sd=np.zeros(2),
+        alighting=np.array([[0.0] * 4, [1.0] * 4]),
+        arrival_rate=np.array([[0.005] * 4, [0.0] * 4]),
+        boarding_rate=np.array([[0.005] * 4, [0.0] * 4]),
+        regular_waiting=np.ones((1, 4)),
+        target=np.full((1, KNOTS), 600.0),
+        detour=np.zeros(2),
+        queue_first=_whole(0, 200, 400),
+    )
+
+
+def run_tiny() -> None:
+    """One hour of the tiny network, to its end and beyond."""
+    config = BusConfig(end_hour=6)
+    env = BusBatchedEnv(Prepared(config, tiny_network(), ("tiny",), "tiny"), 1)
+    env.reset(np.zeros(1, np.uint64))
+    for _ in range(config.ticks + 1):
+        env.step(np.ones((1, 1), np.int64))

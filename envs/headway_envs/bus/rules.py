@@ -1,0 +1,155 @@
+"""Classical controllers. All but `random` send a bus that is low on fuel or worn to the service centre when
+it decides at a terminal; they read the environment's arrays, the bus's estimated arrival included."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Observed, generator
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import (
+    DRIVING,
+    FIRST_KNOT_HOUR,
+    KNOTS,
+    MOVE,
+    SERVICE_CENTER,
+    STANDING,
+    TERMINAL,
+    WAIT,
+)
+
+Floats = NDArray[np.float64]
+FUEL_FOR_A_TRIP = 0.3
+"""Share of fuel under which a bus goes to service at a terminal: enough for the longest trips."""
+UPTIME_FOR_A_TRIP = 0.2
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The buses' situation as (C, N) arrays; times in s."""
+
+    event: Floats
+    """Next event: arrival of a driving bus, else the next decision."""
+    now: Floats
+    """(C, 1)"""
+    terminal: NDArray[np.bool_]
+    on_way: NDArray[np.bool_]
+    headway: Floats
+    """At the next event, since the last departure from that call; infinite if there was none."""
+    target: Floats
+    departure: Floats
+    """Scheduled departure of the trip."""
+    planned: Floats
+    """Planned time at the call of the next decision."""
+    ahead: Floats
+    """Spacing over target headway; NaN without a neighbour."""
+    behind: Floats
+    worn: NDArray[np.bool_]
+
+
+def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
+    """Rows of (rows, K) knot curves at times, as the kernel reads them."""
+    place = np.clip(time / 3600.0 - FIRST_KNOT_HOUR - 0.5, 0.0, KNOTS - 1)
+    knot = np.minimum(place.astype(np.int64), KNOTS - 2)
+    weight = place - knot
+    return np.asarray((1.0 - weight) * curves[rows, knot] + weight * curves[rows, knot + 1])
+
+
+def look(env: BatchedEnv) -> Scene:
+    """The scene of a bus environment; raises TypeError for any other."""
+    if not isinstance(env, BusBatchedEnv):
+        raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
+    net, world, config = env.network, env.world, env.prepared.config
+    slots = world.slots
+    phase, pattern = slots["phase"], slots["pattern"]
+    call = slots["call"] + (phase == DRIVING)
+    since = np.take_along_axis(world.queues["last_departure"], call, axis=1)
+    departure = net.trip_departure[slots["trip"]]
+    return Scene(
+        event=world.event_time,
+        now=world.days["now"][:, None],
+        terminal=phase == TERMINAL,
+        on_way=(phase == DRIVING) | (phase == STANDING),
+        headway=np.where(since > 0, world.event_time - since, np.inf),
+        target=_at(net.target, pattern, np.maximum(world.event_time, 0.0).clip(max=1e6)),
+        departure=departure,
+        planned=departure + _at(net.nominal, call, departure),
+        ahead=slots["ahead"],
+        behind=slots["behind"],
+        worn=(slots["fuel"] < FUEL_FOR_A_TRIP * config.upkeep.fuel_capacity)
+        | (slots["uptime"] < UPTIME_FOR_A_TRIP),
+    )
+
+
+def _actions(scene: Scene, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """WAIT where `hold`, else MOVE; service first, at terminals."""
+    actions = np.where(hold, WAIT, MOVE).astype(np.int64)
+    actions[scene.terminal & scene.worn] = SERVICE_CENTER
+    return actions
+
+
+def _spaced(scene: Scene, share: float) -> NDArray[np.bool_]:
+    """Where the headway at the next decision is under `share` of the target, or the bus ahead has not left
+    that stop yet."""
+    near = scene.ahead * scene.target < scene.event - scene.now
+    return (scene.headway < share * scene.target) | (scene.on_way & near)
+
+
+def _early(scene: Scene) -> NDArray[np.bool_]:
+    """At a terminal, before the scheduled departure."""
+    return scene.terminal & (scene.event < scene.departure)
+
+
+class AlwaysMove:
+    """Leave every stop and terminal at once."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        scene = look(env)
+        return _actions(scene, np.zeros(scene.event.shape, np.bool_))
+
+
+@dataclass(frozen=True)
+class HeadwayHolding:
+    """Hold while the headway to the bus ahead is under a share of the target, at stops and at terminals
+    alike (forward headway control); a terminal is left one dispatch window after schedule at the latest."""
+
+    share: float
+    window_s: float
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        scene = look(env)
+        overdue = scene.terminal & (scene.event > scene.departure + self.window_s)
+        return _actions(scene, _spaced(scene, self.share) & ~overdue)
+
+
+class EvenHeadway:
+    """Hold while the bus behind is farther than the bus ahead; leave terminals by schedule."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        scene = look(env)
+        uneven = scene.on_way & (scene.behind > scene.ahead) & (scene.ahead < 1.0)
+        return _actions(scene, uneven | _early(scene))
+
+
+class ScheduleHolding:
+    """Hold until the planned time, at stops and terminals."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        scene = look(env)
+        early = scene.on_way & (scene.event < scene.planned)
+        return _actions(scene, early | _early(scene))
+
+
+class Random:
+    """Any allowed action with equal chance."""
+
+    def __init__(self) -> None:
+        self._generator = generator(0, "bus random rule")
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        shape = observed.alive.shape
+        assert observed.action_masks is not None
+        choices = observed.action_masks.sum(axis=-1)
+        # Only the last action is ever masked.
+        return np.asarray(self._generator.random(shape) * choices, dtype=np.int64)
