@@ -154,8 +154,9 @@ class Critic(nn.Module):
             self.return_moments.include(targets[..., None], torch.from_numpy(selected).to(layout.device))
             targets = (targets - self.return_moments.mean[..., 0]) / self.return_moments.std[..., 0]
         targets = targets.to(layout.dtype)
-        loss_sum, count = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype), 0
-        for pieces in minibatches(
+        loss_sum = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype)
+        steps = np.zeros(len(selected))
+        for pieces, active in minibatches(
             selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
         ):
             self.optimiser.begin()
@@ -166,9 +167,9 @@ class Critic(nn.Module):
                 loss = (error * piece.weight).sum(1)
                 loss.sum().backward()
                 loss_sum += loss.detach()
-            self.optimiser.step()
-            count += 1
-        return loss_sum / max(count, 1)
+            self.optimiser.step(active)
+            steps += active
+        return loss_sum / torch.from_numpy(steps).to(loss_sum).clamp(min=1)
 
     def absorb(self, trajectory: Trajectory) -> None:
         """Add an iteration's inputs to the normaliser's statistics (once an iteration, after learning)."""

@@ -45,10 +45,12 @@ class Layout:
 
 
 def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
-    """A copy of values (..., N, D) whose absent rows are 0, so that no NaN found there reaches a product."""
+    """Values (..., N, ...) with 0 where `present` (..., N) is false, so that no NaN found there reaches a
+    product. The values given are left as they are."""
     if present.all():
         return values
-    return np.where(present[..., None], values, 0).astype(values.dtype)
+    spread = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
+    return np.where(spread, values, 0).astype(values.dtype)
 
 
 @dataclass(frozen=True)
@@ -123,33 +125,34 @@ def minibatches(
     parts: int,
     piece_samples: int,
     layout: Layout,
-) -> Iterator[list[Piece]]:
-    """Shuffled minibatches, each a list of pieces whose gradients add up to the minibatch's.
+) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
+    """Shuffled minibatches: a list of pieces whose gradients add up to the minibatch's, and which networks
+    have rows in it, (P,).
 
     Every network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts`
     equal minibatches, whatever the others have: so a network's updates do not depend on its stack.
-    Minibatches in which no network has a row are left out.
+    Padding repeats a selected row of the same network, if it has any.
     """
     stack, batch = selected.shape
     candidates = [np.flatnonzero(row) for row in selected]
+    fillers = np.array([[rows[0] if len(rows) else 0] for rows in candidates])
     offsets = np.arange(stack)[:, None] * batch
     for _ in range(epochs):
         shuffled = [random.permutation(rows) for random, rows in zip(generators, candidates, strict=True)]
         for part in range(parts):
             chunks = [rows[len(rows) * part // parts : len(rows) * (part + 1) // parts] for rows in shuffled]
             width = max(len(chunk) for chunk in chunks)
-            if width == 0:
-                continue
-            index = np.zeros((stack, width), np.int64)
+            index = np.repeat(fillers, width, axis=1)
             weight = np.zeros((stack, width))
             for p, chunk in enumerate(chunks):
                 index[p, : len(chunk)] = chunk
                 weight[p, : len(chunk)] = 1 / max(len(chunk), 1)
             index += offsets
-            yield [
+            pieces = [
                 Piece(
                     torch.from_numpy(index[:, rows].ravel()).to(layout.device),
                     torch.from_numpy(weight[:, rows]).to(layout.device, layout.dtype),
                 )
                 for rows in even_slices(width, stack, piece_samples)
             ]
+            yield pieces, np.array([len(chunk) > 0 for chunk in chunks])

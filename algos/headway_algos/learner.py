@@ -95,7 +95,8 @@ class OnPolicyLearner:
         self, trajectory: Trajectory, advantages: NDArray[np.float64], iteration: int
     ) -> dict[str, Tensor]:
         alive = trajectory.alive[:-1]
-        selected = self.layout.selection(alive & trajectory.acting)
+        used = alive & trajectory.acting
+        selected = self.layout.selection(used)
         observations = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
         if self.config.normalise_observations:
             observations = self.actor.normalise(observations)
@@ -105,8 +106,8 @@ class OnPolicyLearner:
         rows = PolicyRows(
             observations,
             masks,
-            self.layout.rows(trajectory.actions),
-            self.layout.rows(trajectory.log_probs),
+            self.layout.rows(zero_where_absent(trajectory.actions, used)),
+            self.layout.rows(zero_where_absent(trajectory.log_probs, used)),
             selected,
         )
         by_agent = np.broadcast_to(advantages, alive.shape)

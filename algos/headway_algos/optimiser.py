@@ -3,7 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 
@@ -28,8 +30,32 @@ class StackedAdam:
         for group in self.adam.param_groups:
             group["lr"] = self.base_lr * share
 
-    def step(self) -> Tensor:
-        """Clip and apply the gradients; returns each network's norm before the clip, (P,)."""
+    def step(self, active: NDArray[np.bool_]) -> Tensor:
+        """Clip and apply the gradients; returns each network's norm before the clip, (P,).
+
+        Networks that are not `active` (P,) had no data: they stay as they were, instead of moving on by
+        their momentum. Adam counts the step for all, so that no network's steps depend on its stack.
+        """
+        if active.all():
+            return self._step()
+        idle = torch.from_numpy(~active).to(self.parameters[0].device)
+        kept = [tensor[idle] for tensor in self._tensors()]
+        for parameter in self.parameters:
+            parameter.grad = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+            parameter.grad[idle] = 0
+        norm = self._step()
+        with torch.no_grad():
+            for tensor, values in zip(self._tensors(), kept, strict=False):
+                tensor[idle] = values
+        return norm
+
+    def _tensors(self) -> list[Tensor]:
+        """Parameters, then Adam's moments once there are any: before, idle networks' stay at their 0."""
+        states = [self.adam.state[parameter] for parameter in self.parameters]
+        moments = [state[name] for state in states if state for name in ("exp_avg", "exp_avg_sq")]
+        return [*(parameter.detach() for parameter in self.parameters), *moments]
+
+    def _step(self) -> Tensor:
         gradients = [parameter.grad for parameter in self.parameters if parameter.grad is not None]
         norm = torch.stack([g.flatten(1).square().sum(1) for g in gradients]).sum(0).sqrt()
         if self.grad_clip is not None:

@@ -31,7 +31,7 @@ def _categorical_case(dtype: torch.dtype, masked: bool) -> tuple[Tensor, Tensor,
     return new, old, masks if masked else None, actions
 
 
-def _torch_categorical(logits: Tensor, masks: Tensor | None) -> Any:
+def _torch_categorical(logits: Tensor, masks: Tensor | None) -> Any:  # noqa: ANN401 - torch leaves its methods untyped
     rows = logits.transpose(1, 2)
     # torch's own sums need finite logits; e^-200 is 0 beside allowed actions for every figure compared.
     return Categorical(logits=rows if masks is None else rows.masked_fill(~masks, -200.0))
@@ -52,7 +52,7 @@ def test_categorical_equals_torch(dtype: torch.dtype, masked: bool) -> None:
 @pytest.mark.parametrize("what", ["log_prob", "entropy", "kl"])
 def test_gradients_of_the_categorical_equal_torchs_and_are_finite(what: str, masked: bool) -> None:
     new, old, masks, actions = _categorical_case(torch.float64, masked)
-    gradients = []
+    gradients: list[Tensor] = []
     for mine in (True, False):
         logits = new.clone().requires_grad_()
         if mine:

@@ -86,11 +86,11 @@ def ppo(
     old_outputs = _old_distribution(actor, rows, config) if penalised else None
     old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
     totals = torch.zeros(4, len(kl_coeff), device=layout.device, dtype=layout.dtype)
-    steps = 0
+    steps = np.zeros(len(kl_coeff))
     batches = minibatches(
         rows.selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
     )
-    for pieces in batches:
+    for pieces, active in batches:
         optimiser.begin()
         for piece in pieces:
             masks = piece.of(rows.masks) if rows.masks is not None else None
@@ -108,9 +108,9 @@ def ppo(
                 kl = ratio - 1 - log_ratio
             (-(objective * piece.weight).sum()).backward()
             totals[:3] += _weighted(piece, kl, entropy, ((ratio - 1).abs() > config.clip).to(layout.dtype))
-        totals[3] += optimiser.step()
-        steps += 1
-    kl, entropy, clipped, norm = totals / max(steps, 1)
+        totals[3] += optimiser.step(active)
+        steps += active
+    kl, entropy, clipped, norm = totals / torch.from_numpy(steps).to(totals).clamp(min=1)
     info = {"kl": kl, "entropy": entropy, "clip_fraction": clipped, "gradient_norm": norm}
     if penalised:
         final_kl = _mean_kl(actor, rows, old_outputs, old_log_std, config)
