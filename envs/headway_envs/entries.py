@@ -1,6 +1,7 @@
 """Headway's environments by name. Importing this imports no compiled kernels and no data frames."""
 
 from headway.contracts import EnvEntry
+from headway_envs.bus.entry import ENTRY as BUS
 from headway_envs.toy.entry import ENTRIES as TOYS
 
-ENTRIES: dict[str, EnvEntry] = {**TOYS}
+ENTRIES: dict[str, EnvEntry] = {"bus": BUS, **TOYS}
