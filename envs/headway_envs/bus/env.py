@@ -1,6 +1,5 @@
 """The batched face of the bus environment."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,17 @@ from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, 
 from headway_envs.bus.kernel.memory import allocate_outputs, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
 
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The whole state of a batch and what was observed with it; picklable."""
-
-    world: World
-    outputs: Outputs
+Snapshot = dict[str, dict[str, NDArray[Any]]]
+"""The whole state of a batch and what was observed with it: plain arrays by name, as checkpoints hold."""
 
 
-def _copied(arrays: World | Outputs) -> list[NDArray[Any]]:
-    return [array.copy() for array in arrays]
+def _plain(array: NDArray[Any]) -> NDArray[Any]:
+    """The same memory as numbers: records become bytes."""
+    return array.view(np.uint8) if array.dtype.names else array
+
+
+def _copied(arrays: World | Outputs) -> dict[str, NDArray[Any]]:
+    return {name: _plain(array).copy() for name, array in arrays._asdict().items()}
 
 
 class BusBatchedEnv:
@@ -104,18 +103,18 @@ class BusBatchedEnv:
         return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
 
     def snapshot(self) -> Snapshot:
-        return Snapshot(World(*_copied(self.world)), Outputs(*_copied(self.outputs)))
+        return {"world": _copied(self.world), "outputs": _copied(self.outputs)}
 
     def restore(self, snapshot: Snapshot) -> Observed:
         """Continue from a snapshot of the same scenario and number of copies, else HeadwayError."""
-        for mine, saved in zip(
-            (*self.world, *self.outputs), (*snapshot.world, *snapshot.outputs), strict=True
-        ):
-            if mine.shape != saved.shape or mine.dtype != saved.dtype:
+        saved = {**snapshot["world"], **snapshot["outputs"]}
+        for name, array in {**self.world._asdict(), **self.outputs._asdict()}.items():
+            mine = _plain(array)
+            if name not in saved or mine.shape != saved[name].shape or mine.dtype != saved[name].dtype:
                 raise HeadwayError(
                     "the snapshot is of another bus scenario or number of copies: restore it with its own"
                 )
-            mine[...] = saved
+            mine[...] = saved[name]
         return self.observed()
 
     def close(self) -> None:
