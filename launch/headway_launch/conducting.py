@@ -11,6 +11,7 @@ from headway.energy import EnergyMeter, EnergyReport
 from headway.events import Event, Row
 from headway.store import Status
 from headway.store.checkpoint import latest_iteration
+from headway.store.folder import read_summary
 from headway.store.provenance import usable_cores
 from headway.store.session import Cell, Run, SessionStore
 from headway.training import TrainingJob
@@ -87,7 +88,8 @@ class Conductor:
         """The runs of a job, made or taken up again, and what its training process is given."""
         job = self._jobs[index]
         runs = self._runs(job.planned)
-        job.recording = JobRecording(runs)
+        before = [read_summary(run.directory) for run in runs] if job.planned.resumed else []
+        job.recording = JobRecording(runs, uses_gpu=_uses_gpu(self._config.device), before=before)
         experiment, planned = self._experiment, job.planned
         with_checkpoint = all(_has_checkpoint(run.directory) for run in runs)
         return TrainingJob(
@@ -158,8 +160,9 @@ class Conductor:
         others = {name: other.usage for name, other in self._running().items()}
         energy = self._meter.finish(str(index), others, recording.usage).per_seed(len(recording.runs))
         modes = self._meter.modes.as_tags() if self._config.energy.enabled else {}
-        for run in recording.runs:
-            result = seed_result(run, recording, self._config.evaluation.modes[0], energy, modes)
+        for place, run in enumerate(recording.runs):
+            before = recording.before[place] if recording.before else {}
+            result = seed_result(run, recording, self._config.evaluation.modes[0], energy, modes, before)
             run.finish(recording.status, result.summary)
             self._results.append(result)
 
@@ -219,6 +222,10 @@ def _session_figures(report: EnergyReport) -> dict[str, float]:
     """What the machine used, and the parts of it that are no run's."""
     parts = {"total": report.total, "session": report.session, "idle": report.idle}
     return {f"energy_{name}_kwh": part.kwh for name, part in parts.items() if part.kwh is not None}
+
+
+def _uses_gpu(device: str) -> bool:
+    return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
 
 
 def _has_checkpoint(directory: Path) -> bool:

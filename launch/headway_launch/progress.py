@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
-from headway.events import EvaluationFinished, IterationFinished, Started
+from headway.events import EvaluationFinished, Event, IterationFinished, Started
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -31,17 +31,17 @@ class JobProgress:
     env_steps: int = 0
     evaluation_return: float | None = None
     _marks: deque[tuple[float, int, int]] = field(default_factory=lambda: deque(maxlen=20))
-    """(time, iteration, environment steps) of the last iterations."""
+    """(training process's clock in s, iteration, environment steps) of the last iterations."""
 
-    def take(self, event: object, now: float) -> None:
-        """Bring up to date with an event that arrived at time `now` (s)."""
+    def take(self, event: Event) -> None:
+        """Bring up to date with an event."""
         match event:
             case Started(iteration=iteration):
                 self.status, self.iteration = "training", iteration
-            case IterationFinished(iteration=iteration, env_steps=env_steps):
+            case IterationFinished(iteration=iteration, env_steps=env_steps, curve=curve):
                 # Speed counts from the end of the first iteration, which holds the start and compilation.
                 self.iteration, self.env_steps = iteration, env_steps
-                self._marks.append((now, iteration, env_steps))
+                self._marks.append((float(curve[0]["wall_s"]), iteration, env_steps))
             case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
                 returns = [float(row[f"evaluation_{mode}/return"]) for row in curve]
                 self.evaluation_return = sum(returns) / len(returns)

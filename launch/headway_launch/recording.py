@@ -1,9 +1,8 @@
 """What one job reports goes into the runs of its seeds."""
 
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from headway.events import (
     CheckpointSaved,
@@ -31,6 +30,8 @@ class JobRecording:
 
     runs: Sequence["Run"]
     uses_gpu: bool = False
+    before: Sequence[Mapping[str, Any]] = ()
+    """Summaries of earlier sessions that trained these runs, one a seed; empty for new ones."""
     env_steps: int = 0
     """Environment steps of each seed, those before a resume included."""
     cpu_seconds: float = 0.0
@@ -50,7 +51,8 @@ class JobRecording:
             case IterationFinished():
                 self.env_steps, self.cpu_seconds = event.env_steps, event.cpu_seconds
                 self.memory_bytes = event.memory_bytes
-                self._last = (time.monotonic(), event.env_steps)
+                # The training process's own clock: events may wait while the session is busy.
+                self._last = (float(event.curve[0]["wall_s"]), event.env_steps)
                 self._first = self._first or self._last
                 self._points(event.curve)
             case EvaluationFinished(curve=curve):
@@ -82,7 +84,7 @@ class JobRecording:
         if self._first is None or self._last is None or self._last == self._first:
             return None
         (begin, first), (end, last) = self._first, self._last
-        return (last - first) / (end - begin)
+        return (last - first) / max(end - begin, 1e-9)
 
     def _points(self, curve: Sequence[Row]) -> None:
         for run, row in zip(self.runs, curve, strict=True):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from headway.config import ExperimentConfig
 from headway.events import Row
@@ -32,9 +32,8 @@ class SeedResult:
     """Area under the evaluation curve, normalised by its own extremes."""
     env_steps: int
     steps_per_second: float | None
-    cpu_seconds: float
-    energy: "Energy"
-    """Its equal share of its stack's."""
+    use: Mapping[str, float | None]
+    """CPU seconds, energy and CO2: its equal share of its stack's, over all sessions that trained it."""
     energy_modes: Mapping[str, str]
     """How the power of each part is known."""
 
@@ -46,12 +45,7 @@ class SeedResult:
             "auc": self.auc,
             "env_steps": self.env_steps,
             "steps_per_second": self.steps_per_second,
-            "cpu_seconds": self.cpu_seconds,
-            "kwh": self.energy.kwh,
-            "kg_co2": self.energy.kg_co2,
-            "cpu_kwh": self.energy.cpu_kwh,
-            "gpu_kwh": self.energy.gpu_kwh,
-            "ram_kwh": self.energy.ram_kwh,
+            **self.use,
             **self.energy_modes,
         }
 
@@ -65,9 +59,9 @@ class SeedResult:
             self.auc,
             self.env_steps,
             self.steps_per_second,
-            self.cpu_seconds,
-            self.energy.kwh,
-            self.energy.kg_co2,
+            self.use["cpu_seconds"],
+            self.use["kwh"],
+            self.use["kg_co2"],
         )
 
 
@@ -77,9 +71,19 @@ def seed_result(
     mode: str,
     energy: "Energy",
     energy_modes: Mapping[str, str],
+    before: Mapping[str, Any],
 ) -> SeedResult:
-    """The figures of a run whose training has ended, from its log."""
+    """The figures of a run whose training has ended, from its log; `before` is the summary of earlier
+    sessions, whose use is added."""
     final, area = curve_figures(run, mode)
+    used = {
+        "cpu_seconds": recording.cpu_seconds / len(recording.runs),
+        "kwh": energy.kwh,
+        "kg_co2": energy.kg_co2,
+        "cpu_kwh": energy.cpu_kwh,
+        "gpu_kwh": energy.gpu_kwh,
+        "ram_kwh": energy.ram_kwh,
+    }
     return SeedResult(
         seed=run.record.seed,
         status=recording.status,
@@ -89,10 +93,14 @@ def seed_result(
         auc=area,
         env_steps=max(recording.env_steps, run.record.durable_env_steps),
         steps_per_second=recording.steps_per_second,
-        cpu_seconds=recording.cpu_seconds / len(recording.runs),
-        energy=energy,
+        use={name: _sum(before.get(name), value) for name, value in used.items()},
         energy_modes=energy_modes,
     )
+
+
+def _sum(before: float | None, now: float | None) -> float | None:
+    known = [part for part in (before, now) if part is not None]
+    return sum(known) if known else None
 
 
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:

@@ -1,7 +1,6 @@
 """A session: training processes side by side, heard until the last of them has ended."""
 
 import signal
-import time
 import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
@@ -64,6 +63,7 @@ class Session:
         self._tick = tick
         self._running: dict[int, TrainingProcess] = {}
         self._asked_to_stop = False
+        self._killed = False
 
     def run(self) -> bool:
         """Train everything; returns whether the session was asked to stop. Whatever is raised, no training
@@ -111,7 +111,7 @@ class Session:
 
     def _take_event(self, index: int, event: Event, shown: Progress) -> None:
         job = self._progress[index]
-        job.take(event, time.monotonic())
+        job.take(event)
         match event:
             case Finished(stopped=stopped):
                 job.status = "stopped" if stopped else "finished"
@@ -124,8 +124,10 @@ class Session:
 
     def _end(self, index: int, shown: Progress) -> None:
         how = self._running.pop(index).join()
-        if self._progress[index].status in ("starting", "training"):
-            self._take_event(index, Failed(how, ""), shown)
+        job = self._progress[index]
+        if job.status in ("starting", "training"):
+            last = Finished(job.iteration, stopped=True) if self._killed else Failed(how, "")
+            self._take_event(index, last, shown)
 
     def _obey(self, requests: int, shown: Progress) -> None:
         if requests and not self._asked_to_stop and self._running:
@@ -134,5 +136,6 @@ class Session:
             for process in self._running.values():
                 process.ask_to_stop()
         if requests > 1:
+            self._killed = True
             for process in self._running.values():
                 process.kill()

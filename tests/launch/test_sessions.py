@@ -155,9 +155,7 @@ def test_a_training_process_that_dies_is_one_line_and_the_others_go_on(tmp_path:
     with headway(
         "run", *TINY, "env_steps=4e4", "backend=serial", "seed=0,1", "backend.parallel=2", folder=tmp_path
     ) as running:
-        running.wait_for(
-            lambda: running.has_said("seed 0 .*training") and running.has_said("seed 1 .*training")
-        )
+        running.wait_for(lambda: running.has_said("seed 0 .*training"))
         first = min(running.training(), key=lambda child: child.create_time())
         first.kill()
         assert running.process.wait(PATIENCE_S) == 2
