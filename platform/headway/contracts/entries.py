@@ -43,7 +43,8 @@ class EnvEntry:
     """(config) -> what all copies share (tables read, networks built), once in the parent; picklable.
     Raises HeadwayError for data that cannot be used."""
     parallel_env: Callable[[Any], Any] | None = None
-    """(config) -> the same as a PettingZoo ParallelEnv."""
+    """(config) -> the same as a PettingZoo ParallelEnv: `reset(seed=s)` begins what `reset([s])` of the batch
+    does; metrics travel in info `episode_metrics`, their names in `metadata["episode_metrics"]`."""
     rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
     """Name -> (prepared) -> rule."""
     preload: tuple[str, ...] = ()

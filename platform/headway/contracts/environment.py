@@ -48,7 +48,7 @@ class Observed:
     observations: NDArray[np.float32]
     """(C, N, D)"""
     states: NDArray[np.float32]
-    """(C, S); S is 0 where the environment gives no state."""
+    """(C, S), finite; S is 0 where the environment gives no state."""
     alive: NDArray[np.bool_]
     """(C, N): the agent exists now."""
     action_masks: NDArray[np.bool_] | None = None
@@ -63,18 +63,24 @@ class Outcome:
     After a terminated step the return is over; after a truncated one it goes on from
     `final_observations`, which hold the last observation before any reset and are valid exactly where
     `truncated` or `terminated` is set. An agent that is merely not alive for a while (a bus at the
-    depot) sets neither: its stream goes on when it returns. A copy whose episode ended has every agent
-    terminated or truncated, and what `step` returns as Observed is already the next episode's start.
+    depot) sets neither: its stream goes on when it returns. The two are never both set; where an
+    environment says both, the agent is terminated. A slot whose agent was terminated may hold a new agent,
+    with a new stream, later in the episode.
+
+    A copy whose episode ended has every agent marked, those that are away too, and what `step` returns as
+    Observed is already the next episode's start. Where `truncated` is set, `final_observations` are finite:
+    for an agent that is away, the last it observed.
     """
 
     rewards: NDArray[np.float32]
-    """(C, N)"""
+    """(C, N): finite for every slot, 0 for one without an agent; a reward given while an agent is away belongs
+    to its stream."""
     terminated: NDArray[np.bool_]
     """(C, N)"""
     truncated: NDArray[np.bool_]
     """(C, N)"""
     acting: NDArray[np.bool_]
-    """(C, N): the action just given was used."""
+    """(C, N): the action just given was used; implies that the agent was alive before the step."""
     episode_ended: NDArray[np.bool_]
     """(C,)"""
     final_observations: NDArray[np.float32]
@@ -110,7 +116,8 @@ class BatchedEnv(Protocol):
         ...
 
     def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401
-        """Continue from a snapshot; returns what was observed when it was taken."""
+        """Continue from a snapshot; returns what was observed when it was taken. Works on a new environment
+        with as many copies, without a reset before."""
         ...
 
     def close(self) -> None: ...
