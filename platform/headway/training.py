@@ -118,8 +118,8 @@ class _Training:
         else:
             self.collector.begin()
         self.report(Started(self.iteration, (os.getpid(), *self.collector.process_ids())))
-        if self.iteration == 0:
-            self._write_curve(self._labelled([{} for _ in self.job.seeds]), self._evaluate(final=total == 0))
+        if self.saved_iteration < 0:
+            self._write_curve(self._labelled([{} for _ in self.job.seeds]), self._evaluate(final=False))
         while self.iteration < total and not should_stop():
             self._iterate(total)
             if self.iteration % self.config.store.checkpoint_every == 0 or self.iteration == total:
@@ -202,7 +202,8 @@ class _Training:
             log.append("episodes", [{**label, **e.row} for e in episodes if e.replica == r])
 
     def _checkpoint(self) -> None:
-        """The log first: a checkpoint never knows more than the log holds."""
+        """All logs first: a checkpoint never knows more than they hold, and one may be all there is when
+        a stack is killed between two writes."""
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
@@ -210,8 +211,9 @@ class _Training:
             "iteration": self.iteration,
             "seconds": self.seconds_before + time.monotonic() - self.started,
         }
-        for replica, (log, directory) in enumerate(zip(self.logs, self.job.directories, strict=True)):
+        for log in self.logs:
             log.commit(self.iteration)
+        for replica, directory in enumerate(self.job.directories):
             save_checkpoint(Path(directory), self.iteration, {**state, "replica": replica})
         self.saved_iteration = self.iteration
         self.report(CheckpointSaved(self.iteration))
@@ -224,6 +226,9 @@ class _Training:
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
         self.collector.restore(state["snapshots"], iteration)
+        if any(snapshot is None for snapshot in state["snapshots"]):
+            name = self.job.spec.name
+            self.report(Notice(f"{name} keeps no snapshots: its episodes start anew after {iteration}"))
         for log in self.logs:
             log.rewind(iteration)
 

@@ -14,7 +14,7 @@ from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.sampler import Episode, Sampler
+from headway.rollout.sampler import Episode, Sampler, in_order
 from headway.rollout.worker import (
     Begin,
     Broken,
@@ -45,7 +45,9 @@ class Collector(Protocol):
         """Start the first episodes."""
         ...
 
-    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]: ...
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Sample one iteration; the episodes that ended in it, by replica, copy and time."""
+        ...
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes: one list a replica, one row an episode."""
@@ -90,7 +92,7 @@ class SerialCollector:
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration."""
-        return self.sampler.collect(iteration, parameters)
+        return in_order(self.sampler.collect(iteration, parameters))
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes, block after block."""
@@ -186,7 +188,7 @@ class ProcessCollector:
         self._publish(parameters)
         done = self._all([Collect(iteration)] * len(self.workers))
         self.iteration = iteration
-        return [episode for part in done for episode in part.episodes]
+        return in_order(episode for part in done for episode in part.episodes)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes, blocks dealt out to the workers in turn."""

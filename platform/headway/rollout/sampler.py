@@ -1,6 +1,6 @@
 """Stepping environments with policies: the loop that workers, and the serial backend, run."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -21,6 +21,12 @@ class Episode:
     replica: int
     row: Row
     """`copy`, `length`, `return` (the mean over agents of their summed rewards) and the metrics."""
+
+
+def in_order(episodes: Iterable[Episode]) -> list[Episode]:
+    """By replica, copy and time, given each copy's in the order of time: so that the last bits of their
+    means are the same on every backend."""
+    return sorted(episodes, key=lambda episode: (episode.replica, episode.row["copy"]))
 
 
 class Tally:

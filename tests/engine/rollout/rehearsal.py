@@ -178,8 +178,7 @@ def take(trajectory: Trajectory, episodes: list[Episode]) -> Taken:
     over = arrays["terminated"] | arrays["truncated"]
     arrays["final_observations"][~over] = 0
     arrays["final_states"][~over.all(axis=2)] = 0
-    ordered = sorted(episodes, key=lambda e: (e.replica, e.row["copy"]))
-    return Taken(arrays, ordered)
+    return Taken(arrays, episodes)
 
 
 def iterations_of(collector: Collector, parameters: Arrays, first: int, last: int) -> list[Taken]:

@@ -1,0 +1,260 @@
+"""One seed, one curve: whatever the backend, the company, the interruptions and the accidents."""
+
+import multiprocessing
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "rollout"))  # workers, too, must find these two
+from rehearsal import TOYS, Fault, FaultConfig, FaultyVisitors
+from runs import Backend, Log, job_of, log_of, logs_of, train_quietly, trained
+
+from headway import training
+from headway.contracts import HeadwayError, child_seeds
+from headway.events import (
+    CheckpointSaved,
+    EvaluationFinished,
+    Event,
+    Finished,
+    IterationFinished,
+    Notice,
+    Started,
+)
+from headway.rollout.backends import WorkerFailedError
+from headway.rollout.episodes import evaluation_seeds
+from headway.store.checkpoint import save_checkpoint
+from headway.store.log import RunLog, read_rows
+from headway.training import TrainingJob, train
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    """Six iterations of seed 5 on visitors, undisturbed, on the serial backend."""
+    job = job_of(tmp_path_factory.mktemp("whole"))
+    trained(job)
+    return logs_of(job)[0]
+
+
+def _faulty(folder: Path, fault: Fault = "kill", **choices: Any) -> tuple[type[FaultyVisitors], FaultConfig]:  # noqa: ANN401 - FaultConfig's
+    return FaultyVisitors, FaultConfig(fault, str(folder), **{"at": 41, "copies": 2, **choices})
+
+
+def _of(kind: type[Event], events: list[Event]) -> list[Any]:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def test_the_log_holds_every_iteration_evaluation_and_episode(whole: Log) -> None:
+    assert [row["iteration"] for row in whole["curve"]] == list("0123456")
+    assert [row["env_steps"] for row in whole["curve"]] == [str(64 * i) for i in range(7)]
+    for row in whole["curve"]:
+        evaluated = int(row["iteration"]) % 2 == 0
+        assert ("evaluation_greedy/return" in row) == evaluated
+        assert ("evaluation_sampled/regret" in row) == evaluated
+        assert ("policy/entropy" in row) == (row["iteration"] != "0")
+    modes = [(row["iteration"], row["mode"], row["episode_seed"]) for row in whole["evaluation"]]
+    last = [("6", repr(mode), str(i)) for mode in ("greedy", "sampled") for i in range(3)]
+    assert modes[-6:] == last
+    assert len(modes) == 3 * 2 * 2 + 6
+    assert {row["copy"] for row in whole["episodes"]} == set("0123")
+
+
+def test_a_curve_s_last_point_is_of_the_same_episodes_as_the_others(tmp_path: Path) -> None:
+    events = trained(job := job_of(tmp_path, iterations=2))
+    last = _of(EvaluationFinished, events)[-1]
+    assert last.final
+    assert len(last.episodes[0]) == 3
+    expected = np.mean([row["return"] for row in last.episodes[0][:2]])
+    assert last.curve[0]["evaluation_sampled/return"] == expected
+    assert read_rows(Path(job.directories[0]), "curve")[-1]["evaluation_sampled/return"] == expected
+
+
+def test_events_come_in_order(tmp_path: Path) -> None:
+    events = trained(job_of(tmp_path, backend="process"))
+    assert isinstance(events[0], Started)
+    assert len(events[0].process_ids) == 3
+    assert events[-1] == Finished(6, stopped=False)
+    assert [e.iteration for e in _of(IterationFinished, events)] == [1, 2, 3, 4, 5, 6]
+    assert [e.iteration for e in _of(CheckpointSaved, events)] == [2, 4, 6]
+    assert [(e.iteration, e.final) for e in _of(EvaluationFinished, events)[::2]] == [
+        (0, False), (2, False), (4, False), (6, True),
+    ]  # fmt: skip
+    cpu = [e.cpu_seconds for e in _of(IterationFinished, events)]
+    assert cpu == sorted(cpu)
+    assert cpu[0] > 0
+
+
+def test_the_same_again_is_the_same(whole: Log, tmp_path: Path) -> None:
+    trained(job := job_of(tmp_path))
+    assert logs_of(job) == [whole]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_worker_processes_change_nothing(whole: Log, tmp_path: Path, workers: int) -> None:
+    trained(job := job_of(tmp_path, backend="process", workers=workers))
+    assert logs_of(job) == [whole]
+
+
+def test_other_seeds_in_other_processes_change_nothing(whole: Log, tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    jobs = [job_of(tmp_path, seeds=(seed,), backend="process") for seed in (5, 6)]
+    processes = [context.Process(target=train_quietly, args=(job,)) for job in jobs]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(60)
+        assert process.exitcode == 0
+    logs = [log_of(tmp_path / str(seed)) for seed in (5, 6)]
+    assert logs[0] == whole
+    assert logs[1]["curve"] != whole["curve"]
+
+
+@pytest.mark.parametrize("toy", TOYS)
+def test_a_stack_and_other_blocks_agree_with_alone_in_the_first_updates(toy: str, tmp_path: Path) -> None:
+    def curve(name: str, seeds: tuple[int, ...], block: int) -> list[Mapping[str, float | int | str]]:
+        job = job_of(
+            tmp_path / name, TOYS[toy], seeds, block=block, iterations=3, precision="float64",
+            backend="process" if len(seeds) > 1 else "serial",
+        )  # fmt: skip
+        trained(job)
+        return read_rows(tmp_path / name / "6", "curve")
+
+    alone = curve("alone", (6,), 2)
+    for other in (curve("stack", (5, 6, 7), 2), curve("small", (6,), 1), curve("large", (6,), 4)):
+        for row, expected in zip(other, alone, strict=True):
+            assert row.keys() == expected.keys()
+            for name in row.keys() - {"wall_s", "time/collect_s", "time/learn_s"}:
+                np.testing.assert_allclose(row[name], expected[name], rtol=1e-8, atol=1e-10, err_msg=name)
+
+
+def test_evaluation_seeds_are_the_same_for_all_runs_and_apart_from_training() -> None:
+    evaluation = set(evaluation_seeds(1_000_003, 0, 500).tolist())
+    assert evaluation_seeds(1_000_003, 10, 5).tolist() == evaluation_seeds(1_000_003, 0, 15)[10:].tolist()
+    assert len(evaluation) == 500
+    for seed in (0, 1, 1_000_003):  # even if a training seed is the evaluation's root
+        assert evaluation.isdisjoint(child_seeds(seed, "env", 0, 500).tolist())
+
+
+@pytest.mark.parametrize("fault", ["kill", "raise"])
+def test_a_worker_lost_in_mid_iteration_leaves_no_trace_in_the_curve(
+    whole: Log, tmp_path: Path, fault: Fault
+) -> None:
+    events = trained(job := job_of(tmp_path, _faulty(tmp_path, fault), backend="process"))
+    assert [len(_of(Notice, events)), "replaced" in _of(Notice, events)[0].line] == [1, True]
+    assert logs_of(job) == [whole]
+
+
+def test_a_run_that_cannot_go_on_raises_and_leaves_no_worker(tmp_path: Path) -> None:
+    events: list[Event] = []
+    job = job_of(tmp_path, _faulty(tmp_path, "raise", times=9), backend="process")
+    with pytest.raises(WorkerFailedError, match="the bridge is out"):
+        train(job, events.append, lambda: False)
+    assert not any(psutil.pid_exists(process_id) for process_id in _of(Started, events)[0].process_ids[1:])
+
+
+@pytest.mark.parametrize("backend", ["serial", "process"])
+@pytest.mark.parametrize("stop", [1, 3, 4])
+def test_stopped_and_resumed_equals_never_stopped(
+    whole: Log, tmp_path: Path, backend: Backend, stop: int
+) -> None:
+    job = job_of(tmp_path, backend=backend)
+    events = trained(job, stop_after=stop)
+    assert events[-2:] == [CheckpointSaved(stop), Finished(stop, stopped=True)]
+    events = trained(replace(job, resume=True))
+    assert _of(Started, events)[0].iteration == stop
+    assert logs_of(job) == [whole]
+    assert trained(replace(job, resume=True))[-1] == Finished(6, stopped=False)  # nothing is left to do
+    assert logs_of(job) == [whole]
+
+
+def test_stopped_before_the_first_iteration_and_resumed(whole: Log, tmp_path: Path) -> None:
+    job = job_of(tmp_path)
+    assert trained(job, stop_after=0)[-1] == Finished(0, stopped=True)
+    trained(replace(job, resume=True), stop_after=0)
+    trained(replace(job, resume=True))
+    assert logs_of(job) == [whole]
+
+
+def test_a_checkpoint_cut_in_half_falls_back_to_the_one_before(whole: Log, tmp_path: Path) -> None:
+    job = job_of(tmp_path)
+    trained(job, stop_after=4)
+    newest = tmp_path / "5" / "checkpoint-000004.pt"
+    newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
+    events = trained(replace(job, resume=True))
+    assert "checkpoint-000004.pt is broken" in _of(Notice, events)[0].line
+    assert _of(Started, events)[0].iteration == 2
+    assert logs_of(job) == [whole]
+
+
+def _train_in_a_process(job: TrainingJob) -> int | None:
+    process = multiprocessing.get_context("spawn").Process(target=train_quietly, args=(job,))
+    process.start()
+    process.join(60)
+    return process.exitcode
+
+
+def test_a_killed_training_process_resumes_to_the_same_curve(whole: Log, tmp_path: Path) -> None:
+    # On the serial backend the environment that kills is in the training process: in iteration 4.
+    job = job_of(tmp_path, _faulty(tmp_path, at=3 * 16 + 9, copies=4))
+    assert _train_in_a_process(job) == -9
+    events = trained(replace(job, resume=True))
+    assert _of(Started, events)[0].iteration == 2
+    assert logs_of(job) == [whole]
+
+
+@pytest.mark.parametrize("writes", [4, 5, 6, 7, 8])
+def test_a_stack_killed_between_two_writes_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
+) -> None:
+    """At iterations 2 and 4 each of the two seeds writes a log and a checkpoint."""
+    trained(undisturbed := job_of(tmp_path / "whole", seeds=(5, 6)))
+    written = 0
+
+    def count() -> None:
+        nonlocal written
+        written += 1
+        if written > writes:
+            raise KeyboardInterrupt
+
+    def save(directory: Path, iteration: int, state: Mapping[str, Any]) -> Path:
+        count()
+        return save_checkpoint(directory, iteration, state)
+
+    class CountedLog(RunLog):
+        def commit(self, iteration: int) -> None:
+            count()
+            super().commit(iteration)
+
+    job = job_of(tmp_path / "disturbed", seeds=(5, 6))
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training, "save_checkpoint", save)
+        patch.setattr(training, "RunLog", CountedLog)
+        trained(job)
+    trained(replace(job, resume=True))
+    assert logs_of(job) == logs_of(undisturbed)
+
+
+def test_without_snapshots_a_resumed_run_says_so_and_sees_new_episodes(tmp_path: Path) -> None:
+    job = job_of(tmp_path, _faulty(tmp_path, times=0, snapshots=False))
+    trained(job, stop_after=2)
+    events = trained(replace(job, resume=True), stop_after=2)
+    assert "start anew" in _of(Notice, events)[0].line
+    trained(replace(job, resume=True))
+    first = [
+        [row for row in log_of(tmp_path / "5")["episodes"] if row["iteration"] in iterations]
+        for iterations in ("12", "34", "56")
+    ]
+    keys = [{(row["length"], row["return"]) for row in rows} for rows in first]
+    assert not keys[0] & keys[1]
+    assert not keys[1] & keys[2]
+
+
+def test_a_checkpoint_of_other_workers_is_refused_in_one_line(tmp_path: Path) -> None:
+    trained(job_of(tmp_path, backend="process"), stop_after=1)
+    with pytest.raises(HeadwayError, match="made with 2 workers"):
+        trained(job_of(tmp_path, resume=True))
