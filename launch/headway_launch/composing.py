@@ -166,6 +166,10 @@ def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
     from omegaconf.errors import OmegaConfBaseException
     from yaml import YAMLError
 
+    # Data beside the project is found from whatever folder the command is given in.
+    OmegaConf.register_new_resolver(
+        "project", lambda path: str((configs_folder().parent / path).resolve()), replace=True
+    )
     try:
         with initialize_config_dir(str(configs_folder()), version_base="1.3"):
             composed = hydra_compose("config", overrides=list(overrides))
