@@ -53,6 +53,15 @@ class RolloutPlan:
         if limit is not None and most > limit:
             raise HeadwayError(
                 f"{self.spec.name} allows {limit} copies in a process, and a worker would hold {most}; "
-                f"set rollout.block={limit} and backend.workers={-(-self.copies // limit)}"
+                f"set {self._settings_within(limit)}"
             )
         return shards
+
+    def _settings_within(self, limit: int) -> str:
+        """Settings with which no worker holds more than `limit` copies."""
+        most = limit // self.replicas
+        if most == 0:
+            return f"backend.stack={limit} or less"
+        block = max(size for size in range(1, most + 1) if self.copies % size == 0)
+        workers = -(-(self.copies // block) // (most // block))
+        return f"rollout.block={block} and backend.workers={workers}"
