@@ -13,13 +13,14 @@ from typing import Any, TypeVar
 
 from headway.contracts import HeadwayError
 from headway.store.curve import Point
-from headway.store.durable import locked, make_folder
+from headway.store.durable import locked, make_folder, sync_folder
 from headway.store.folder import Status, milliseconds
 
 _Result = TypeVar("_Result")
 _BATCH = 1000  # MLflow's limit of metrics in one request
 _PARAMETERS = 100  # and of parameters
 _TEXT = 5000  # longest tag; parameters take 6000
+_DATABASE = "mlflow.db"
 _CELL_TAG = "headway.cell"
 _RUN_TAG = "headway.run_id"
 _QUIET = {
@@ -27,25 +28,27 @@ _QUIET = {
     "DO_NOT_TRACK": "true",
     "MLFLOW_DISABLE_SYSTEM_METRICS_LOGGING": "true",
     "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING": "false",
+    "MLFLOW_LOGGING_LEVEL": "CRITICAL",
     "GIT_PYTHON_REFRESH": "quiet",
 }
 
 
 class Tracker:
     """A connection to MLflow. Used from one thread. Every method raises HeadwayError, in one line, where
-    MLflow does not answer as it should, or its database stays locked for longer than `wait_s` seconds."""
+    MLflow does not answer as it should, or its database stays locked for `wait_s` seconds (in steps of the
+    20 that MLflow itself waits)."""
 
     def __init__(self, root: Path, tracking_uri: str | None = None, wait_s: float = 60.0) -> None:
         self.root = root.resolve()
         self._local = tracking_uri is None
-        # The driver's own wait is short, so that ours, which can be told about, bounds the whole.
-        self.uri = tracking_uri or f"sqlite:///{self.root / 'mlflow.db'}?timeout={min(5.0, wait_s):g}"
+        self.uri = tracking_uri or f"sqlite:///{self.root / _DATABASE}"
         self._wait_s = wait_s
         make_folder(self.root)
-        # Sessions that start at once would race to create the database's tables.
-        with self._alone("MLflow's database was prepared"):
-            self._client = _within(wait_s, self.uri, lambda: _client(self.uri))
-            self._ask("search_experiments", max_results=1)
+        _import_quietly()
+        if self._local:
+            self._create_database()
+        self._client = _within(wait_s, self.uri, lambda: _client(self.uri))
+        self._ask("search_experiments", max_results=1)
 
     def cell(
         self, study: str, cell: str, parameters: Mapping[str, str], tags: Mapping[str, str]
@@ -119,6 +122,21 @@ class Tracker:
             self._ask("log_artifact", run, str(file))
         self._ask("set_terminated", run, status, end_time=moment)
 
+    def _create_database(self) -> None:
+        """Sessions that start at once would race to create its tables, and one killed meanwhile would
+        leave half of them: so one at a time, under another name."""
+        path, draft = self.root / _DATABASE, self.root / f".{_DATABASE}.partial"
+        if path.exists():
+            return
+        with self._alone("MLflow's database was created"):
+            if path.exists():
+                return
+            draft.unlink(missing_ok=True)
+            uri = f"sqlite:///{draft}"
+            _within(self._wait_s, uri, lambda: _client(uri).search_experiments(max_results=1))
+            draft.replace(path)
+            sync_folder(self.root)
+
     def _experiment(self, study: str) -> str:
         found = self._ask("get_experiment_by_name", study)
         if found is not None:
@@ -149,14 +167,18 @@ class Tracker:
         return _within(self._wait_s, self.uri, lambda: ask(*arguments, **named))
 
 
-def _client(uri: str) -> Any:  # noqa: ANN401
+def _import_quietly() -> None:
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
-    os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")
-    from mlflow.tracking import MlflowClient
+    import mlflow.tracking  # noqa: F401 - a second or two, before any lock is held
 
     for name in ("mlflow", "alembic"):
-        logging.getLogger(name).setLevel(logging.ERROR)
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _client(uri: str) -> Any:  # noqa: ANN401
+    from mlflow.tracking import MlflowClient
+
     return MlflowClient(tracking_uri=uri)
 
 

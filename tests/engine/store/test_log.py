@@ -2,9 +2,11 @@
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,9 @@ import numpy as np
 import pytest
 
 from headway.contracts import HeadwayError
+from headway.events import Row
 from headway.store import log
+from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.log import RunLog
 
 
@@ -102,6 +106,39 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: 
     run.commit(2)
     assert list(log.read(tmp_path, "curve")["iteration"]) == [1, 2]
     assert {path.suffix for path in tmp_path.iterdir()} == {".parquet"}
+
+
+@pytest.fixture
+def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 256 KiB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(disk)]
+    if not shutil.which("mount") or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a file system needs root")
+    yield disk
+    subprocess.run(["umount", "--lazy", str(disk)], check=False)
+
+
+def test_a_disk_that_fills_up_keeps_what_was_kept(tiny_disk: Path) -> None:
+    run, checkpoints = RunLog(tiny_disk / "run"), tiny_disk / "run" / "checkpoints"
+    noise, kept = np.random.default_rng(0), [0]
+
+    def fill() -> None:
+        while kept[-1] < 1000:
+            iteration = kept[-1] + 1
+            rows: list[Row] = [{"iteration": iteration, "x": value} for value in noise.normal(size=1000)]
+            run.append("curve", rows)
+            run.commit(iteration)
+            save_checkpoint(checkpoints, iteration, {"at": iteration})
+            kept.append(iteration)
+
+    with pytest.raises(HeadwayError, match="free some space and resume"):
+        fill()
+    assert kept[-1] > 3
+    assert log.read(tiny_disk / "run", "curve")["iteration"].max() >= kept[-1]
+    assert load_latest(checkpoints)[1] == {"at": kept[-1]}
+    assert not list((tiny_disk / "run").glob(".*"))
 
 
 def test_a_broken_segment_is_named(tmp_path: Path) -> None:

@@ -2,10 +2,12 @@
 
 import os
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,15 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def root(tmp_path: Path, prepared: Path) -> Path:
     (tmp_path / "mlflow.db").write_bytes(prepared.read_bytes())
     return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("the store reached for the network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
 
 
 def _row(iteration: int) -> Row:
@@ -174,6 +185,20 @@ def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     assert len(_mlflow(root).search_runs(["1"])) == 2
 
 
+@pytest.fixture
+def impatient_mlflow() -> Iterator[None]:
+    """MLflow's own wait for a lock, 20 s, made short."""
+    import sqlalchemy
+
+    def shorten(_connection: object, _cursor: object, statement: str, parameters: Any, *_: object) -> Any:  # noqa: ANN401
+        return statement.replace("busy_timeout = 20000", "busy_timeout = 100"), parameters
+
+    sqlalchemy.event.listen(sqlalchemy.Engine, "before_cursor_execute", shorten, retval=True)
+    yield
+    sqlalchemy.event.remove(sqlalchemy.Engine, "before_cursor_execute", shorten)
+
+
+@pytest.mark.usefixtures("impatient_mlflow")
 def test_a_locked_database_is_waited_for_within_a_bound(root: Path) -> None:
     other = sqlite3.connect(root / "mlflow.db", isolation_level=None)
     tracker = Tracker(root, wait_s=0.5)
@@ -189,11 +214,12 @@ _ONE_OF_FOUR = """
 import sys, time
 root, folder, seed, moment = sys.argv[1:]
 sys.path.insert(0, folder)
-from test_session import StoreConfig, SessionStore, _begin, _train
+from test_session import StoreConfig, SessionStore, _begin, _row
 time.sleep(max(0.0, float(moment) - time.time()))
 store = SessionStore.open(StoreConfig(root=root))
 run = _begin(store, int(seed))
-_train(run, 1, 10)
+run.points([_row(1)])
+run.durable(1)
 run.finish("FINISHED", {"final_reward": float(seed)})
 rows, notices = store.index.rows(), store.close()
 sys.exit(str(notices) if notices or not rows else 0)
