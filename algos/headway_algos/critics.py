@@ -63,6 +63,20 @@ class CentralView:
         return np.broadcast_to(seen[:, :, None], (*seen.shape[:2], self.viewpoints, seen.shape[2]))
 
 
+def _seen_at(
+    endings: Endings, trajectory: Trajectory
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Observations, states and presence (F, R, ...) right after the step of each ending: final ones where
+    they are valid, what came next for those who went on."""
+    ended = endings.take(trajectory.terminated | trajectory.truncated)
+    final_observations = endings.take(trajectory.final_observations)
+    observations = np.where(ended[..., None], final_observations, endings.take(trajectory.observations[1:]))
+    everyone = ended.all(axis=-1, keepdims=True)
+    final_states = endings.take(trajectory.final_states)
+    states = np.where(everyone, final_states, endings.take(trajectory.states[1:]))
+    return observations, states, ended | endings.take(trajectory.alive[1:])
+
+
 VIEWS: dict[str, type[LocalView] | type[CentralView]] = {"local": LocalView, "central": CentralView}
 
 
@@ -129,11 +143,7 @@ class Critic(nn.Module):
         endings = Endings.of(trajectory, self.layout.replicas)
         if len(endings) == 0:
             return values, np.zeros_like(values[:-1])
-        at_end = self.rows(
-            endings.take(trajectory.final_observations),
-            endings.take(trajectory.final_states),
-            endings.take(trajectory.alive[:-1]),
-        )
+        at_end = self.rows(*_seen_at(endings, trajectory))
         return values, endings.put(self._values(at_end, len(endings)), values[:-1].shape)
 
     def fit(

@@ -1,6 +1,7 @@
 """One Adam over a stack of networks, with gradients clipped for each network by itself."""
 
 from collections.abc import Iterable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -70,5 +71,5 @@ class StackedAdam:
         return self.adam.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
-        self.adam.load_state_dict(state)
+        """Inverse of `state_dict`; a copy, since torch would go on to write into `state`."""
+        self.adam.load_state_dict(deepcopy(state))

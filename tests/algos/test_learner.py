@@ -1,0 +1,335 @@
+"""The learner as a whole: stacks, absent agents, endings, and going on from a checkpoint."""
+
+import io
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.learner import OnPolicyLearner
+from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.recipes.mappo import MAPPOConfig
+
+Fabricate = Callable[..., Trajectory]
+Poison = Callable[[Trajectory], Trajectory]
+Change = Callable[[Trajectory], None]
+
+DISCRETE = EnvSpec(
+    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
+)
+WITH_STATE = replace(DISCRETE, state_size=5)
+TEAM = replace(WITH_STATE, shared_reward=True)
+BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
+MODEL = ModelConfig(hidden=(8, 8), actor_gain=0.5)
+IPPO = IPPOConfig(
+    model=MODEL, precision="float64", minibatches=3, epochs=2, lr=3e-3, kl_coeff=0.2, value_clip=5.0
+)
+MAPPO = MAPPOConfig(model=MODEL, precision="float64", minibatches=3, epochs=2, lr=3e-3)
+CASES = {
+    "ippo": (IPPO, DISCRETE),
+    "ippo box": (IPPO, BOX),
+    "ippo shared": (replace(IPPO, policies="shared"), DISCRETE),
+    "ippo groups": (replace(IPPO, policies="groups"), DISCRETE),
+    "mappo": (MAPPO, DISCRETE),
+    "mappo state": (MAPPO, WITH_STATE),
+    "mappo team": (replace(MAPPO, policies="groups"), TEAM),
+    "mappo team shared box": (
+        replace(MAPPO, policies="shared"),
+        replace(TEAM, action_space=BOX.action_space, has_action_mask=False),
+    ),
+}
+every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+
+
+def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
+    """Every number that learning changes, with leading axis P."""
+    named = {
+        **{f"actor {name}": value for name, value in learner.actor.state_dict().items()},
+        **{f"critic {name}": value for name, value in learner.critic.state_dict().items()},
+        "kl_coeff": learner.kl_coeff,
+    }
+    return {name: value.detach().numpy().copy() for name, value in named.items()}
+
+
+def _assert_close(got: dict[str, NDArray[Any]], expected: dict[str, NDArray[Any]]) -> None:
+    assert got.keys() == expected.keys()
+    for name in got:
+        np.testing.assert_allclose(got[name], expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+def _joined(parts: list[Trajectory]) -> Trajectory:
+    names = Trajectory.__dataclass_fields__
+    return Trajectory(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names))
+
+
+@every_case
+def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    """Though the others have more rows, or hardly any."""
+    seeds = (3, 5, 7)
+    stacked = OnPolicyLearner(config, spec, seeds, "cpu")
+    alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in seeds]
+    for iteration in range(1, 4):
+        parts = [
+            fabricate(spec, 8, 3, seed=10 * iteration + r, absent=absent, idle=0.2, leaves=0.02)
+            for r, absent in enumerate((0.0, 0.5, 0.95))
+        ]
+        info = stacked.update(_joined(parts), iteration, 0.1 * iteration)
+        for r, learner in enumerate(alone):
+            for name, value in learner.update(parts[r], iteration, 0.1 * iteration).items():
+                np.testing.assert_allclose(info[name][r], value[0], rtol=1e-8, atol=1e-10, err_msg=name)
+    together = _tensors(stacked)
+    for r, learner in enumerate(alone):
+        networks = {name: len(value) for name, value in _tensors(learner).items()}
+        mine = {
+            name: value[r * networks[name] : (r + 1) * networks[name]] for name, value in together.items()
+        }
+        _assert_close(mine, _tensors(learner))
+
+
+def _of_agents(made: Trajectory, agents: slice) -> Trajectory:
+    without_agents = ("states", "final_states")
+    parts = {name: getattr(made, name) for name in Trajectory.__dataclass_fields__}
+    return Trajectory(**{n: v if n in without_agents else v[:, :, agents] for n, v in parts.items()})
+
+
+@pytest.mark.parametrize(("config", "spec"), [(IPPO, DISCRETE), (IPPO, BOX), (MAPPO, WITH_STATE)])
+def test_an_independent_policy_alone_learns_what_it_learns_among_others(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    among = OnPolicyLearner(config, spec, (5,), "cpu")
+    alone = OnPolicyLearner(config, replace(spec, agents=("a",), groups=("x",)), (5,), "cpu")
+    for iteration in range(1, 4):
+        made = fabricate(spec, 8, 3, seed=iteration, absent=0.4, idle=0.2)
+        made.alive[:, :, 0] |= made.alive[:, :, 1]  # numbers of valid rows differ
+        made.acting[:, :, 0] = made.alive[:-1, :, 0]
+        among.update(made, iteration, 0.0)
+        alone.update(_of_agents(made, slice(0, 1)), iteration, 0.0)
+    _assert_close({name: value[:1] for name, value in _tensors(among).items()}, _tensors(alone))
+
+
+@pytest.mark.parametrize(("config", "spec"), [(IPPO, DISCRETE), (IPPO, BOX), (MAPPO, WITH_STATE)])
+def test_what_others_live_through_changes_no_independent_policy(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    results = []
+    for other_seed in (1, 2):
+        learner = OnPolicyLearner(config, spec, (5,), "cpu")
+        made, other = fabricate(spec, 8, 3, seed=0, absent=0.3), fabricate(spec, 8, 3, other_seed, 0.6)
+        for name in ("observations", "alive", "actions", "rewards", "acting", "log_probs"):
+            getattr(made, name)[:, :, [0, 1, 3]] = getattr(other, name)[:, :, [0, 1, 3]]
+        if spec.has_action_mask:
+            made.action_masks[:, :, [0, 1, 3]] = other.action_masks[:, :, [0, 1, 3]]
+        learner.update(made, 1, 0.0)
+        results.append(_tensors(learner))
+    for name, value in results[0].items():
+        np.testing.assert_allclose(value[2], results[1][name][2], rtol=1e-12, atol=1e-12, err_msg=name)
+        if "weights" in name:
+            assert (value[0] != results[1][name][0]).any()
+
+
+@every_case
+def test_poison_in_what_nobody_lived_through_changes_nothing(
+    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    clean, bad = (OnPolicyLearner(config, spec, (1, 2), "cpu") for _ in range(2))
+    for iteration in range(1, 3):
+        made = fabricate(spec, 10, 6, seed=iteration, absent=0.4, idle=0.3, leaves=0.05)
+        expected = clean.update(made, iteration, 0.0)
+        for name, value in bad.update(poisoned(made), iteration, 0.0).items():
+            np.testing.assert_array_equal(value, expected[name], err_msg=name)
+    for name, value in _tensors(bad).items():
+        np.testing.assert_array_equal(value, _tensors(clean)[name], err_msg=name)
+        assert np.isfinite(value).all(), name
+
+
+def test_padding_of_unequal_groups_changes_nothing(fabricate: Fabricate) -> None:
+    """The large group learns the same beside a group of one as beside a group of its own size."""
+    config = replace(IPPO, policies="groups")
+    padded = replace(DISCRETE, agents=tuple("abcd"), groups=tuple("xxxy"))
+    equal = replace(DISCRETE, agents=tuple("abcdef"), groups=tuple("xxxyyy"))
+    large = fabricate(equal, 8, 3, seed=0, absent=0.2, idle=0.2)
+    results = []
+    for spec, made in ((equal, large), (padded, _of_agents(large, slice(0, 4)))):
+        learner = OnPolicyLearner(config, spec, (1,), "cpu")
+        learner.update(made, 1, 0.0)
+        results.append({name: value[:1] for name, value in _tensors(learner).items()})
+    _assert_close(results[1], results[0])
+
+
+@every_case
+def test_a_checkpoint_goes_on_bit_for_bit(
+    fabricate: Fabricate, tmp_path: Path, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    config = replace(config, lr_end=0.1, precision="float32")
+    first, second = (OnPolicyLearner(config, spec, (1, 2), "cpu") for _ in range(2))
+    made = [fabricate(spec, 8, 6, seed=i, absent=0.3, idle=0.2) for i in range(4)]
+    for iteration in (1, 2):
+        first.update(made[iteration - 1], iteration, iteration / 4)
+    torch.save(first.state_dict(), tmp_path / "state.pt")
+    second.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
+    for iteration in (3, 4):
+        infos = [learner.update(made[iteration - 1], iteration, iteration / 4) for learner in (first, second)]
+        for name in infos[0]:
+            np.testing.assert_array_equal(infos[0][name], infos[1][name], err_msg=name)
+    for name, value in _tensors(first).items():
+        np.testing.assert_array_equal(value, _tensors(second)[name], err_msg=name)
+    for name, array in first.acting_parameters().items():
+        np.testing.assert_array_equal(array, second.acting_parameters()[name], err_msg=name)
+
+
+def test_a_state_of_another_shape_is_refused() -> None:
+    small = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
+    with pytest.raises(RuntimeError, match="size mismatch"):
+        small.load_state_dict(OnPolicyLearner(IPPO, DISCRETE, (1, 2), "cpu").state_dict())
+
+
+def test_a_saved_state_is_not_changed_by_loading_it_elsewhere(fabricate: Fabricate) -> None:
+    """Two learners may start from one state."""
+    source = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
+    source.update(fabricate(DISCRETE, 8, 3, seed=0), 1, 0.0)
+    buffer = io.BytesIO()
+    torch.save(source.state_dict(), buffer)
+    buffer.seek(0)
+    state = torch.load(buffer, weights_only=True)
+    results = []
+    for _ in range(2):
+        learner = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
+        learner.load_state_dict(state)
+        learner.update(fabricate(DISCRETE, 8, 3, seed=1), 2, 0.0)
+        results.append(_tensors(learner))
+    for name, value in results[0].items():
+        np.testing.assert_array_equal(value, results[1][name], err_msg=name)
+
+
+@pytest.mark.parametrize(("progress", "share"), [(0.0, 1.0), (0.5, 0.55), (1.0, 0.1)])
+def test_learning_rates_are_annealed_linearly(fabricate: Fabricate, progress: float, share: float) -> None:
+    config = replace(IPPO, lr=1e-3, critic_lr=2e-3, lr_end=0.1)
+    learner = OnPolicyLearner(config, DISCRETE, (1,), "cpu")
+    for _ in range(2):  # from the base each time, not from the last
+        learner.update(fabricate(DISCRETE, 4, 2, seed=0), 1, progress)
+    assert learner.optimiser.adam.param_groups[0]["lr"] == pytest.approx(1e-3 * share)
+    assert learner.critic.optimiser.adam.param_groups[0]["lr"] == pytest.approx(2e-3 * share)
+
+
+def _changed_by(config: AlgoConfig, spec: EnvSpec, made: Trajectory, change: Change) -> bool:
+    results = []
+    for _ in range(2):
+        learner = OnPolicyLearner(config, spec, (1,), "cpu")
+        learner.update(made, 1, 0.0)
+        results.append(_tensors(learner))
+        change(made)
+    return any((results[0][name] != results[1][name]).any() for name in results[0] if "moments" not in name)
+
+
+@pytest.mark.parametrize("natural", [False, True])
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_truncation_alone_bootstraps_and_from_the_final_observation(
+    fabricate: Fabricate, natural: bool, which: int
+) -> None:
+    """Not from what the next episode starts with: at the trajectory's end that is read by nothing else."""
+    config, spec = [(IPPO, DISCRETE), (MAPPO, DISCRETE), (MAPPO, TEAM)][which]
+    made = fabricate(spec, 6, 2, seed=0, ends=0.0)
+    made.terminated[-1], made.truncated[-1] = natural, not natural
+
+    def another_end(made: Trajectory) -> None:
+        made.final_observations[-1] += 1
+        made.final_states[-1] += 1
+
+    def another_start(made: Trajectory) -> None:
+        made.observations[-1] += 1
+        made.states[-1] += 1
+
+    assert _changed_by(config, spec, made, another_end) == (not natural)
+    assert not _changed_by(config, spec, made, another_start)
+
+
+@pytest.mark.parametrize("spec", [DISCRETE, WITH_STATE])
+def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
+    fabricate: Fabricate, poisoned: Poison, spec: EnvSpec
+) -> None:
+    """Agent 1 is truncated and the episode goes on: its bootstrap is the value of what came next."""
+    made = poisoned(fabricate(spec, 5, 2, seed=0, ends=0.0))
+    made.truncated[2, :, 1] = True
+    made.final_observations[2, :, 1] = 0.5
+    learner = OnPolicyLearner(MAPPO, spec, (1,), "cpu")
+    critic = learner.critic
+    rows = critic.rows(made.observations[:-1], made.states[:-1], made.alive[:-1])
+    _, final = critic.evaluate(made, rows)
+    after, alive = made.observations[3:4].copy(), made.alive[3:4].copy()
+    after[:, :, 1], alive[:, :, 1] = 0.5, True
+    expected = critic._values(critic.rows(after, made.states[3:4], alive), 1)
+    np.testing.assert_allclose(final[2, :, 1], expected[0, :, 1], rtol=1e-12)
+
+
+def test_an_agent_absent_when_cut_bootstraps_from_its_final_observation(fabricate: Fabricate) -> None:
+    """The contract promises one wherever `truncated` is set."""
+    made = fabricate(DISCRETE, 4, 1, seed=0, ends=0.0)
+    made.alive[3, :, 1] = made.acting[3, :, 1] = False
+    made.truncated[3] = True
+    learner = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
+    rows = learner.critic.rows(made.observations[:-1], made.states[:-1], made.alive[:-1])
+    _, final = learner.critic.evaluate(made, rows)
+    everyone = np.ones((1, 1, 4), np.bool_)
+    at_end = learner.critic.rows(made.final_observations[3:], made.final_states[3:], everyone)
+    np.testing.assert_allclose(final[3], learner.critic._values(at_end, 1)[0], rtol=1e-12)
+
+
+@every_case
+def test_an_iteration_in_which_nobody_was_there_changes_no_policy(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    learner = OnPolicyLearner(config, spec, (1,), "cpu")
+    learner.update(fabricate(spec, 6, 2, seed=0), 1, 0.0)
+    before = _tensors(learner)
+    info = learner.update(fabricate(spec, 6, 2, seed=1, absent=1.1), 2, 0.0)
+    for name, value in _tensors(learner).items():
+        if name.startswith("actor"):
+            np.testing.assert_array_equal(value, before[name], err_msg=name)
+    assert all(np.isfinite(v).all() for name, v in info.items() if name != "critic/explained_variance")
+
+
+@pytest.mark.parametrize("normalise", [True, False])
+def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) -> None:
+    """A constant reward of 50 that ends every episode: the critic comes to say 50 in either case."""
+    config = replace(
+        IPPO, normalise_values=normalise, lr=1e-9, critic_lr=0.05, epochs=20, value_clip=None, grad_clip=None
+    )
+    learner = OnPolicyLearner(config, DISCRETE, (1,), "cpu")
+    for iteration in range(1, 13):
+        made = fabricate(DISCRETE, 8, 4, seed=iteration, ends=1.1)
+        made.rewards[:], made.terminated[:], made.truncated[:] = 50, True, False
+        learner.update(made, iteration, 0.0)
+    rows = learner.critic.rows(made.observations[:-1], made.states[:-1], made.alive[:-1])
+    values, _ = learner.critic.evaluate(made, rows)
+    np.testing.assert_allclose(values[:-1], 50, rtol=0.05)
+
+
+def test_value_errors_are_cut(fabricate: Fabricate) -> None:
+    """Beyond the bound an error teaches nothing: with a tiny one the critic stays as it was."""
+    results = {}
+    for name, bound in (("cut", 1e-12), ("whole", None)):
+        learner = OnPolicyLearner(
+            replace(IPPO, value_clip=bound, normalise_values=False), DISCRETE, (1,), "cpu"
+        )
+        before = [weight.detach().clone() for weight in learner.critic.network.weights]
+        info = learner.update(fabricate(DISCRETE, 8, 3, seed=0), 1, 0.0)
+        after = learner.critic.network.weights
+        results[name] = any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
+        assert bound is None or info["critic/loss"][0] <= bound
+    assert results == {"cut": False, "whole": True}
+
+
+def test_a_gpu_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(HeadwayError, match="device=auto or device=cpu"):
+        OnPolicyLearner(IPPO, DISCRETE, (1,), "cuda")
+    assert OnPolicyLearner(IPPO, DISCRETE, (1,), "auto").device.type == "cpu"
