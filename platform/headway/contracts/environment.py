@@ -73,7 +73,7 @@ class Outcome:
     """
 
     rewards: NDArray[np.float32]
-    """(C, N): finite for every slot, 0 for one without an agent; a reward given while an agent is away belongs
+    """(C, N): finite for every slot, 0 for one without an agent; what an agent is paid while away belongs
     to its stream."""
     terminated: NDArray[np.bool_]
     """(C, N)"""
