@@ -45,7 +45,12 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
         days = len(rows) // len(learned) if controller == label else len(rows)
         means = [_mean(rows, metric) for metric in metrics]
         table.append((controller, days, _mean(rows, "return"), *interval, *means))
-    print_table((*_COLUMNS, *metrics), table)
+    columns = (*_COLUMNS, *metrics)
+    if sys.stdout.isatty():  # few controllers and many metrics: easier to read, and narrower, the other way
+        rows_by_column = zip(columns[1:], *(cells[1:] for cells in table), strict=True)
+        print_table(("", *(str(cells[0]).removeprefix("rule ") for cells in table)), list(rows_by_column))
+    else:
+        print_table(columns, table)
 
 
 def _difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":

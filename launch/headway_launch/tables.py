@@ -1,13 +1,15 @@
 """Tables on stdout: drawn on a terminal, tab-separated in full precision when piped."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 Cell = str | int | float | None
 
 
-def print_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]], title: str = "") -> None:
-    """Print rows under a line of column names; a None is an empty cell.
+def print_table(
+    columns: Sequence[str], rows: Sequence[Sequence[Cell]], title: str = "", whole: Collection[str] = ()
+) -> None:
+    """Print rows under a line of column names; a None is an empty cell. Columns in `whole` never break.
 
     When stdout is no terminal: no title, one row a line, cells separated by tabs, numbers unrounded.
     """
@@ -23,7 +25,9 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]], title: s
     table = Table(title=title or None, title_justify="left")
     for index, column in enumerate(columns):
         numeric = all(isinstance(row[index], int | float | None) for row in rows)
-        table.add_column(column, justify="right" if numeric else "left")
+        table.add_column(
+            column, justify="right" if numeric else "left", overflow="fold", no_wrap=column in whole
+        )
     for row in rows:
         table.add_row(*(Text(shown(cell)) for cell in row))
     Console().print(table)

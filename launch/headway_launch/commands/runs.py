@@ -40,6 +40,8 @@ _SHOWN = (
     "duration_s",
     "run_id",
 )
+# The identity names environment, algorithm and seed already.
+_SHOWN_ON_TERMINAL = ("run_id", "study", "status", "env_steps", "final_reward", "auc", "kwh", "kg_co2")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,10 +104,11 @@ def _print(rows: Sequence["RunRow"], style: str) -> None:
 
         writer = csv.writer(sys.stdout)
         writer.writerow(_SHOWN)
-        writer.writerows(_cells(row) for row in rows)
+        writer.writerows(_cells(row, _SHOWN) for row in rows)
     else:
-        print_table(_SHOWN, [_cells(row) for row in rows])
+        columns = _SHOWN_ON_TERMINAL if sys.stdout.isatty() else _SHOWN
+        print_table(columns, [_cells(row, columns) for row in rows], whole=("run_id", "status"))
 
 
-def _cells(row: "RunRow") -> list[Cell]:
-    return [getattr(row, name) for name in _SHOWN]
+def _cells(row: "RunRow", columns: Sequence[str]) -> list[Cell]:
+    return [getattr(row, name) for name in columns]
