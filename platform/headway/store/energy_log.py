@@ -23,6 +23,11 @@ class EnergyLog:
         """Add one sample; it is durable after `write`."""
         self._rows.append(sample)
 
+    def last(self) -> Row:
+        """The last sample, of an earlier session if this one has none yet; empty if there is none."""
+        self._load()
+        return self._rows[-1] if self._rows else {}
+
     def write_if_due(self) -> None:
         """Write if the last time is a minute ago; raises as `write` does."""
         if time.monotonic() - self._written >= _WRITE_SECONDS:
@@ -35,10 +40,15 @@ class EnergyLog:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        if not self._loaded and self._path.exists():
-            self._rows = [*pq.ParquetFile(self._path).read().to_pylist(), *self._rows]
-        self._loaded = True
+        self._load()
         columns = list(dict.fromkeys(column for row in self._rows for column in row))
         content = pa.table({column: [row.get(column) for row in self._rows] for column in columns})
         write_durably(self._path, lambda stream: pq.write_table(content, stream, compression="zstd"))
         self._written = time.monotonic()
+
+    def _load(self) -> None:
+        if not self._loaded and self._path.exists():
+            import pyarrow.parquet as pq
+
+            self._rows = [*pq.ParquetFile(self._path).read().to_pylist(), *self._rows]
+        self._loaded = True

@@ -192,8 +192,14 @@ class Run:
         self._store.follow(lambda tracker: self._follower.advance(tracker, ready, iteration))
 
     def energy(self, sample: Row) -> None:
-        """Take one energy sample of this run (a row of `energy.parquet`)."""
+        """Take one energy sample of this run (a row of `energy.parquet`): its energy so far, that of
+        earlier sessions included (see `energy_so_far`)."""
         self._energy.append(sample)
+
+    @property
+    def energy_so_far(self) -> Row:
+        """The last energy sample, of an earlier session if this one has given none; empty if none has."""
+        return self._energy.last()
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
         """End the run with its summary figures (`final_reward`, `auc`, `kwh`, `kg_co2`, ...; None where

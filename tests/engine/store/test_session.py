@@ -133,11 +133,13 @@ def test_a_resumed_run_repeats_no_point(root: Path) -> None:
     first = SessionStore.open(config)
     run = _begin(first)
     _train(run, 1, 25)
+    run.energy({"kwh": 0.25})
     run.finish("KILLED", {})
     first.close()
 
     second = SessionStore.open(config)
     resumed = second.resume(run.run_id)
+    assert resumed.energy_so_far == {"kwh": 0.25}
     RunLog(resumed.directory).rewind(20)
     _train(resumed, 21, ITERATIONS)
     resumed.finish("FINISHED", {"final_reward": 1.0})
