@@ -127,7 +127,7 @@ def _sampled(
     return plan, trajectories, episodes
 
 
-def test_row_t_is_what_was_faced_before_action_t_and_row_T_what_comes_next() -> None:
+def test_a_row_is_what_was_faced_before_its_action_and_the_last_what_comes_next() -> None:
     _, (first, second), _ = _sampled((5,), 2, 7, iterations=2)
     # Copy 0's episodes last two steps, copy 1's three.
     assert first.observations[:, 0, 0, 2].tolist() == [0, 1, 0, 1, 0, 1, 0, 1]
