@@ -43,7 +43,8 @@ class RewardConfig:
     """True: every slot, at the depot too, is paid the team mean, so that the return of a day cannot be raised
     by staying out longer. False: each its own, 0 at the depot."""
     preset: Literal["default", "paper"] = "default"
-    """`default`: e punishes occupancy above 0.9 only. `paper`: also below 0.6, the band of the released code."""
+    """`default`: e punishes occupancy above 0.9 only; `paper`: also below 0.6, as the
+    released code."""
 
     def __post_init__(self) -> None:
         _require(self.preset in ("default", "paper"), f"preset must be default or paper, not '{self.preset}'")
@@ -132,7 +133,8 @@ class UpkeepConfig:
     detour_fixed_s: float = 120.0
     """Time added to each way, s."""
     depot_gap_s: float = 2700.0
-    """A bus whose next trip is farther off than this waits at the depot, where it is refuelled and repaired."""
+    """A bus whose next trip is farther off than this goes to the depot, which refuels and repairs
+    it."""
 
     def __post_init__(self) -> None:
         _above(
@@ -159,7 +161,8 @@ class BusConfig:
     """One bus network, its passengers, its rewards and what agents see."""
 
     scenario: str = "line"
-    """`line` (1 line, 14 buses at once), `corridor` (10 lines, about 110), or the path of a scenario folder."""
+    """`line` (1 line, 14 buses at once), `corridor` (10 lines, about 110), or the path of a scenario
+    folder."""
     scenario_seed: int = 0
     """Seed of a synthetic scenario's geometry and demand."""
     day_type: Literal["weekday", "sunday"] = "weekday"
@@ -185,7 +188,8 @@ class BusConfig:
     also take a competing service."""
     competing_headway_share: float = 0.25
     """The competing service takes the others after an exponential wait with this share of the line's target
-    headway as its mean; with captive_share 0.5 boardings answer the headway with slope 0.54 (measured 0.47)."""
+    headway as its mean; with captive_share 0.5 boardings answer the headway with slope 0.54 (measured:
+    0.47)."""
     dispatch_window_s: float = 180.0
     """A bus at a terminal decides from this long before its scheduled departure, s."""
     minimum_layover_s: float = 120.0
@@ -193,9 +197,11 @@ class BusConfig:
     recovery_share: float = 0.15
     """The timetable's blocks leave at least this share of a trip's time, and five minutes, for recovery."""
     observation: Literal["paper", "published", "control"] = "control"
-    """`paper`: the paper's four; `published`: the released code's eight; `control`: all a controller needs."""
+    """`paper`: the paper's four; `published`: the released code's eight; `control`: all that a controller
+    needs."""
     state: Literal["auto", "full", "aggregate"] = "auto"
-    """`full`: line aggregates and all observations; `aggregate`: line aggregates; `auto`: full up to 50 agents."""
+    """`full`: line aggregates and all observations; `aggregate`: line aggregates; `auto`: full up to 50
+    agents."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     upkeep: UpkeepConfig = field(default_factory=UpkeepConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)

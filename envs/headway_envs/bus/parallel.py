@@ -9,6 +9,7 @@ from pettingzoo import ParallelEnv
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import METRICS
 from headway_envs.bus.prepared import Prepared, prepare
 
 Observation = NDArray[np.float32]
@@ -17,10 +18,14 @@ Info = dict[str, Any]
 
 class BusParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
     """One service day as a ParallelEnv. Every slot stays in `agents` all day; `info` of each agent carries
-    `alive`, `acting`, `action_mask`, and at the end `episode`, the metrics by name. The same seed gives the
+    `alive`, `acting`, `action_mask`, and at the end `episode_metrics`, by name. The same seed gives the
     same days as `BusBatchedEnv.reset([seed])`."""
 
-    metadata: ClassVar[dict[str, Any]] = {"name": "headway_bus_v0", "render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "headway_bus_v0",
+        "render_modes": [],
+        "episode_metrics": tuple(METRICS),
+    }
     render_mode = None
 
     def __init__(self, config: BusConfig | Prepared | None = None) -> None:
@@ -49,7 +54,7 @@ class BusParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes wit
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
         """Begin day 0 of `seed`; without one, of a seed that has not been used."""
         if seed is None:
-            drawn = self._seeds.spawn(1)[0].generate_state(1, np.uint64)
+            drawn = self._seeds.spawn(1)[0].generate_state(1, np.uint64).astype(np.uint64)
         else:
             drawn = np.array([seed], np.uint64)
         observed = self._env.reset(drawn)
@@ -78,7 +83,7 @@ class BusParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes wit
             infos[name]["acting"] = bool(outcome.acting[0, n])
             if ended:
                 metrics = outcome.metrics[0].tolist()
-                infos[name]["episode"] = dict(zip(self._env.spec.metrics, metrics, strict=True))
+                infos[name]["episode_metrics"] = dict(zip(self._env.spec.metrics, metrics, strict=True))
         rewards = {name: float(outcome.rewards[0, n]) for n, name in enumerate(self.possible_agents)}
         terminations = dict.fromkeys(self.possible_agents, ended)
         truncations = dict.fromkeys(self.possible_agents, False)

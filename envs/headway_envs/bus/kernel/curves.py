@@ -14,12 +14,12 @@ def at(curves: NDArray[np.float64], row: int, time: float) -> float:
     """Value of row `row` of (rows, K) knots at `time`, linear between knots and flat outside."""
     place = (time - _FIRST_KNOT_S) / 3600.0
     if place <= 0.0:
-        return curves[row, 0]
+        return float(curves[row, 0])
     if place >= KNOTS - 1:
-        return curves[row, KNOTS - 1]
+        return float(curves[row, KNOTS - 1])
     knot = int(place)
     weight = place - knot
-    return (1.0 - weight) * curves[row, knot] + weight * curves[row, knot + 1]
+    return float((1.0 - weight) * curves[row, knot] + weight * curves[row, knot + 1])
 
 
 @compiled

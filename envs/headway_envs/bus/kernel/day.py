@@ -16,13 +16,13 @@ from headway_envs.bus.kernel.draws import (
     uniform,
     unit_lognormal,
 )
-from headway_envs.bus.kernel.layout import BIN_S, Network, World
+from headway_envs.bus.kernel.layout import BIN_S, Network, Record, World
 from headway_envs.bus.kernel.motion import await_trip, renew
 from headway_envs.bus.kernel.passengers import catch_up, count_wait, draw_next
 
 
 @compiled
-def _draw_congestion(k: np.void, world: World, c: int) -> None:
+def _draw_congestion(k: Record, world: World, c: int) -> None:
     """The day's travel-time factors: whole day, weekday evening, and an autoregressive network factor."""
     key = world.days[c].key
     whole = unit_lognormal(normal(key, DAY, 0, 0), k.day_sd)
@@ -39,7 +39,7 @@ def _draw_congestion(k: np.void, world: World, c: int) -> None:
 
 
 @compiled_allocating
-def begin_day(net: Network, k: np.void, world: World, c: int, seed: np.uint64, episode: int) -> None:
+def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, episode: int) -> None:
     """Reset copy c to the first instant of day `episode`."""
     world.days[c : c + 1] = np.zeros(1, world.days.dtype)
     day = world.days[c]
@@ -82,13 +82,13 @@ def quantile_of_counts(counts: NDArray[np.uint32], share: float) -> float:
     wanted, below = share * total, 0.0
     for value in range(counts.shape[0]):
         if counts[value] > 0 and below + counts[value] >= wanted:
-            return value + (wanted - below) / counts[value]
+            return float(value + (wanted - below) / counts[value])
         below += counts[value]
     return 0.0
 
 
 @compiled_allocating
-def end_day(net: Network, k: np.void, world: World, c: int, metrics: NDArray[np.float64]) -> None:
+def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.float64]) -> None:
     """Fill the episode metrics, in the order of `layout.METRICS`. Those left waiting count with their wait
     so far."""
     day, ticks = world.days[c], max(world.days[c].tick, 1)

@@ -10,6 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+Record = Any
+"""One element of an array of SETTINGS, SLOT, QUEUE, PATTERN, LINE or DAY; fields are attributes in compiled
+code."""
+
 FIRST_KNOT_HOUR = 3
 KNOTS = 25
 """Knots stand at 03:30, 04:30, ... 27:30."""

@@ -33,22 +33,23 @@ from headway_envs.bus.kernel.layout import (
     STANDING,
     TERMINAL,
     Network,
+    Record,
     World,
 )
 from headway_envs.bus.kernel.passengers import board, change_load, put_off
 
 
 @compiled
-def congestion_at(k: np.void, world: World, c: int, time: float) -> float:
+def congestion_at(k: Record, world: World, c: int, time: float) -> float:
     """The network's travel-time factor now."""
     bins = world.congestion.shape[1] - 1
     bin_ = bin_of(time, k.start_s, bins)
     weight = min(max((time - k.start_s) / BIN_S - bin_, 0.0), 1.0)
-    return (1.0 - weight) * world.congestion[c, bin_] + weight * world.congestion[c, bin_ + 1]
+    return float((1.0 - weight) * world.congestion[c, bin_] + weight * world.congestion[c, bin_ + 1])
 
 
 @compiled
-def link_time(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> float:
+def link_time(net: Network, k: Record, world: World, c: int, n: int, time: float) -> float:
     """Seconds to the next call when leaving now: mean x trip x network x link term x incident."""
     slot, day = world.slots[c, n], world.days[c]
     noise = unit_lognormal(normal(day.key, LINK, slot.trip, slot.call), net.noise_sd[slot.call])
@@ -57,11 +58,11 @@ def link_time(net: Network, k: np.void, world: World, c: int, n: int, time: floa
         spread = 2.0 * (k.incident_factor - 2.0)
         factor *= 2.0 + spread * uniform(day.key, INCIDENT_SIZE, slot.trip, slot.call)
     factor /= 1.0 + k.incident_probability * (k.incident_factor - 1.0)
-    return at(net.running, slot.call, time) * factor
+    return float(at(net.running, slot.call, time) * factor)
 
 
 @compiled
-def work(k: np.void, world: World, c: int, n: int, time: float, fuel_share: float) -> None:
+def work(k: Record, world: World, c: int, n: int, time: float, fuel_share: float) -> None:
     """Charge fuel, wear and the hazard of a breakdown for the time since they were last charged."""
     slot = world.slots[c, n]
     duration = time - slot.worked
@@ -74,7 +75,7 @@ def work(k: np.void, world: World, c: int, n: int, time: float, fuel_share: floa
 
 
 @compiled
-def renew(k: np.void, world: World, c: int, n: int) -> None:
+def renew(k: Record, world: World, c: int, n: int) -> None:
     """Refuel and repair."""
     slot = world.slots[c, n]
     slot.fuel = k.fuel_capacity
@@ -84,7 +85,7 @@ def renew(k: np.void, world: World, c: int, n: int) -> None:
 
 
 @compiled
-def await_trip(net: Network, k: np.void, world: World, c: int, n: int, time: float, arrived: bool) -> None:
+def await_trip(net: Network, k: Record, world: World, c: int, n: int, time: float, arrived: bool) -> None:
     """Send the slot to the terminal of its next trip, or to the depot if that is far off or there is none."""
     slot = world.slots[c, n]
     if slot.block == net.slot_first[n + 1]:
@@ -107,7 +108,7 @@ def await_trip(net: Network, k: np.void, world: World, c: int, n: int, time: flo
 
 
 @compiled
-def depart(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
     """Leave the call for the next one, and account for the headway and the load."""
     slot, day, queue = world.slots[c, n], world.days[c], world.queues[c, world.slots[c, n].call]
     if queue.last_departure > 0.0:
@@ -141,7 +142,7 @@ def depart(net: Network, k: np.void, world: World, c: int, n: int, time: float) 
 
 
 @compiled
-def arrive(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
     """Reach the next call: alight, then board; or end the trip; or stand there broken."""
     slot, day = world.slots[c, n], world.days[c]
     work(k, world, c, n, time, 1.0)
@@ -172,7 +173,7 @@ def arrive(net: Network, k: np.void, world: World, c: int, n: int, time: float) 
 
 
 @compiled
-def to_service(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+def to_service(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
     """Leave the line for the service centre; the slot comes back to the same call."""
     slot = world.slots[c, n]
     if slot.phase != BROKEN:
@@ -183,7 +184,7 @@ def to_service(net: Network, k: np.void, world: World, c: int, n: int, time: flo
 
 
 @compiled
-def decide(net: Network, k: np.void, world: World, c: int, n: int, time: float, action: int) -> None:
+def decide(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> None:
     """A decision event: use the latched action."""
     slot = world.slots[c, n]
     if action == MOVE:
@@ -202,7 +203,7 @@ def decide(net: Network, k: np.void, world: World, c: int, n: int, time: float, 
 
 
 @compiled
-def return_to_line(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+def return_to_line(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
     """Come back from the service centre to the place that was left."""
     slot = world.slots[c, n]
     renew(k, world, c, n)
@@ -213,7 +214,7 @@ def return_to_line(net: Network, k: np.void, world: World, c: int, n: int, time:
 
 
 @compiled
-def process(net: Network, k: np.void, world: World, c: int, n: int, time: float, action: int) -> bool:
+def process(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> bool:
     """Process the slot's event at `time`; returns whether the action was used."""
     slot = world.slots[c, n]
     if slot.phase == DRIVING:
@@ -250,7 +251,7 @@ def process(net: Network, k: np.void, world: World, c: int, n: int, time: float,
 @compiled
 def advance(
     net: Network,
-    k: np.void,
+    k: Record,
     world: World,
     c: int,
     actions: NDArray[np.int64],

@@ -21,6 +21,7 @@ from headway_envs.bus.kernel.layout import (
     TERMINAL,
     WAIT,
     Network,
+    Record,
     World,
 )
 
@@ -38,7 +39,7 @@ def _or_one(spacing: float) -> float:
 
 @compiled
 def _observe_basic(
-    net: Network, k: np.void, world: World, c: int, n: int, out: NDArray[np.float32], published: bool
+    net: Network, k: Record, world: World, c: int, n: int, out: NDArray[np.float32], published: bool
 ) -> None:
     """The paper's four, or the released code's eight in its order, scaled to [0, 1]."""
     slot, now = world.slots[c, n], world.days[c].now
@@ -62,13 +63,11 @@ def _observe_basic(
 
 
 @compiled
-def _observe_control(
-    net: Network, k: np.void, world: World, c: int, n: int, out: NDArray[np.float32]
-) -> None:
+def _observe_control(net: Network, k: Record, world: World, c: int, n: int, out: NDArray[np.float32]) -> None:
     """The published eight, then the features from index 8 on that holding and service need."""
     slot, now = world.slots[c, n], world.days[c].now
     _observe_basic(net, k, world, c, n, out, True)
-    first, last = net.pattern_calls[slot.pattern], net.pattern_calls[slot.pattern + 1] - 1
+    last = net.pattern_calls[slot.pattern + 1] - 1
     place = slot.call + 1 if slot.phase == DRIVING else slot.call
     target = at(net.target, slot.pattern, now)
     event = world.event_time[c, n]
@@ -100,7 +99,7 @@ def _observe_control(
 @compiled
 def observe(
     net: Network,
-    k: np.void,
+    k: Record,
     world: World,
     c: int,
     observations: NDArray[np.float32],
@@ -108,7 +107,8 @@ def observe(
     masks: NDArray[np.bool_],
 ) -> None:
     """Observations (N, D), alive (N,) and action masks (N, 3) of one copy. A slot is alive out of the depot,
-    and from the interval on in which its first decision falls. Dead rows are zeros with every action allowed."""
+    and from the interval on in which its first decision falls. Dead rows are zeros, with all actions
+    allowed."""
     until = world.days[c].now + k.tick_s
     for n in range(observations.shape[0]):
         phase = world.slots[c, n].phase
@@ -126,9 +126,7 @@ def observe(
 
 
 @compiled
-def _observe_line(
-    net: Network, k: np.void, world: World, c: int, line: int, out: NDArray[np.float32]
-) -> None:
+def _observe_line(net: Network, k: Record, world: World, c: int, line: int, out: NDArray[np.float32]) -> None:
     """Spacing, load, queue and fleet statistics of a line; the spacings' mean, spread and extremes."""
     record = world.lines[c, line]
     total, squares, low, high, found = 0.0, 0.0, 3.0, 0.0, 0
@@ -161,7 +159,7 @@ def _observe_line(
 @compiled
 def observe_state(
     net: Network,
-    k: np.void,
+    k: Record,
     world: World,
     c: int,
     observations: NDArray[np.float32],

@@ -14,11 +14,11 @@ from headway_envs.bus.kernel.draws import (
     uniform,
     unit_gamma,
 )
-from headway_envs.bus.kernel.layout import BIN_S, WAIT_BINS, Network, World
+from headway_envs.bus.kernel.layout import BIN_S, WAIT_BINS, Network, Record, World
 
 
 @compiled
-def draw_next(net: Network, k: np.void, world: World, c: int, call: int) -> None:
+def draw_next(net: Network, k: Record, world: World, c: int, call: int) -> None:
     """Draw the queue's next arrival, a Poisson process whose rate is the bin's times the day's and the stop
     hour's factor: a unit exponential is used up along the rate."""
     day, queue = world.days[c], world.queues[c, call]
@@ -42,7 +42,7 @@ def draw_next(net: Network, k: np.void, world: World, c: int, call: int) -> None
 
 
 @compiled
-def catch_up(net: Network, k: np.void, world: World, c: int, call: int, pattern: int, time: float) -> None:
+def catch_up(net: Network, k: Record, world: World, c: int, call: int, pattern: int, time: float) -> None:
     """Let all passengers who come to the call up to `time` join its queue, and those whose competing service
     has come leave it."""
     day, queue = world.days[c], world.queues[c, call]
@@ -83,7 +83,7 @@ def count_wait(waits: NDArray[np.uint32], wait: float) -> None:
 
 
 @compiled
-def board(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> int:
+def board(net: Network, k: Record, world: World, c: int, n: int, time: float) -> int:
     """Those who wait at the slot's call board, first come first served; returns how many."""
     slot, day = world.slots[c, n], world.days[c]
     catch_up(net, k, world, c, slot.call, slot.pattern, time)
@@ -106,11 +106,11 @@ def board(net: Network, k: np.void, world: World, c: int, n: int, time: float) -
     queue.denied = max(queue.denied - boarding, 0)
     day.boarded += boarding
     change_load(day, slot, boarding, time)
-    return boarding
+    return int(boarding)
 
 
 @compiled
-def change_load(day: np.void, slot: np.void, change: int, time: float) -> None:
+def change_load(day: Record, slot: Record, change: int, time: float) -> None:
     """Change the slot's load and charge the passenger seconds aboard until now."""
     day.ride += slot.load * (time - slot.since)
     slot.since = time
@@ -118,7 +118,7 @@ def change_load(day: np.void, slot: np.void, change: int, time: float) -> None:
 
 
 @compiled
-def put_off(net: Network, k: np.void, world: World, c: int, n: int, time: float) -> None:
+def put_off(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
     """All passengers alight before their stop and queue again; their wait begins anew. Those for whom the
     stop has no room walk away and count as lost."""
     slot, day = world.slots[c, n], world.days[c]

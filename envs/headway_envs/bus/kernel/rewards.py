@@ -5,34 +5,34 @@ from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
 from headway_envs.bus.kernel.curves import bin_of
-from headway_envs.bus.kernel.layout import BROKEN, DEPOT, DRIVING, STANDING, Network, World
+from headway_envs.bus.kernel.layout import BROKEN, DEPOT, DRIVING, STANDING, Network, Record, World
 from headway_envs.bus.kernel.passengers import catch_up
 from headway_envs.bus.kernel.spacing import LEFT_OUT
 
 
 @compiled
-def efficiency(k: np.void, slot: np.void) -> float:
+def efficiency(k: Record, slot: Record) -> float:
     """e of one bus on its way: minus the squared excess of the occupancy over 0.9 (and, under the published
     band, the squared shortfall under `low_occupancy`), scaled to [-1, 0]."""
     occupancy = slot.load / k.capacity
     over = max(occupancy - 0.9, 0.0) / 0.1
     under = max(k.low_occupancy - occupancy, 0.0) / k.low_occupancy if k.low_occupancy > 0.0 else 0.0
-    return -over * over - under * under
+    return float(-over * over - under * under)
 
 
 @compiled
-def maintenance(k: np.void, slot: np.void) -> float:
+def maintenance(k: Record, slot: Record) -> float:
     """m of one bus: -1 broken down or without fuel; (fuel + uptime)/2 - 1 below a warning level; else 0."""
     fuel = slot.fuel / k.fuel_capacity
     if slot.phase == BROKEN or fuel <= 0.0:
         return -1.0
     if fuel < k.warning or slot.uptime < k.warning:
-        return 0.5 * (fuel + slot.uptime) - 1.0
+        return float(0.5 * (fuel + slot.uptime) - 1.0)
     return 0.0
 
 
 @compiled
-def service(net: Network, k: np.void, world: World, c: int, line: int) -> float:
+def service(net: Network, k: Record, world: World, c: int, line: int) -> float:
     """q of a line: 1 - waiting (denied twice) / what a regular service would leave waiting, at least -3."""
     now, waiting = world.days[c].now, 0
     for p in range(net.line_patterns[line], net.line_patterns[line + 1]):
@@ -44,11 +44,11 @@ def service(net: Network, k: np.void, world: World, c: int, line: int) -> float:
     world.lines[c, line].waiting = waiting
     bins = net.regular_waiting.shape[1]
     regular = max(net.regular_waiting[line, bin_of(now - 1.0, k.start_s, bins)], 1.0)
-    return max(1.0 - waiting / regular, -3.0)
+    return float(max(1.0 - waiting / regular, -3.0))
 
 
 @compiled
-def _score_line(net: Network, k: np.void, world: World, c: int, line: int) -> None:
+def _score_line(net: Network, k: Record, world: World, c: int, line: int) -> None:
     """The line's components: means over its buses (e: on their way; m: alive; c: scheduled in service)."""
     record = world.lines[c, line]
     record.service = service(net, k, world, c, line)
@@ -73,7 +73,7 @@ def _score_line(net: Network, k: np.void, world: World, c: int, line: int) -> No
 
 
 @compiled
-def _pay_own(net: Network, k: np.void, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
     """Each bus its own components and its line's service; nothing at the depot."""
     for line in range(net.line_slots.shape[0] - 1):
         for n in range(net.line_slots[line], net.line_slots[line + 1]):
@@ -92,7 +92,7 @@ def _pay_own(net: Network, k: np.void, world: World, c: int, rewards: NDArray[np
 
 
 @compiled
-def pay(net: Network, k: np.void, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+def pay(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
     """Rewards (N,) of the interval just ended, and the day's accounts. The team's components are means over
     the lines, each weighted by its number of slots. Needs the spacings of now."""
     day, slots = world.days[c], world.slots.shape[1]

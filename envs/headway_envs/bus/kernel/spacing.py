@@ -11,6 +11,7 @@ from headway_envs.bus.kernel.layout import (
     DRIVING,
     STANDING,
     Network,
+    Record,
     World,
 )
 
@@ -19,7 +20,7 @@ LEFT_OUT, COUNTED, MISSING_FROM_LINE = 0, 1, 2
 
 
 @compiled
-def _set_place(net: Network, k: np.void, world: World, c: int, n: int, now: float) -> None:
+def _set_place(net: Network, k: Record, world: World, c: int, n: int, now: float) -> None:
     """Nominal seconds along the pattern, and whether the slot is scheduled to be in service."""
     slot = world.slots[c, n]
     slot.place = 0.0
@@ -82,7 +83,7 @@ def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: flo
 
 
 @compiled
-def space_line(net: Network, k: np.void, world: World, c: int, line: int) -> None:
+def space_line(net: Network, k: Record, world: World, c: int, line: int) -> None:
     """Update place, spacings and regularity of the line's slots."""
     now = world.days[c].now
     first, last = net.line_slots[line], net.line_slots[line + 1]

@@ -1,11 +1,13 @@
 """The entries of the kernel: begin, step, and the turn of the day."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled, compiled_allocating
 from headway_envs.bus.kernel.day import begin_day, end_day
-from headway_envs.bus.kernel.layout import Network, Outputs, World
+from headway_envs.bus.kernel.layout import Network, Outputs, Record, World
 from headway_envs.bus.kernel.motion import advance
 from headway_envs.bus.kernel.observe import observe, observe_state
 from headway_envs.bus.kernel.rewards import pay
@@ -13,7 +15,7 @@ from headway_envs.bus.kernel.spacing import space_line
 
 
 @compiled
-def _look(net: Network, k: np.void, world: World, outputs: Outputs, c: int) -> None:
+def _look(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
     """Fill what the agents and critics of copy c face now."""
     observe(net, k, world, c, outputs.observations[c], outputs.alive[c], outputs.masks[c])
     if outputs.states.shape[1] > 0:
@@ -21,14 +23,14 @@ def _look(net: Network, k: np.void, world: World, outputs: Outputs, c: int) -> N
 
 
 @compiled
-def _space(net: Network, k: np.void, world: World, c: int) -> None:
+def _space(net: Network, k: Record, world: World, c: int) -> None:
     for line in range(net.line_slots.shape[0] - 1):
         space_line(net, k, world, c, line)
 
 
 @compiled_allocating
 def _begin(
-    net: Network, k: np.void, world: World, outputs: Outputs, c: int, seed: np.uint64, episode: int
+    net: Network, k: Record, world: World, outputs: Outputs, c: int, seed: np.uint64, episode: int
 ) -> None:
     begin_day(net, k, world, c, seed, episode)
     world.lines[c] = np.zeros(1, world.lines.dtype)[0]
@@ -38,7 +40,7 @@ def _begin(
 
 @compiled_allocating
 def begin(
-    net: Network, settings: NDArray[np.void], world: World, outputs: Outputs, seeds: NDArray[np.uint64]
+    net: Network, settings: NDArray[Any], world: World, outputs: Outputs, seeds: NDArray[np.uint64]
 ) -> None:
     """Begin day 0 of every copy."""
     for c in range(seeds.shape[0]):
@@ -48,7 +50,7 @@ def begin(
 @compiled
 def step(
     net: Network,
-    settings: NDArray[np.void],
+    settings: NDArray[Any],
     world: World,
     outputs: Outputs,
     actions: NDArray[np.int64],
@@ -69,7 +71,7 @@ def step(
 
 
 @compiled_allocating
-def turn(net: Network, settings: NDArray[np.void], world: World, outputs: Outputs) -> None:
+def turn(net: Network, settings: NDArray[Any], world: World, outputs: Outputs) -> None:
     """Close the books of every copy whose day has ended, and begin its next day."""
     k = settings[0]
     for c in range(outputs.ended.shape[0]):

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,9 +40,11 @@ def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
         )
     lines, patterns = _order(tables, trips)
     calls = _calls(tables, patterns)
-    call_counts = calls.groupby("p").size().to_numpy()
+    call_counts = calls.groupby("p").size().to_numpy(np.int64)
     pattern_calls = _offsets(call_counts)
-    departures = [smooth(trips.loc[trips["pattern"] == p, "dep_s"].to_numpy(float), KNOT_S) for p in patterns]
+    departures = [
+        smooth(np.asarray(trips.loc[trips["pattern"] == p, "dep_s"], np.float64), KNOT_S) for p in patterns
+    ]
     boarding = _hourly_boarding(tables, calls, day)
     alighting = _alighting(tables, calls)
     link_s, link_sd = _link_times(tables, calls, day)
@@ -76,10 +79,11 @@ def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
         queue_first=_queue_rooms(rates, per_call, config),
     )
     # One memory layout: another would be compiled anew.
-    return Network(*(np.ascontiguousarray(array) for array in network)), tuple(lines)
+    arrays: list[Any] = [np.ascontiguousarray(array) for array in network]
+    return Network(*arrays), tuple(lines)
 
 
-def _offsets(counts: NDArray[np.int64]) -> Integers:
+def _offsets(counts: NDArray[Any]) -> Integers:
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
 
 
@@ -207,7 +211,7 @@ def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tab
     else:
         running = link_s
     nominal = np.zeros_like(running)
-    for first, last in zip(pattern_calls[:-1], pattern_calls[1:], strict=True):
+    for first, last in pairwise(pattern_calls):
         for call in range(first + 1, last):
             # The hour moves on with the bus.
             hours = (KNOT_S + nominal[call - 1] - KNOT_S[0]) / 3600.0
@@ -231,7 +235,7 @@ def _deadheads(
     1.3 times the crow's distance; 0 within 300 m."""
     lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
     ways = []
-    for begin, end in zip(line_patterns[:-1], line_patterns[1:], strict=True):
+    for begin, end in pairwise(line_patterns):
         start, stop = pattern_calls[begin:end], pattern_calls[begin + 1 : end + 1] - 1
         metres = _distance_m(lat[stop][:, None], lon[stop][:, None], lat[start][None], lon[start][None])
         ways.append(np.where(metres < 300.0, 0.0, 1.3 * metres / (20.0 / 3.6)))
@@ -254,7 +258,7 @@ def _timetable(
     slots: list[list[int]] = []
     slot_line: list[int] = []
     before = np.zeros(len(trips))
-    for line, (begin, end) in enumerate(zip(line_patterns[:-1], line_patterns[1:], strict=True)):
+    for line, (begin, end) in enumerate(pairwise(line_patterns)):
         mine = [i for i, trip in enumerate(trips) if begin <= trip.pattern < end]
         for driven in chain([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
             block = [mine[i] for i in driven]
@@ -324,7 +328,8 @@ def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
     if len(places) == 0:
         raise HeadwayError("meta.json: service_centres is empty; give at least one [lat, lon]")
     metres = _distance_m(lat[:, None], lon[:, None], places[None, :, 0], places[None, :, 1]).min(axis=1)
-    return config.upkeep.detour_fixed_s + 1.3 * metres / (config.upkeep.detour_kmh / 3.6)
+    seconds = config.upkeep.detour_fixed_s + 1.3 * metres / (config.upkeep.detour_kmh / 3.6)
+    return np.asarray(seconds, dtype=np.float64)
 
 
 def _queue_rooms(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:

@@ -6,6 +6,7 @@ ten Sundays.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -86,11 +87,13 @@ Floats = NDArray[np.float64]
 def generate(size: str, seed: int) -> Tables:
     """The tables of `line` or `corridor`; line i depends on (seed, i) alone."""
     parts = [_line(size, seed, number, buses) for number, buses in enumerate(FLEETS[size])]
-    frames = {name: pd.concat([p[name] for p in parts], ignore_index=True) for name in _TABLES}
-    return Tables(**frames, meta=_META)
+    frames: dict[str, Any] = {
+        name: pd.concat([p[name] for p in parts], ignore_index=True) for name in _TABLES
+    }
+    return Tables(**frames, meta=dict(_META))
 
 
-_META = {
+_META: dict[str, Any] = {
     "source": "synthetic, by numbers fitted to SUNT (doi 10.17632/85fdtx3kr5.1, CC BY 4.0)",
     "link_times_include_dwell": True,
 }
@@ -102,12 +105,12 @@ def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFra
     rng = generator(seed, "bus line", number)
     geometry = _geometry(rng, number, _STOPS[size])
     shares = _stop_shares(rng, geometry["pattern_stops"])
-    base, tried = 0.0, {}
+    tried: dict[int, dict[str, Any]] = {}
     peak = max(DEPARTURES["weekday"])
     low, high = 0.5, 60.0
     for _ in range(40):
         base = math.sqrt(low * high)
-        frames = {**geometry, **_service(geometry, shares, base / peak)}
+        frames: dict[str, Any] = {**geometry, **_service(geometry, shares, base / peak)}
         found = len(build(Tables(**frames), BusConfig())[0].slot_line)
         tried[found] = frames
         if found == buses:
@@ -129,7 +132,7 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
     reach = 0.0
     for way, count in enumerate(counts):
         stop0, link0, pattern = 1000 * number + 500 * way, 1000 * number + 500 * way, 2 * number + way
-        legs = np.round(np.clip(rng.lognormal(*LINK_M_LOGNORMAL, count - 1), 80, 3000))
+        legs: NDArray[Any] = np.round(np.clip(rng.lognormal(*LINK_M_LOGNORMAL, count - 1), 80, 3000))
         if way == 1:
             legs = np.round(legs * reach / legs.sum())
         reach = float(legs.sum())
@@ -183,7 +186,7 @@ def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside:
     return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
 
 
-def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: Floats) -> pd.DataFrame:
+def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: NDArray[Any]) -> pd.DataFrame:
     intercept, slope, sd = LINK_S_LOG
     base = np.exp(intercept + slope * np.log(legs) + rng.normal(0.0, sd, len(legs)))
     frames = []

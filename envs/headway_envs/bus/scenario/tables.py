@@ -31,8 +31,8 @@ COLUMNS = {
     "alighting": ("pattern", "seq0", "period", "p_alight"),
     "trips": ("pattern", "vehicle", "dep_s", "arr_s", "daytype"),
 }
-"""The tables and the columns they must have. `board` is passengers a day in that hour; `p_alight` the share of
-the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
+"""The tables and the columns they must have. `board` is passengers a day in that hour; `p_alight` the share
+of the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
 
 _TEXT = {"line", "dir", "daytype"}
 _RANGES = {

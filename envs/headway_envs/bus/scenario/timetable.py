@@ -1,6 +1,7 @@
 """The control mode's timetable: departures smoothed per hour, chained into blocks and given to slots."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ class Departures:
     """(K,) target headway at the knots, s"""
 
 
-def smooth(observed: NDArray[np.float64], knots: NDArray[np.float64]) -> Departures:
+def smooth(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
     """Spread a pattern's observed departures (s, any order) evenly: departures per hour, smoothed over three
     hours with weights 1/4, 1/2, 1/4 and interpolated, give a rate; departures stand where its integral,
     scaled to their number, is whole."""

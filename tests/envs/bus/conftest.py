@@ -1,0 +1,12 @@
+"""The default bus scenario, prepared once."""
+
+import pytest
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.prepared import Prepared, prepare
+
+
+@pytest.fixture(scope="session")
+def line() -> Prepared:
+    """The default scenario."""
+    return prepare(BusConfig())

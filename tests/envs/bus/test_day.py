@@ -1,0 +1,215 @@
+"""Laws that hold on every day, whatever the agents do."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from headway.contracts import Discrete, HeadwayError
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import DEPOT, MOVE, SERVICE_CENTER
+from headway_envs.bus.prepared import Prepared, prepare
+
+
+def _begun(prepared: Prepared, copies: int, seed: int = 0) -> BusBatchedEnv:
+    env = BusBatchedEnv(prepared, copies)
+    env.reset(np.arange(seed, seed + copies, dtype=np.uint64))
+    return env
+
+
+def _actions(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Mostly MOVE, with some holding and a few visits to the service centre."""
+    return rng.choice(3, shape, p=[0.25, 0.745, 0.005]).astype(np.int64)
+
+
+def test_passengers_are_conserved_and_buses_never_overfull(line: Prepared) -> None:
+    env, rng = _begun(line, 3), np.random.default_rng(1)
+    slots, world = len(line.agents), env.world
+    before = np.zeros_like(world.event_time)
+    for tick in range(line.config.ticks - 1):
+        env.step(_actions(rng, (3, slots)))
+        load = world.slots["load"]
+        assert load.min() >= 0
+        assert load.max() <= line.config.capacity
+        out = world.event_time
+        now = world.days["now"]
+        assert np.all(now == line.config.start_hour * 3600 + (tick + 1) * 60)
+        assert np.all(out >= now[:, None]), "an event was left behind"
+        assert np.all(out >= before), "an event moved back in time"
+        before = out.copy()
+        if tick % 50 == 0:
+            day = world.days
+            assert np.all(day["boarded"] == day["alighted"] + load.sum(axis=1))
+            waiting = world.queues["waiting"].sum(axis=1)
+            assert np.all(day["arrived"] == day["boarded"] + waiting + day["lost"])
+            assert np.all(world.queues["denied"] <= world.queues["waiting"])
+    assert np.all(world.days["boarded"] > 1000)
+    assert np.all(world.waits.sum(axis=1) == world.days["boarded"])
+
+
+def test_queues_hold_past_arrivals_in_order(line: Prepared) -> None:
+    env = _begun(line, 1)
+    for _ in range(200):
+        env.step(np.ones((1, len(line.agents)), np.int64))
+    now = env.world.days["now"][0]
+    for call, first in enumerate(line.network.queue_first[:-1]):
+        waiting = int(env.world.queues["waiting"][0, call])
+        arrived = env.world.arrived_at[0, first : first + waiting]
+        assert np.all(arrived <= now)
+        assert np.all(np.diff(arrived) >= 0)
+        assert np.all(env.world.leaves_at[0, first : first + waiting] > now)
+
+
+def test_snapshot_restores_bit_for_bit(line: Prepared) -> None:
+    env, rng = _begun(line, 2), np.random.default_rng(2)
+    script = _actions(rng, (400, 2, len(line.agents)))
+    for actions in script[:200]:
+        env.step(actions)
+    saved = pickle.loads(pickle.dumps(env.snapshot()))
+    for actions in script[200:]:
+        env.step(actions)
+    expected = env.snapshot()
+    other = BusBatchedEnv(pickle.loads(pickle.dumps(line)), 2)
+    observed = other.restore(saved)
+    assert np.array_equal(observed.observations, saved["outputs"]["observations"])
+    for actions in script[200:]:
+        other.step(actions)
+    reached = other.snapshot()
+    for part, arrays in expected.items():
+        for name, array in arrays.items():
+            assert array.tobytes() == reached[part][name].tobytes(), f"{part}.{name}"
+
+
+def test_snapshot_of_another_batch_is_refused(line: Prepared) -> None:
+    with pytest.raises(HeadwayError, match="number of copies"):
+        _begun(line, 2).restore(_begun(line, 1).snapshot())
+
+
+def test_copies_depend_on_their_seed_alone(line: Prepared) -> None:
+    one, many = _begun(line, 1, seed=7), _begun(line, 4, seed=5)
+    rng = np.random.default_rng(3)
+    for _ in range(line.config.ticks + 20):
+        actions = _actions(rng, (4, len(line.agents)))
+        few, seen = one.step(actions[2:3])
+        all_, all_seen = many.step(actions)
+        assert np.array_equal(few.rewards[0], all_.rewards[2])
+        assert np.array_equal(seen.observations[0], all_seen.observations[2])
+        assert np.array_equal(seen.states[0], all_seen.states[2])
+    assert not np.array_equal(all_seen.observations[1], all_seen.observations[2])
+
+
+def test_two_controllers_meet_the_same_day(line: Prepared) -> None:
+    """Arrivals, demand and congestion are keyed, not drawn in turn: holding changes none of them."""
+    moving, holding = _begun(line, 1), _begun(line, 1)
+    slots = len(line.agents)
+    for tick in range(600):
+        moving.step(np.ones((1, slots), np.int64))
+        holding.step(np.full((1, slots), tick % 2, np.int64))
+    assert np.array_equal(moving.world.congestion, holding.world.congestion)
+    assert np.array_equal(moving.world.queues["drawn"], holding.world.queues["drawn"])
+    came = [env.world.days["arrived"] - env.world.days["requeued"] for env in (moving, holding)]
+    assert np.array_equal(came[0], came[1])
+    assert not np.array_equal(moving.world.event_time, holding.world.event_time)
+
+
+def test_dead_slots_are_zeros_and_their_actions_ignored(line: Prepared) -> None:
+    first, second = _begun(line, 1), _begun(line, 1)
+    slots, rng, seen_dead = len(line.agents), np.random.default_rng(4), 0
+    alive = first.observed().alive.copy()
+    for _ in range(500):
+        actions = np.ones((1, slots), np.int64)
+        other = np.where(alive, actions, rng.integers(0, 3, (1, slots)))
+        outcome, observed = first.step(actions)
+        second.step(other)
+        assert not outcome.acting[~alive].any()
+        alive = observed.alive.copy()
+        assert np.array_equal(observed.observations, second.observed().observations)
+        assert not observed.observations[~alive].any()
+        seen_dead += int((~alive).sum())
+    assert seen_dead > 100
+
+
+def test_service_is_masked_while_away_and_ends_with_a_full_tank(line: Prepared) -> None:
+    env = _begun(line, 1)
+    slots = len(line.agents)
+    for _ in range(120):
+        env.step(np.ones((1, slots), np.int64))
+    for _ in range(3):
+        env.step(np.full((1, slots), SERVICE_CENTER))
+    masks = env.observed().action_masks
+    assert masks is not None
+    assert masks[..., MOVE].all()
+    away = ~masks[..., SERVICE_CENTER]
+    assert away.sum() > 3
+    assert np.all(env.world.slots["regularity"][away] <= 0)
+    for _ in range(60):
+        env.step(np.ones((1, slots), np.int64))
+    assert env.world.days["visits"][0] >= away.sum()
+    assert env.world.slots["fuel"][away].min() > 70
+
+
+def test_a_day_ends_terminated_and_the_next_begins(line: Prepared) -> None:
+    env = _begun(line, 2)
+    actions = np.ones((2, len(line.agents)), np.int64)
+    for tick in range(line.config.ticks):
+        outcome, observed = env.step(actions)
+        assert outcome.episode_ended.all() == (tick == line.config.ticks - 1)
+    assert outcome.terminated.all()
+    assert not outcome.truncated.any()
+    metrics = dict(zip(env.spec.metrics, outcome.metrics.T, strict=True))
+    assert np.all((metrics["mean_wait_min"] > 1) & (metrics["mean_wait_min"] < 30))
+    assert np.all(metrics["p95_wait_min"] > metrics["mean_wait_min"])
+    assert np.all(env.world.days["episode"] == 1)
+    assert np.all(env.world.days["now"] == line.config.start_hour * 3600)
+    assert np.all(env.world.slots["load"] == 0)
+    assert observed.observations.shape == (2, 14, env.spec.observation_size)
+
+
+@pytest.mark.parametrize(("observation", "size"), [("paper", 4), ("published", 8), ("control", 26)])
+@pytest.mark.parametrize("state", ["auto", "full", "aggregate"])
+def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, state: str) -> None:
+    config = replace(line.config, observation=observation, state=state)
+    env = _begun(replace(line, config=config), 2)
+    spec = env.spec
+    assert spec.observation_size == size
+    assert spec.action_space == Discrete(3)
+    assert spec.num_agents == len(spec.groups) == 14
+    assert spec.state_size == 13 + (0 if state == "aggregate" else 14 * size)
+    for _ in range(300):
+        outcome, observed = env.step(np.ones((2, 14), np.int64))
+        assert observed.observations.shape == (2, 14, size)
+        assert observed.observations.dtype == np.float32
+        assert np.isfinite(observed.observations).all()
+        assert np.isfinite(observed.states).all()
+        assert np.abs(observed.observations).max() <= (5 if observation == "control" else 1)
+        assert observed.states.shape == (2, spec.state_size)
+        assert np.isfinite(outcome.rewards).all()
+
+
+def test_own_rewards_differ_and_are_nothing_at_the_depot(line: Prepared) -> None:
+    reward = replace(line.config.reward, shared=False)
+    env = _begun(replace(line, config=replace(line.config, reward=reward)), 1)
+    for _ in range(300):
+        outcome, _ = env.step(np.ones((1, 14), np.int64))
+    depot = env.world.slots["phase"] == DEPOT
+    assert not outcome.rewards[depot].any()
+    assert len(np.unique(outcome.rewards[~depot])) > 1
+
+
+def test_always_moving_does_not_depend_on_the_control_interval() -> None:
+    """Under constant MOVE the events fall at the same exact times whatever tick_s, up to when a slot at the
+    depot is woken, which is exact too."""
+    boarded, times = [], []
+    for tick_s in (30.0, 60.0, 300.0):
+        prepared = prepare(BusConfig(tick_s=tick_s))
+        env = _begun(prepared, 1)
+        for _ in range(int(8 * 3600 / tick_s)):
+            env.step(np.ones((1, len(prepared.agents)), np.int64))
+        times.append(env.world.event_time.copy())
+        boarded.append(int(env.world.days["boarded"][0]))
+    assert np.array_equal(times[0], times[1])
+    assert np.array_equal(times[1], times[2])
+    assert boarded[0] == boarded[1] == boarded[2]

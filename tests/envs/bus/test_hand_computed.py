@@ -1,0 +1,145 @@
+"""A tiny scenario computed by hand, and the draws against their distributions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from headway_envs.bus.config import BusConfig, NoiseConfig
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel import draws, warm
+from headway_envs.bus.kernel.layout import MOVE, WAIT
+from headway_envs.bus.prepared import Prepared
+from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.tables import FIRST_LINK, Tables, check_tables
+
+CALM = NoiseConfig(
+    trip_sd=0.0,
+    day_sd=0.0,
+    evening_peak=0.0,
+    network_sd=0.0,
+    incident_probability=0.0,
+    link_floor_sd=0.0,
+    demand_day_sd=0.0,
+    demand_stop_hour_sd=0.0,
+    dispatch_s=0.0,
+)
+
+
+def tiny(board: float = 1e-9) -> Prepared:
+    """Three stops 100 s apart, trips at 05:10 and 05:40, no noise, hardly a passenger."""
+    frames = {
+        "stops": {"stop": [0, 1, 2], "lat": [0.0, 0.0, 0.0], "lon": [0.0, 0.01, 0.02]},
+        "patterns": {"pattern": [0], "line": ["a"], "dir": ["I"], "n_stops": [3]},
+        "pattern_stops": {
+            "pattern": [0] * 3,
+            "seq0": [0, 1, 2],
+            "stop": [0, 1, 2],
+            "link": [FIRST_LINK, 0, 1],
+        },
+        "links": {"link": [0, 1], "from_stop": [0, 1], "to_stop": [1, 2], "leg_m": [1113, 1113]},
+        "link_times": {
+            "link": [0, 1],
+            "hour": [5, 5],
+            "log_sigma": [1e-9, 1e-9],
+            "mean_s": [100.0, 100.0],
+            "daytype": ["weekday"] * 2,
+        },
+        "demand": {
+            "pattern": [0],
+            "seq0": [0],
+            "hour": [5],
+            "calls": [2],
+            "board": [board],
+            "daytype": ["weekday"],
+        },
+        "alighting": {"pattern": [0, 0], "seq0": [1, 2], "period": [0, 0], "p_alight": [0.0, 1.0]},
+        "trips": {
+            "pattern": [0, 0],
+            "vehicle": [0, 1],
+            "dep_s": [18600, 20400],
+            "arr_s": [18800, 20600],
+            "daytype": ["weekday"] * 2,
+        },
+    }
+    tables = Tables(
+        **{name: pd.DataFrame(frame) for name, frame in frames.items()},
+        meta={"link_times_include_dwell": False},
+    )
+    check_tables(tables)
+    config = BusConfig(end_hour=6, noise=CALM, captive_share=1.0)
+    network, lines = build(tables, config)
+    return Prepared(config, network, lines, "tiny")
+
+
+def test_events_fall_at_the_times_computed_by_hand() -> None:
+    """Window opens at 18600 - 180 = 18420; MOVE at once; stop 1 at 18520, end at 18620."""
+    prepared = tiny()
+    env = BusBatchedEnv(prepared, 1)
+    env.reset(np.zeros(1, np.uint64))
+    slots = len(prepared.agents)
+    moves = np.full((1, slots), MOVE)
+    seen = []
+    for tick in range(20):
+        hold = np.full((1, slots), WAIT)
+        # The tick 8 x 60 s after 05:00 holds the stop 1 decision at 18520 s, one minute longer.
+        outcome, _ = env.step(hold if tick == 8 else moves)
+        seen.append((env.world.event_time[0, 0], bool(outcome.acting[0, 0])))
+    assert seen[6] == (18420.0, False)
+    assert seen[7] == (18520.0, True)
+    assert seen[8] == (18580.0, True)
+    assert seen[9][1]
+    assert seen[9][0] == 18680.0
+    assert env.world.trip_time[0, 0] == pytest.approx(18680.0 - 18420.0)
+
+
+def test_a_queue_boards_first_come_first_served_with_its_exact_waits() -> None:
+    """Passengers at the first stop wait from their arrival to the decision at which they board."""
+    prepared = tiny(board=120.0)
+    env = BusBatchedEnv(prepared, 1)
+    env.reset(np.zeros(1, np.uint64))
+    moves = np.full((1, len(prepared.agents)), MOVE)
+    for _ in range(7):
+        env.step(moves)
+    waiting = int(env.world.queues["waiting"][0, 0])
+    arrived = env.world.arrived_at[0, :waiting].copy()
+    assert waiting > 3
+    env.step(moves)  # the window opens at 18420, exactly the start of this tick
+    day = env.world.days[0]
+    expected = np.sum(18420.0 - arrived)
+    later = day["boarded"] - waiting
+    assert later >= 0
+    assert expected - 1e-6 <= day["wait"] <= expected + 60.0 * later + 1e-6
+
+
+def test_the_unit_draws_have_mean_one_and_their_deviation() -> None:
+    key = np.uint64(12345)
+    z = np.array([draws.normal(key, 1, i, 0) for i in range(20000)])
+    assert abs(z.mean()) < 0.03
+    assert abs(z.std() - 1) < 0.03
+    gamma = np.array([draws.unit_gamma(value, 0.13) for value in z])
+    assert abs(gamma.mean() - 1) < 0.005
+    assert abs(gamma.std() - 0.13) < 0.005
+    lognormal = np.array([draws.unit_lognormal(value, 0.28) for value in z])
+    assert abs(lognormal.mean() - 1) < 0.01
+    unit = np.array([draws.uniform(key, 2, i, 7) for i in range(20000)])
+    counts = np.array([draws.binomial(u, 40, 0.7) for u in unit])
+    assert abs(counts.mean() - 28) < 0.1
+    assert abs(counts.var() - 8.4) < 0.4
+    assert abs(np.mean([draws.exponential(key, 3, i, 0) for i in range(20000)]) - 1) < 0.03
+
+
+def test_boardings_respond_to_the_headway_less_than_in_proportion() -> None:
+    """All captive: arrivals are those measured; half captive: as many board under the target headway, and
+    more come."""
+    captive, half = tiny(120.0), tiny(120.0)
+    config = replace(half.config, captive_share=0.5)
+    assert captive.settings["captive_arrivals"][0] == 1.0
+    share = replace(half, config=config).settings["captive_arrivals"][0]
+    x = config.competing_headway_share
+    assert share == pytest.approx(0.5 / (0.5 + 0.5 / (x * (1 - np.exp(-1 / x)))))
+
+
+def test_the_kernel_warms() -> None:
+    warm()

@@ -1,0 +1,160 @@
+"""The scenario format: what is written reads back, and every fault is named."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.config import BusConfig, NoiseConfig, RewardConfig, UpkeepConfig
+from headway_envs.bus.prepared import prepare
+from headway_envs.bus.scenario.synthetic import generate
+from headway_envs.bus.scenario.tables import Tables, check_tables, read_tables, write_tables
+
+
+@pytest.fixture(scope="module")
+def tables() -> Tables:
+    return generate("line", 0)
+
+
+def test_generation_is_deterministic_and_sized(tables: Tables) -> None:
+    check_tables(tables)
+    again = generate("line", 0)
+    pd.testing.assert_frame_equal(tables.demand, again.demand)
+    pd.testing.assert_frame_equal(tables.link_times, again.link_times)
+    assert not tables.links.equals(generate("line", 1).links)
+    for seed in range(3):
+        assert len(prepare(BusConfig(scenario_seed=seed)).agents) == 14
+    corridor = prepare(BusConfig(scenario="corridor"))
+    assert len(corridor.lines) == 10
+    assert len(corridor.agents) == 110
+    assert corridor.groups[0] == "line0"
+
+
+def test_a_written_scenario_is_the_same_network(tables: Tables, tmp_path: Path) -> None:
+    write_tables(tables, tmp_path)
+    check_tables(read_tables(tmp_path))
+    there, here = prepare(BusConfig(scenario=str(tmp_path))), prepare(BusConfig())
+    for mine, theirs in zip(here.network, there.network, strict=True):
+        np.testing.assert_allclose(mine, theirs)
+
+
+def test_a_timetable_is_even_and_its_blocks_can_be_driven() -> None:
+    prepared = prepare(BusConfig())
+    net = prepared.network
+    for p in range(len(net.pattern_calls) - 1):
+        departures = net.trip_departure[net.pattern_trips[p] : net.pattern_trips[p + 1]]
+        gaps = np.diff(departures)
+        assert gaps.min() > 0
+        assert np.abs(np.diff(gaps)).max() < 0.35 * gaps.max()
+    for first, last in zip(net.slot_first[:-1], net.slot_first[1:], strict=True):
+        assert np.all(np.diff(net.trip_departure[net.slot_trips[first:last]]) > 0)
+    assert sorted(net.slot_trips) == list(range(len(net.trip_pattern)))
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "row", "value", "message"),
+    [
+        ("demand", "board", 3, -1.0, "table demand, row 3, column board"),
+        ("link_times", "mean_s", 0, np.nan, "table link_times, row 0, column mean_s.*blank"),
+        ("link_times", "daytype", 2, "someday", "row 2, column daytype.*weekday, saturday or sunday"),
+        ("pattern_stops", "stop", 5, 9999.0, "row 5, column stop.*not in table stops"),
+        ("pattern_stops", "seq0", 5, 99.0, "pattern_stops.*seq0.*breaks the sequence"),
+        ("pattern_stops", "link", 5, 77.0 + 500, "does not lead from|not in table links"),
+        ("links", "to_stop", 0, 9999.0, "row 0, column to_stop.*not in table stops"),
+        ("patterns", "n_stops", 0, 3.0, "column n_stops"),
+        ("alighting", "p_alight", 7, 1.5, "row 7, column p_alight.*outside 0 to 1"),
+        ("alighting", "pattern", 7, 55.0, "row 7, column pattern.*not in table patterns"),
+        ("demand", "seq0", 7, 900.0, "column seq0.*beyond the pattern's last stop"),
+        ("trips", "arr_s", 4, 1.0, "row 4, column arr_s.*not after dep_s"),
+        ("trips", "pattern", 4, 55.0, "row 4, column pattern.*not in table patterns"),
+    ],
+)
+def test_a_broken_value_is_named(
+    tables: Tables, table: str, column: str, row: int, value: object, message: str
+) -> None:
+    frame = getattr(tables, table).copy()
+    frame[column] = frame[column].astype(object)
+    frame.iloc[row, frame.columns.get_loc(column)] = value
+    if column != "daytype":
+        frame[column] = frame[column].astype(float)
+    with pytest.raises(HeadwayError, match=message) as error:
+        check_tables(replace(tables, **{table: frame}))
+    assert "\n" not in str(error.value)
+
+
+def test_other_faults_of_tables_are_named(tables: Tables) -> None:
+    for name in ("stops", "patterns", "links", "demand"):
+        frame = getattr(tables, name)
+        doubled = pd.concat([frame, frame.iloc[[0]]], ignore_index=True)
+        with pytest.raises(HeadwayError, match=f"table {name}, row {len(frame)}.*repeats"):
+            check_tables(replace(tables, **{name: doubled}))
+        with pytest.raises(HeadwayError, match=f"table {name} has no rows"):
+            check_tables(replace(tables, **{name: frame.iloc[:0]}))
+    renamed = tables.demand.rename(columns={"board": "boards"})
+    with pytest.raises(HeadwayError, match=r"demand lacks column board.*rename 'boards'"):
+        check_tables(replace(tables, demand=renamed))
+    text = tables.demand.assign(board="many")
+    with pytest.raises(HeadwayError, match="column board is not numeric"):
+        check_tables(replace(tables, demand=text))
+    alighting = tables.alighting.assign(p_alight=0.5)
+    with pytest.raises(HeadwayError, match="below 1 at the last stop"):
+        check_tables(replace(tables, alighting=alighting))
+
+
+def test_faults_of_folders_are_named(tables: Tables, tmp_path: Path) -> None:
+    with pytest.raises(HeadwayError, match="did you mean 'line'"):
+        prepare(BusConfig(scenario="lien"))
+    write_tables(tables, tmp_path)
+    (tmp_path / "meta.json").write_text("{")
+    with pytest.raises(HeadwayError, match="not valid JSON"):
+        read_tables(tmp_path)
+    (tmp_path / "meta.json").write_text(json.dumps({"service_centres": "here"}))
+    with pytest.raises(HeadwayError, match="service_centres"):
+        prepare(BusConfig(scenario=str(tmp_path)))
+    (tmp_path / "links.parquet").write_text("no")
+    with pytest.raises(HeadwayError, match="table links"):
+        read_tables(tmp_path)
+    (tmp_path / "links.parquet").unlink()
+    with pytest.raises(HeadwayError, match="lacks table links"):
+        read_tables(tmp_path)
+
+
+def test_impossible_configurations_are_refused() -> None:
+    with pytest.raises(ValueError, match="capacity"):
+        BusConfig(capacity=0)
+    with pytest.raises(ValueError, match="must divide the service day"):
+        BusConfig(tick_s=7.0)
+    with pytest.raises(ValueError, match="start_hour"):
+        BusConfig(start_hour=24)
+    with pytest.raises(ValueError, match="captive_share"):
+        BusConfig(captive_share=1.5)
+    with pytest.raises(ValueError, match="at least one of the weights"):
+        RewardConfig(0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="trip_sd"):
+        NoiseConfig(trip_sd=-0.1)
+    with pytest.raises(ValueError, match="uptime_hours"):
+        UpkeepConfig(uptime_hours=0.0)
+
+
+def test_workers_import_neither_pandas_nor_torch(tmp_path: Path) -> None:
+    script = (
+        "import pickle, sys, numpy as np\n"
+        "from headway_envs.bus.entry import ENTRY\n"
+        "assert 'numba' not in sys.modules\n"
+        f"prepared = pickle.load(open({str(tmp_path / 'prepared')!r}, 'rb'))\n"
+        "env = ENTRY.make(prepared, 1)\n"
+        "env.reset(np.zeros(1, np.uint64))\n"
+        "env.step(np.ones((1, 14), np.int64))\n"
+        "heavy = {'pandas', 'pyarrow', 'torch', 'gymnasium', 'pettingzoo'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    import pickle
+
+    (tmp_path / "prepared").write_bytes(pickle.dumps(prepare(BusConfig())))
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=120)
