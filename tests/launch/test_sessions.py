@@ -169,3 +169,15 @@ def test_bad_input_starts_nothing(tmp_path: Path, override: str) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> None:
+    with headway("run", *TINY, *LONG, "rollout.steps=20000", "backend=serial", folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said("training"))
+        children = running.training()
+        running.process.send_signal(signal.SIGINT)
+        running.wait_for(lambda: running.has_said("Ctrl-C again"))
+        running.process.send_signal(signal.SIGINT)
+        assert running.process.wait(PATIENCE_S) == 130
+        assert not psutil.wait_procs(children, timeout=5)[1]
+    assert [row.status for row in runs(tmp_path)] == ["KILLED"]
