@@ -33,8 +33,8 @@ def suggestion(name: str, names: Iterable[str], prefix: str = "") -> str:
     """`did you mean PREFIXname? ` if one is near, and in any case what there is."""
     known = sorted(names)
     near = nearest(name, known)
-    meant = f"did you mean {prefix}{near}? " if near else ""
-    return f"{meant}There is: {', '.join(known) or 'nothing'}"
+    start = f"did you mean {prefix}{near}? There" if near else "there"
+    return f"{start} is: {', '.join(known) or 'nothing'}"
 
 
 def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = "", of: str = "") -> Record:

@@ -61,14 +61,14 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _require_free(port: int) -> None:
+    if not 1 <= port < 2**16:
+        raise HeadwayError(f"port {port} is none; give one from 1 to 65535, such as --port 5000")
     with contextlib.closing(socket.socket()) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((_HOST, port))
-        except (OSError, OverflowError) as error:
-            raise HeadwayError(
-                f"port {port} cannot be used ({error}); give another: --port {port + 1}"
-            ) from error
+        except OSError as error:
+            raise HeadwayError(f"port {port} cannot be used ({error}); give another with --port") from error
 
 
 def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: StopRequests) -> None:
