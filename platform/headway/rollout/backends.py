@@ -1,8 +1,11 @@
 """Collectors: where rollouts run. Every backend gives the same trajectory bit for bit."""
 
 import multiprocessing
+import pickle
+import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
@@ -175,6 +178,7 @@ class ProcessCollector:
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
+        self.needs_main = b"_main__" in pickle.dumps(plan)
         self.lost_cpu_seconds = 0.0
         self.iteration = 0
         self.workers = [self._start(shard) for shard in range(len(self.shards))]
@@ -243,7 +247,8 @@ class ProcessCollector:
         process = self.context.Process(
             target=run_worker, args=(setup, theirs), name=f"headway worker {shard}", daemon=True
         )
-        process.start()
+        with nullcontext() if self.needs_main else _main_left_out():
+            process.start()
         theirs.close()
         return _Worker(process, ours)
 
@@ -292,6 +297,21 @@ class ProcessCollector:
         if isinstance(answer, Broken):
             raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
         raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+
+
+@contextmanager
+def _main_left_out() -> Iterator[None]:
+    """Start processes without the main module, which each would otherwise run again: it may import torch,
+    or train when imported. Multiprocessing finds it by these two attributes."""
+    main = sys.modules["__main__"]
+    hidden: dict[str, Any] = {
+        name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)
+    }
+    vars(main).update(dict.fromkeys(hidden))
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)
 
 
 class WorkerFailedError(HeadwayError):

@@ -47,6 +47,30 @@ for attempt in ("cold", "warm"):
 print(json.dumps({"ready_s": ready, "resident": resident, "proportional": proportional / 2}))
 """
 
+_HEAVY_MAIN = """
+import sys
+import pandas
+sys.path.insert(0, sys.argv[1])
+from headway_envs.toy.trivial import Trivial
+from rehearsal import collector_of, parameters_of, plan_of
+from spying import SpyConfig, make_spy
+
+class Mine(Trivial):
+    pass
+
+def make_mine(config, copies):
+    make_spy(config, copies)
+    return Mine(config.trivial, copies)
+
+make = {"the library's": make_spy, "its own": make_mine}[sys.argv[3]]
+plan = plan_of(make, SpyConfig(sys.argv[2]))
+guard = __name__ == "__main__" or sys.argv[3] == "the library's"
+if guard:
+    with collector_of(plan) as collector:
+        collector.begin()
+        collector.collect(1, parameters_of(plan))
+"""
+
 _COLLECT_FOR_EVER = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
@@ -81,6 +105,19 @@ def test_a_worker_is_light(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
             f"\ntwo warm workers ready in {measured['ready_s']:.3f} s; each {resident / MEBIBYTE:.0f}"
             f" MiB resident, {proportional / MEBIBYTE:.0f} MiB proportional"
         )
+
+
+@pytest.mark.parametrize("environment", ["the library's", "its own"])
+def test_a_worker_runs_the_main_script_only_if_its_environment_is_there(
+    tmp_path: Path, environment: str
+) -> None:
+    """So a script needs neither a guard nor light imports."""
+    script, report = tmp_path / "script.py", tmp_path / "modules"
+    script.write_text(_HEAVY_MAIN)
+    command = [sys.executable, str(script), str(Path(__file__).parent), str(report), environment]
+    subprocess.run(command, check=True, timeout=60)
+    imported = {name.partition(".")[0] for name in report.read_text().split()}
+    assert ("pandas" in imported) == (environment == "its own")
 
 
 @contextmanager
