@@ -1,5 +1,6 @@
 """How every kernel function is compiled."""
 
+import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +28,9 @@ def drop_stale_cache(folder: Path) -> None:
         for compiled_file in cache.glob("*.nb?"):
             compiled_file.unlink(missing_ok=True)
         cache.mkdir(exist_ok=True)
-        stamp.write_text(f"{state}")
+        written = cache / f"kernel.stamp.{os.getpid()}"
+        written.write_text(f"{state}")
+        written.replace(stamp)
     except OSError:
         return  # A read-only installation: numba keeps its cache elsewhere, and sources do not change.
 

@@ -79,7 +79,7 @@ def _observe_control(net: Network, k: Record, world: World, c: int, n: int, out:
     out[11] = 0.5 * (ahead - behind)
     out[12] = _clip(slot.headway_ratio - 1.0, -1.0, 2.0)
     departure = net.trip_departure[slot.trip]
-    out[13] = _clip((now - departure - slot.place) / 600.0, -2.0, 2.0)
+    out[13] = _clip((now - departure - slot.place) / 1800.0, -2.0, 2.0)
     out[14] = slot.place / max(at(net.nominal, last, now), 1.0)
     rate = net.boarding_rate[place, bin_of(now, k.start_s, net.boarding_rate.shape[1])]
     out[15] = min(rate * (event - since) / 20.0, 3.0) if since > 0.0 else 0.0

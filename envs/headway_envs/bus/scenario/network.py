@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 KNOT_HOURS = np.arange(FIRST_KNOT_HOUR, FIRST_KNOT_HOUR + KNOTS)
-KNOT_S = KNOT_HOURS * 3600.0 + 1800.0
+KNOT_S: Floats = np.asarray(KNOT_HOURS * 3600.0 + 1800.0, np.float64)
 _LARGEST_SD = 0.8
 """Cells of few observations have log sds up to 1.5; larger ones than this are taken for faults."""
 
