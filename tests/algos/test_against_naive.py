@@ -185,7 +185,8 @@ class Naive:
         if self.config.critic == "local":
             return each[n].astype(np.float64)
         if self.spec.state_size:
-            return (made.final_states[t, c] if over.all() else made.states[at, c]).astype(np.float64)
+            state: Array = (made.final_states[t, c] if over.all() else made.states[at, c]).astype(np.float64)
+            return state
         return np.concatenate(each).astype(np.float64)
 
     def _worth(self, value: Value, seen: Array) -> float:

@@ -1,0 +1,116 @@
+"""Names, refusals and what importing them costs."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, MultiDiscrete
+from headway_algos.acting import StackedActingPolicy
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.entries import ENTRIES
+from headway_algos.learner import OnPolicyLearner
+
+SPEC = EnvSpec("made", ("a", "b", "c"), 3, Discrete(2), groups=("x", "y", "x"))
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["headway_algos.entries", "headway_algos.acting", "headway_algos.config", "headway_algos.grouping"],
+)
+def test_importing_what_workers_need_imports_no_torch(module: str) -> None:
+    code = f"import sys, {module}; print('torch' in sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "False"
+
+
+def test_making_an_acting_policy_and_using_it_imports_no_torch() -> None:
+    code = """
+import pickle, sys
+import numpy as np
+from headway.contracts import Discrete, EnvSpec, Observed
+from headway_algos.entries import ENTRIES
+spec = EnvSpec("made", ("a", "b"), 3, Discrete(2))
+entry = ENTRIES["mappo"]
+policy = pickle.loads(pickle.dumps(entry.acting_policy(entry.config(), spec)))
+parameters = {name: np.ones(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
+observed = Observed(np.zeros((4, 2, 3), np.float32), np.zeros((4, 0), np.float32), np.ones((4, 2), bool))
+actions, log_probs = policy.act(parameters, observed, policy.noise(np.random.default_rng(0), 4))
+print(actions.shape, 'torch' in sys.modules)
+"""
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "(4, 2) False"
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
+    entry = ENTRIES[name]
+    assert entry.config().name == name
+    assert "arXiv:" in entry.source
+    assert "\n" not in entry.summary
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("space", [Discrete(2), Box((-1.0,), (1.0,))])
+def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
+    entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
+    config = entry.config(policies=policies)
+    assert entry.refuses(config, spec) is None
+    learner, acting = entry.learner(config, spec, (0, 1), "cpu"), entry.acting_policy(config, spec)
+    shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
+    assert shapes == acting.parameter_shapes(2)
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_what_cannot_be_run_is_refused_in_one_line(name: str) -> None:
+    entry = ENTRIES[name]
+    several = replace(SPEC, action_space=MultiDiscrete((2, 3)))
+    line = entry.refuses(entry.config(), several)
+    assert line is not None
+    assert "MultiDiscrete" in line
+    assert name in line
+    with pytest.raises(HeadwayError, match="Discrete or Box"):
+        entry.acting_policy(entry.config(), several)
+    line = entry.refuses(entry.config(policies="groups"), replace(SPEC, groups=()))
+    assert line is not None
+    assert "algo.policies=shared" in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"gamma": 1.1}, "gamma"),
+        ({"gae_lambda": -0.1}, "gae_lambda"),
+        ({"lr": 0.0}, "lr"),
+        ({"critic_lr": 0.0}, "critic_lr"),
+        ({"lr_end": 2.0}, "lr_end"),
+        ({"epochs": 0}, "epochs"),
+        ({"minibatches": 0}, "minibatches"),
+        ({"clip": 0.0}, "clip"),
+        ({"kl_coeff": -1.0}, "kl_coeff"),
+        ({"kl_target": 0.0}, "kl_target"),
+        ({"value_clip": 0.0}, "value_clip"),
+        ({"grad_clip": 0.0}, "grad_clip"),
+        ({"piece_samples": 0}, "piece_samples"),
+    ],
+)
+def test_impossible_numbers_are_named(wrong: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=f"^{named} must"):
+        AlgoConfig(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"hidden": (8, 0)}, {"actor_gain": 0.0}])
+def test_impossible_networks_are_named(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"^{next(iter(wrong))}"):
+        ModelConfig(**wrong)
+
+
+def test_a_network_without_hidden_layers_is_linear() -> None:
+    config = AlgoConfig(model=ModelConfig(hidden=()))
+    learner, acting = OnPolicyLearner(config, SPEC, (0,), "cpu"), StackedActingPolicy.of(config, SPEC)
+    assert learner.acting_parameters().keys() == acting.parameter_shapes(1).keys()
+    assert "weight_1" not in learner.acting_parameters()

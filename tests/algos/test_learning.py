@@ -1,0 +1,104 @@
+"""Learning bars: how near to a known optimum each algorithm comes in a few seconds."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.events import Row
+from headway.rollout.backends import SerialCollector
+from headway.rollout.episodes import evaluate_rule
+from headway.rollout.plan import RolloutPlan
+from headway_algos.config import ModelConfig
+from headway_algos.entries import ENTRIES
+from headway_envs.toy.entry import ENTRIES as TOYS
+
+ROOT, EPISODES = 77, 20
+"""Evaluation seeds, the same for learners and rules."""
+ALGORITHMS = list(ENTRIES)
+
+
+def _train(
+    env: str,
+    env_args: Mapping[str, Any],
+    algorithm: str,
+    settings: Mapping[str, Any],
+    seeds: tuple[int, ...],
+    batch: tuple[int, int, int],
+) -> list[list[Row]]:
+    """Greedy evaluation episodes of every seed after training on `batch` = copies, steps, iterations."""
+    copies, steps, iterations = batch
+    toy, entry = TOYS[env], ENTRIES[algorithm]
+    prepared = toy.prepare(toy.config(**env_args))
+    spec, config = toy.make(prepared, 1).spec, entry.config(**settings)
+    policy = entry.acting_policy(config, spec)
+    plan = RolloutPlan(toy.make, (), prepared, spec, policy, seeds, copies, steps, copies)
+    collector, learner = SerialCollector(plan), entry.learner(config, spec, seeds, "cpu")
+    collector.begin()
+    for iteration in range(1, iterations + 1):
+        collector.collect(iteration, learner.acting_parameters())
+        learner.update(collector.trajectory, iteration, (iteration - 1) / iterations)
+    evaluated = collector.evaluate(ROOT, EPISODES, True, learner.acting_parameters())
+    collector.close()
+    return evaluated
+
+
+def _returns(evaluated: list[list[Row]]) -> list[float]:
+    return [float(np.mean([float(row["return"]) for row in rows])) for rows in evaluated]
+
+
+def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
+    toy = TOYS[env]
+    prepared = toy.prepare(toy.config(**env_args))
+    rows = evaluate_rule(toy.make, toy.rules[name], prepared, ROOT, EPISODES)
+    return float(np.mean([float(row["return"]) for row in rows]))
+
+
+MATRIX_SETTINGS = {"minibatches": 1, "lr": 1e-2, "lr_end": 0.1, "entropy_coeff": 0.3}
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
+    game = {"payoff": ((11.0, 0.0, 0.0), (0.0, 7.0, 6.0), (0.0, 0.0, 5.0))}
+    evaluated = _train("matrix", game, algorithm, MATRIX_SETTINGS, (0, 1, 2), (16, 16, 30))
+    assert _returns(evaluated) == [11.0] * 3
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None:
+    """7 of 11: who improves alone is kept from the best payoff by the penalty of -30 beside it, and
+    reaches 7 by way of 5 and 6 (Claus and Boutilier 1998). The entropy bonus keeps it from stopping at 6."""
+    evaluated = _train("matrix", {}, algorithm, MATRIX_SETTINGS, (0, 1, 2), (16, 16, 45))
+    assert _returns(evaluated) == [7.0] * 3
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorithm: str) -> None:
+    """At most 1.6 times the optimal cost; the untrained policy's is hundreds of times the optimum's."""
+    settings = {
+        "policies": "shared",
+        "model": ModelConfig(hidden=(32, 32), activation="relu"),
+        "gamma": 0.8,
+        "lr": 5e-3,
+        "lr_end": 0.02,
+        "entropy_coeff": 0.0,
+        "minibatches": 4,
+        "normalise_observations": False,
+    }
+    episode = {"steps": 20}
+    evaluated = _train("tracking", episode, algorithm, settings, (0, 1), (8, 40, 35))
+    best = _rule("tracking", episode, "optimal")
+    assert min(_returns(evaluated)) > 1.6 * best
+    assert _returns(_train("tracking", episode, algorithm, settings, (0,), (8, 40, 1)))[0] < 100 * best
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(algorithm: str) -> None:
+    """At least 0.96 of the way from random to optimal, over agents that come, go and retire."""
+    settings = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
+    evaluated = _train("visitors", {}, algorithm, settings, (0, 1), (4, 64, 10))
+    random, best = _rule("visitors", {}, "random"), _rule("visitors", {}, "optimal")
+    shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
+    assert min(shares) > 0.96
+    assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
