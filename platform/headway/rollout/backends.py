@@ -35,7 +35,7 @@ from headway.rollout.worker import (
 Notify = Callable[[str], None]
 
 GRACE_S = 5.0
-"""How long workers that are told to end may finish what they do."""
+"""How long workers that are told to end may finish what they do, and that hung up may take to die."""
 
 
 class Collector(Protocol):
@@ -339,11 +339,11 @@ def _receive(worker: _Worker) -> Done | Broken | str:
     try:
         answer: Done | Broken = worker.pipe.recv()
     except (EOFError, OSError):
-        worker.process.join(5)
+        worker.process.join(GRACE_S)
         code = worker.process.exitcode
-        if code is not None and code < 0:
-            return f"killed by signal {-code}"
-        return f"ended with code {code}"
+        if code is None:
+            return "alive, but it closed its pipe"
+        return f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
     return answer
 
 

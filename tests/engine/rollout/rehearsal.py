@@ -5,8 +5,11 @@ A module of its own, not a part of a test, because worker processes import it.
 
 import os
 import signal
+import stat
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -25,7 +28,17 @@ from headway_envs.toy.trivial import Trivial, TrivialConfig
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
 Arrays = dict[str, NDArray[Any]]
-Fault = Literal["kill", "raise", "nan observation", "nan reward", "nan final", "nan state", "bad snapshot"]
+Fault = Literal[
+    "kill",
+    "raise",
+    "nan observation",
+    "nan reward",
+    "nan final",
+    "nan state",
+    "bad snapshot",
+    "exit",
+    "hang up",
+]
 
 VISITORS = VisitorsConfig(agents=3, steps=12)
 
@@ -100,6 +113,14 @@ class FaultyVisitors:
         match self._config.fault:
             case "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
+            case "exit":
+                sys.exit(3)
+            case "hang up":
+                for descriptor in range(256):
+                    with suppress(OSError):
+                        if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+                            os.close(descriptor)
+                time.sleep(60)
             case "raise":
                 raise RuntimeError("the bridge is out")
             case "nan observation":

@@ -146,6 +146,18 @@ def test_a_worker_that_raises_once_is_replaced(tmp_path: Path) -> None:
     assert "RuntimeError: the bridge is out" in notices[0]
 
 
+@pytest.mark.parametrize(
+    ("fault", "reason"), [("exit", "ended with code 3"), ("hang up", "alive, but it closed its pipe")]
+)
+def test_a_worker_that_ends_or_hangs_up_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, reason: str
+) -> None:
+    monkeypatch.setattr(backends, "GRACE_S", 0.5)
+    notices: list[str] = []
+    assert_same(_taken(_never(tmp_path)), _taken(_plan(tmp_path, fault), notices))
+    assert reason in notices[0]
+
+
 @pytest.mark.parametrize("fault", ["raise", "bad snapshot"])
 def test_what_fails_again_ends_with_the_worker_s_own_traceback(tmp_path: Path, fault: Fault) -> None:
     with pytest.raises(WorkerFailedError) as failure:
