@@ -1,4 +1,4 @@
-"""Classical controllers. All but `random` send a bus that is low on fuel or worn to the service centre when
+"""Classical controllers. All but `random` and `always_move` send a bus that is low on fuel or worn to the service centre when
 it decides at a terminal; they read the environment's arrays, the bus's estimated arrival included."""
 
 from dataclasses import dataclass
@@ -102,11 +102,10 @@ def _early(scene: Scene) -> NDArray[np.bool_]:
 
 
 class AlwaysMove:
-    """Leave every stop and terminal at once."""
+    """MOVE and nothing else: leave every stop and terminal at once, and never go to the service centre."""
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
-        scene = look(env)
-        return _actions(scene, np.zeros(scene.event.shape, np.bool_))
+        return np.full(observed.alive.shape, MOVE, np.int64)
 
 
 @dataclass(frozen=True)
