@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from headway.contracts import Box, EnvSpec
+from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.acting import OBSERVATION_CLIP, actor_outputs
 from headway_algos.config import ModelConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
@@ -26,6 +26,9 @@ class Actor(nn.Module):
         outputs = actor_outputs(spec)
         sizes = (spec.observation_size, model.hidden, outputs)
         self.network = StackedMLP(seeds, policies, "actor", sizes, model.activation, model.actor_gain, dtype)
+        if model.initial_logits and isinstance(spec.action_space, Discrete):
+            logits = torch.tensor(model.initial_logits, dtype=dtype)[None, :, None]
+            self.network.biases[-1].data += logits
         self.moments = RunningMoments(len(seeds) * policies, spec.observation_size)
         self.log_std: nn.Parameter | None = None
         if isinstance(spec.action_space, Box):

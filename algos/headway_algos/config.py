@@ -18,6 +18,9 @@ class ModelConfig:
     activation: Literal["tanh", "relu"] = "tanh"
     actor_gain: float = 0.01
     """Gain of the orthogonal initialisation of the actor's last layer."""
+    initial_logits: tuple[float, ...] = ()
+    """Logits of Discrete actions that every policy starts near: what is known before learning, one a
+    action; empty: all equal."""
     log_std: float = -0.5
     """Initial log standard deviation of a Box action's Gaussian."""
 

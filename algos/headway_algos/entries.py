@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from headway.contracts import AlgoEntry, EnvSpec, Learner, MultiDiscrete
+from headway.contracts import AlgoEntry, Discrete, EnvSpec, Learner, MultiDiscrete
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig
 from headway_algos.recipes import ippo, mappo
@@ -19,6 +19,10 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
         return f"{config.name} takes Discrete or Box actions, and {spec.name} has MultiDiscrete ones"
     if config.policies == "groups" and not spec.groups:
         return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
+    actions, logits = spec.action_space, config.model.initial_logits
+    if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
+        count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
+        return f"algo.model.initial_logits has {len(logits)} entries, and {spec.name} has {count}"
     return None
 
 
