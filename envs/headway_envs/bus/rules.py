@@ -1,5 +1,6 @@
-"""Classical controllers. All but `random` and `always_move` send a bus that is low on fuel or worn to the service centre when
-it decides at a terminal; they read the environment's arrays, the bus's estimated arrival included."""
+"""Classical controllers. All but `random` and `always_move` send a bus that is low on fuel or worn to the
+service centre when it decides at a terminal; they read the environment's arrays, the estimated arrival
+of the bus included."""
 
 from dataclasses import dataclass
 
