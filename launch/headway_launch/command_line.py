@@ -42,6 +42,7 @@ class _CommandModule(Protocol):
 _COMMANDS = {
     "run": _Command("train an experiment, all its seeds", "run"),
     "sweep": _Command("train an experiment over many seeds", "run"),
+    "search": _Command("search for hyper-parameters by a committed configuration", "search"),
     "resume": _Command("go on with runs that were stopped or killed", "resume"),
     "runs": _Command("table of the runs in the store", "runs"),
     "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),

@@ -84,6 +84,14 @@ class Conductor:
         self._say_where(time.monotonic() - began)
         return self._exit_code(stopped)
 
+    def final_rewards(self) -> list[float]:
+        """The final reward of each finished seed."""
+        return [
+            result.final_reward
+            for result in self._results
+            if result.status == "FINISHED" and result.final_reward is not None
+        ]
+
     def _begin(self, index: int) -> TrainingJob:
         """The runs of a job, made or taken up again, and what its training process is given."""
         job = self._jobs[index]

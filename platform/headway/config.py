@@ -104,6 +104,7 @@ class EnergyConfig:
     """Energy and CO2 by CodeCarbon, offline."""
 
     enabled: bool = True
+    """Measure at all."""
     country: str = "BRA"
     """ISO 3166 three-letter code of the grid's country."""
     interval_s: float = 5.0

@@ -1,0 +1,96 @@
+"""`headway search`: a small search for hyper-parameters, itself a committed configuration."""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import mean
+from typing import TYPE_CHECKING, Any
+
+from headway.configuration import build, suggestion
+from headway.contracts.errors import HeadwayError
+
+if TYPE_CHECKING:
+    from headway.config import ExperimentConfig
+
+EXAMPLES = """\
+examples:
+  headway search bus_line
+  headway search bus_line env_steps=100_000 study=bus_line_quick
+
+A search is a file of configs/search: an experiment, cells (what each gets its own winner for) and
+candidates (overrides tried in every cell). Every cell has the same candidates, seeds and budget; the
+winner has the highest mean final reward. Its seeds are never those that a study reports.
+"""
+
+
+@dataclass(frozen=True)
+class Search:
+    """The contents of a file in configs/search."""
+
+    base: tuple[str, ...]
+    """Overrides of every run, `experiment=...` and `seed=...` among them."""
+    cells: Mapping[str, Any]
+    """Name -> list of overrides."""
+    candidates: Mapping[str, Any]
+    """Name -> list of overrides."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The search and overrides of its base."""
+    parser.add_argument("search", metavar="SEARCH", help="a file of configs/search, without .yaml")
+    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of every run")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Run every candidate in every cell and print which won; returns the exit code."""
+    from headway_launch.threads import limit_threads
+
+    limit_threads()
+    from headway_launch.composing import compose
+    from headway_launch.conducting import EXIT_DONE, Conductor
+    from headway_launch.planning import plan_jobs
+    from headway_launch.tables import print_table
+
+    search = _read(arguments.search)
+    plans = {
+        (cell, candidate): compose([*search.base, *in_cell, *tried, *arguments.overrides])
+        for cell, in_cell in search.cells.items()
+        for candidate, tried in search.candidates.items()
+    }
+    results: dict[tuple[str, str], float] = {}
+    for number, (place, experiment) in enumerate(plans.items(), start=1):
+        print(f"search {number}/{len(plans)}: {' '.join(place)}", file=sys.stderr)
+        conductor = Conductor(plan_jobs(experiment), arguments.debug)
+        code = conductor.conduct()
+        if code != EXIT_DONE:
+            return code
+        results[place] = mean(conductor.final_rewards())
+    winners = {
+        cell: max(search.candidates, key=lambda candidate: results[cell, candidate]) for cell in search.cells
+    }
+    rows = [
+        (cell, candidate, results[cell, candidate], "best" if winners[cell] == candidate else "")
+        for cell, candidate in plans
+    ]
+    config = next(iter(plans.values())).config
+    print_table(("cell", "candidate", "mean final reward", ""), rows, title=_title(config))
+    return EXIT_DONE
+
+
+def _title(config: "ExperimentConfig") -> str:
+    seeds = ", ".join(str(seed) for seed in config.seed)
+    return f"search on {config.env.id}: seeds {seeds}, {config.env_steps:,} environment steps each"
+
+
+def _read(name: str) -> Search:
+    import yaml
+
+    from headway_launch.composing import configs_folder
+
+    folder = configs_folder() / "search"
+    known: Sequence[str] = sorted(path.stem for path in folder.glob("*.yaml"))
+    if name not in known:
+        raise HeadwayError(f"there is no search {name!r}; {suggestion(name, known)}")
+    content = yaml.safe_load((folder / f"{name}.yaml").read_text())
+    return build(Search, content, f"search/{name}")
