@@ -14,9 +14,10 @@ from typing import Any, Protocol
 from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
 from headway.contracts.acting import Parameters
 from headway.events import Row
+from headway.rollout.apart import EvaluatingApart
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.rollout.sampler import Episode, Sampler, in_order
 from headway.rollout.worker import (
     Begin,
@@ -99,7 +100,7 @@ class SerialCollector:
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes, block after block."""
-        requests = EvaluationRequest.split(root, episodes, greedy)
+        requests = _requests(self.plan, root, episodes, greedy)
         return _joined(self.plan, [evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:
@@ -125,6 +126,10 @@ class SerialCollector:
     def close(self) -> None:
         """Close the environment."""
         self.sampler.env.close()
+
+
+def _requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:
+    return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec, plan.replicas))
 
 
 def _joined(plan: RolloutPlan, parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
@@ -197,7 +202,7 @@ class ProcessCollector:
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes, blocks dealt out to the workers in turn."""
         self._publish(parameters)
-        requests = EvaluationRequest.split(root, episodes, greedy)
+        requests = _requests(self.plan, root, episodes, greedy)
         parts: list[list[list[Row]]] = []
         for start in range(0, len(requests), len(self.workers)):
             round_ = requests[start : start + len(self.workers)]
@@ -348,8 +353,12 @@ def _receive(worker: _Worker) -> Done | Broken | str:
 
 
 def open_collector(name: str, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
-    """The backend of that name, with its workers started."""
-    return BACKENDS[name](plan, workers, notify)
+    """The backend of that name, with its workers started. Where a process may hold few copies, which
+    training needs, evaluation has a worker of its own, beside the serial backend too."""
+    collector = BACKENDS[name](plan, workers, notify)
+    if plan.spec.max_copies_per_process is None:
+        return collector
+    return EvaluatingApart(collector, ProcessCollector(plan.evaluating_apart, 1, notify))
 
 
 BACKENDS: Mapping[str, Callable[[RolloutPlan, int, Notify], Collector]] = {

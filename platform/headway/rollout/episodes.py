@@ -12,7 +12,7 @@ from headway.contracts import BatchedEnv, Observed, Rule, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.rollout.checks import NameCopy, check_finite
-from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
+from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
 from headway.rollout.sampler import BlockwiseActing, Tally
 
 _NOISE_STEPS = 256
@@ -29,10 +29,12 @@ class EvaluationRequest:
     greedy: bool
 
     @classmethod
-    def split(cls, root: int, episodes: int, greedy: bool) -> list["EvaluationRequest"]:
+    def split(
+        cls, root: int, episodes: int, greedy: bool, block: int = EVALUATION_BLOCK
+    ) -> list["EvaluationRequest"]:
         """Requests of one evaluation block each: the same pieces on every backend."""
-        starts = range(0, episodes, EVALUATION_BLOCK)
-        return [cls(root, first, min(EVALUATION_BLOCK, episodes - first), greedy) for first in starts]
+        starts = range(0, episodes, block)
+        return [cls(root, first, min(block, episodes - first), greedy) for first in starts]
 
     @property
     def seeds(self) -> NDArray[np.uint64]:
@@ -116,7 +118,9 @@ def evaluate_rule(
 ) -> list[Row]:
     """Episodes of a rule (an entry's `make` and one of its `rules`) on the evaluation seeds, one row each."""
     rows: list[Row] = []
-    for request in EvaluationRequest.split(root, episodes, greedy=True):
+    with closing(make_env(prepared, 1)) as env:
+        block = evaluation_block(env.spec, replicas=1)
+    for request in EvaluationRequest.split(root, episodes, True, block):
         env, rule = make_env(prepared, request.count), make_rule(prepared)
         act = _RuleActing(env, rule)
         with closing(env):

@@ -1,7 +1,7 @@
 """What decides the draws of a run: kept with it, and used again when it is resumed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError
@@ -9,6 +9,12 @@ from headway.contracts.acting import ActingPolicy
 
 EVALUATION_BLOCK = 10
 """Evaluation episodes run at once, the same on every backend."""
+
+
+def evaluation_block(spec: EnvSpec, replicas: int) -> int:
+    """Evaluation episodes of each replica run at once: fewer where a process may hold few copies."""
+    limit = spec.max_copies_per_process
+    return EVALUATION_BLOCK if limit is None else max(min(EVALUATION_BLOCK, limit // replicas), 1)
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,12 @@ class RolloutPlan:
     def replicas(self) -> int:
         """R"""
         return len(self.seeds)
+
+    @property
+    def evaluating_apart(self) -> "RolloutPlan":
+        """The plan of a process that does nothing but evaluate, with hardly a trajectory."""
+        block = evaluation_block(self.spec, self.replicas)
+        return replace(self, copies=block, block=block, steps=1)
 
     def make(self, copies: int) -> BatchedEnv:
         """An environment of `copies` copies of each replica."""

@@ -9,7 +9,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -135,6 +135,26 @@ class FaultyVisitors:
                 outcome.final_observations[1, 2] = np.nan
 
 
+class RareVisitors(Visitors):
+    """Visitors of whom a process can hold two copies, and which are very cross about a third."""
+
+    LIMIT = 2
+    held = 0
+
+    def __init__(self, config: VisitorsConfig, copies: int) -> None:
+        RareVisitors.held += copies
+        if RareVisitors.held > self.LIMIT:
+            raise RuntimeError(f"{RareVisitors.held} copies in one process")
+        super().__init__(config, copies)
+
+    @property
+    def spec(self) -> EnvSpec:
+        return replace(super().spec, max_copies_per_process=self.LIMIT)
+
+    def close(self) -> None:
+        RareVisitors.held -= self.num_copies
+
+
 TOYS: dict[str, tuple[Callable[[Any, int], BatchedEnv], Any]] = {
     "trivial": (Trivial, TrivialConfig(agents=3, steps=7)),
     "visitors": (Visitors, VISITORS),
@@ -152,7 +172,8 @@ def plan_of(
     precision: Literal["float32", "float64"] = "float32",
 ) -> RolloutPlan:
     """A plan with IPPO's acting policy: one small network an agent."""
-    spec = make(config, 1).spec
+    with closing(make(config, 1)) as env:
+        spec = env.spec
     policy = StackedActingPolicy.of(IPPOConfig(precision=precision), spec)
     return RolloutPlan(make, (), config, spec, policy, tuple(seeds), copies, steps, block)
 

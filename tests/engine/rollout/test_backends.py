@@ -6,16 +6,21 @@ import numpy as np
 import pytest
 from rehearsal import (
     TOYS,
+    VISITORS,
+    RareVisitors,
     Taken,
     assert_same,
     collector_of,
     iterations_of,
     parameters_of,
+    plan_of,
     plan_of_toy,
 )
 
 from headway.contracts import HeadwayError
+from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
+from headway_envs.toy.visitors import OptimalVisitors
 
 
 def _collected(plan: RolloutPlan, name: str, workers: int = 1, iterations: int = 3) -> list[Taken]:
@@ -73,6 +78,27 @@ def test_evaluation_is_the_same_on_every_backend(greedy: bool, episodes: int) ->
         expected = serial.evaluate(1_000_003, episodes, greedy, parameters)
         assert [[row["episode_seed"] for row in rows] for rows in expected] == [list(range(episodes))] * 2
         assert process.evaluate(1_000_003, episodes, greedy, parameters) == expected
+
+
+@pytest.mark.parametrize("seeds", [(5,), (5, 6)])
+def test_a_process_never_holds_more_copies_than_the_environment_allows(seeds: tuple[int, ...]) -> None:
+    plan = plan_of(RareVisitors, VISITORS, seeds, copies=2 // len(seeds))
+    parameters, given = parameters_of(plan), []
+    for name in ("serial", "process"):
+        with collector_of(plan, name, 2) as collector:
+            processes = len(collector.process_ids())
+            collector.begin()
+            first = collector.evaluate(7, 5, False, parameters)
+            taken = iterations_of(collector, parameters, 1, 2)
+            given.append((first, collector.evaluate(7, 5, True, parameters)))
+            assert collector.usage()[0] > 0
+        assert processes == {"serial": 1, "process": 1 + 2 // len(seeds)}[name]
+        assert_same(
+            taken, _collected(plan_of_toy("visitors", seeds=seeds, copies=2 // len(seeds)), "serial", 1, 2)
+        )
+    assert given[0] == given[1]
+    ruled = evaluate_rule(RareVisitors, lambda prepared: OptimalVisitors(), VISITORS, 7, 5)
+    assert [row["length"] for row in ruled] == [row["length"] for row in given[0][0][0]]
 
 
 def test_evaluation_takes_nothing_from_training() -> None:

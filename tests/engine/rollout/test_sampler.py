@@ -21,7 +21,7 @@ from headway.contracts import (
 )
 from headway.contracts.acting import Parameters
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
 from headway.rollout.sampler import BlockwiseActing, Episode, Sampler
 
 AGENTS = 2
@@ -218,6 +218,7 @@ def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
     made.clear()
     played = evaluate_rule(make, lambda prepared: Still(), None, 77, 24)
     assert [row["episode_seed"] for row in played] == list(range(24))
+    made.pop(0)  # the one asked how many copies it allows
     assert (
         np.concatenate([env.seeds for env in made]).tolist() == child_seeds(77, "evaluation", 0, 24).tolist()
     )
@@ -225,7 +226,7 @@ def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
 
 @pytest.mark.parametrize(("episodes", "counts"), [(1, [1]), (10, [10]), (23, [10, 10, 3])])
 def test_evaluation_is_split_into_the_same_blocks_everywhere(episodes: int, counts: list[int]) -> None:
-    requests = EvaluationRequest.split(77, episodes, greedy=False)
+    requests = EvaluationRequest.split(77, episodes, greedy=False, block=EVALUATION_BLOCK)
     assert [request.count for request in requests] == counts
     assert [request.first for request in requests] == [sum(counts[:i]) for i in range(len(counts))]
 
