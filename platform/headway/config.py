@@ -107,10 +107,14 @@ class EnergyConfig:
     """Measure at all."""
     country: str = "BRA"
     """ISO 3166 three-letter code of the grid's country."""
+    cpu_power_w: float | None = None
+    """The CPU's power at full load, W, for machines whose counters cannot be read; null: CodeCarbon's guess
+    from the processor's name, which can be far off."""
     interval_s: float = 5.0
     """Seconds between measurements."""
 
     def __post_init__(self) -> None:
+        _require(self.cpu_power_w is None or self.cpu_power_w > 0, "cpu_power_w must be above 0, or null")
         _require(self.interval_s > 0, "interval_s must be above 0")
 
 

@@ -115,7 +115,7 @@ def test_a_country_without_data_is_named() -> None:
 
 
 def test_a_failure_is_a_notice_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(country: str, readings: object) -> None:
+    def fail(config: object, readings: object) -> None:
         raise OSError("no sensors")
 
     monkeypatch.setattr(meter, "make_tracker", fail)

@@ -105,7 +105,7 @@ class EnergyMeter:
 
     def _start(self) -> None:
         try:
-            self._tracker = make_tracker(self._config.country, self._readings)
+            self._tracker = make_tracker(self._config, self._readings)
             self._tracker.start()
             self._tracker.flush()
         except Exception as error:  # whatever CodeCarbon meets must not end the session

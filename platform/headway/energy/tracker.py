@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from headway.config import EnergyConfig
 from headway.contracts import HeadwayError
 
 _NEVER = 10 * 365 * 86400.0
@@ -67,14 +68,14 @@ class PowerModes:
         elif not self.cpu.startswith("measured"):
             lines.append(
                 f"the CPU's energy is {self.cpu}: its counters (RAPL) cannot be read here; the machine's "
-                "power can be given as force_cpu_power, in watts, in .codecarbon.config"
+                "power at full load can be given by energy.cpu_power_w=WATTS"
             )
         if self.gpu == NOT_MEASURED and _has_gpu():
             lines.append("the GPU's energy is not measured (NVML does not answer) and is left out")
         return tuple(lines)
 
 
-def make_tracker(country: str, readings: Readings) -> Any:  # noqa: ANN401 - CodeCarbon is not typed
+def make_tracker(config: EnergyConfig, readings: Readings) -> Any:  # noqa: ANN401 - CodeCarbon is not typed
     """A tracker that hands its totals to `readings` at each `flush`.
 
     All that would reach the network or the disk is given here, so that no configuration file of CodeCarbon's
@@ -84,8 +85,11 @@ def make_tracker(country: str, readings: Readings) -> Any:  # noqa: ANN401 - Cod
 
     # It warns while it is being made, before it looks at its log_level.
     logging.getLogger("codecarbon").setLevel(logging.CRITICAL)
+    # Absent, not None: None would hide a power that a configuration file of CodeCarbon's gives.
+    power = {} if config.cpu_power_w is None else {"force_cpu_power": config.cpu_power_w}
     return OfflineEmissionsTracker(
-        country_iso_code=country,
+        **power,
+        country_iso_code=config.country,
         region=None,
         cloud_provider=None,
         cloud_region=None,
