@@ -143,6 +143,7 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
     clean, bad = (OnPolicyLearner(config, spec, (1, 2), "cpu") for _ in range(2))
     for iteration in range(1, 3):
         made = fabricate(spec, 10, 6, seed=iteration, absent=0.4, idle=0.3, leaves=0.05)
+        made.acting[:, :, 1] &= iteration < 2  # and one who never acts
         expected = clean.update(made, iteration, 0.0)
         for name, value in bad.update(poisoned(made), iteration, 0.0).items():
             np.testing.assert_array_equal(value, expected[name], err_msg=name)

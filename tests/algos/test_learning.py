@@ -60,7 +60,8 @@ MATRIX_SETTINGS = {"minibatches": 1, "lr": 1e-2, "lr_end": 0.1, "entropy_coeff":
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
-    game = {"payoff": ((11.0, 0.0, 0.0), (0.0, 7.0, 6.0), (0.0, 0.0, 5.0))}
+    """11 of 11, where it is the only equilibrium."""
+    game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
     evaluated = _train("matrix", game, algorithm, MATRIX_SETTINGS, (0, 1, 2), (16, 16, 30))
     assert _returns(evaluated) == [11.0] * 3
 
