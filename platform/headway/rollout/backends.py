@@ -176,6 +176,8 @@ class ProcessCollector:
     def __init__(self, plan: RolloutPlan, workers: int, notify: Notify) -> None:
         self.plan, self.notify = plan, notify
         self.shards = plan.shards(workers)
+        self.pickled_plan = pickle.dumps(plan)
+        self.needs_main = b"_main__" in self.pickled_plan
         layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
         shapes = plan.policy.parameter_shapes(plan.replicas)
         self.blocks = SharedBlock.create(layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
@@ -183,7 +185,6 @@ class ProcessCollector:
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
-        self.needs_main = b"_main__" in pickle.dumps(plan)
         self.lost_cpu_seconds = 0.0
         self.iteration = 0
         self.workers = [self._start(shard) for shard in range(len(self.shards))]
@@ -248,7 +249,7 @@ class ProcessCollector:
     def _start(self, shard: int) -> _Worker:
         first, count = self.shards[shard]
         ours, theirs = self.context.Pipe()
-        setup = WorkerSetup(self.plan, first, count, *self.blocks)
+        setup = WorkerSetup(self.pickled_plan, first, count, *self.blocks)
         process = self.context.Process(
             target=run_worker, args=(setup, theirs), name=f"headway worker {shard}", daemon=True
         )

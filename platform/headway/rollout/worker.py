@@ -1,11 +1,13 @@
 """The rollout worker: a light process that samples when told to, and ends when its parent does."""
 
 import os
+import pickle
 import signal
 import threading
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import prod
 from multiprocessing import connection, parent_process, reduction
 from typing import Any
@@ -26,7 +28,8 @@ from headway.rollout.usage import cpu_seconds, proportional_memory
 class WorkerSetup:
     """All that a worker is given when it starts."""
 
-    plan: RolloutPlan
+    plan: bytes
+    """A `RolloutPlan`, pickled."""
     first: int
     count: int
     trajectory: SharedBlock
@@ -106,21 +109,16 @@ def run_worker(setup: WorkerSetup, commands: connection.Connection) -> None:
     """Serve commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the session's to answer
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    plan = setup.plan
-    layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
-    trajectory = Trajectory.over(setup.trajectory.buffer, layout)
-    parameters = parameter_arrays(plan.policy.parameter_shapes(plan.replicas), setup.parameters.buffer)
-    sampler: Sampler | None = None
+    service: _Service | None = None
     while True:
         try:
             command: Command = commands.recv()
         except (EOFError, OSError):
             return
         try:
-            if sampler is None and not isinstance(command, Evaluate):
-                sampler = Sampler(plan, setup.first, setup.count, trajectory)
+            service = service or _Service(setup)
             # Pickled here, so that a snapshot that cannot be is an error like any other.
-            answer = reduction.ForkingPickler.dumps(_carry_out(command, plan, sampler, parameters))
+            answer = reduction.ForkingPickler.dumps(service.carry_out(command))
         except Exception as error:
             line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
             is_users = isinstance(error, HeadwayError)
@@ -131,22 +129,36 @@ def run_worker(setup: WorkerSetup, commands: connection.Connection) -> None:
             return  # nobody listens any more
 
 
-def _carry_out(
-    command: Command, plan: RolloutPlan, sampler: Sampler | None, parameters: dict[str, NDArray[Any]]
-) -> Done:
-    if isinstance(command, Evaluate):
-        evaluation = evaluate_policy(plan, parameters, command.request)
-        return Done([], evaluation, None, cpu_seconds(), proportional_memory())
-    assert sampler is not None
-    episodes: list[Episode] = []
-    match command:
-        case Begin(purpose=purpose):
-            sampler.begin(purpose)
-        case Restore(snapshot=snapshot):
-            sampler.restore(snapshot)
-        case Collect(iteration=iteration):
-            episodes = sampler.collect(iteration, parameters)
-    return Done(episodes, [], sampler.snapshot(), cpu_seconds(), proportional_memory())
+class _Service:
+    """The plan at work on one shard. Made at the first command, so that what cannot be loaded is told."""
+
+    def __init__(self, setup: WorkerSetup) -> None:
+        plan: RolloutPlan = pickle.loads(setup.plan)
+        self.plan, self.shard = plan, (setup.first, setup.count)
+        layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
+        self.trajectory = Trajectory.over(setup.trajectory.buffer, layout)
+        shapes = plan.policy.parameter_shapes(plan.replicas)
+        self.parameters = parameter_arrays(shapes, setup.parameters.buffer)
+
+    @cached_property
+    def sampler(self) -> Sampler:
+        """Not made by a worker that only evaluates."""
+        return Sampler(self.plan, *self.shard, self.trajectory)
+
+    def carry_out(self, command: Command) -> Done:
+        """Do as told."""
+        episodes: list[Episode] = []
+        match command:
+            case Evaluate(request=request):
+                evaluation = evaluate_policy(self.plan, self.parameters, request)
+                return Done([], evaluation, None, cpu_seconds(), proportional_memory())
+            case Begin(purpose=purpose):
+                self.sampler.begin(purpose)
+            case Restore(snapshot=snapshot):
+                self.sampler.restore(snapshot)
+            case Collect(iteration=iteration):
+                episodes = self.sampler.collect(iteration, self.parameters)
+        return Done(episodes, [], self.sampler.snapshot(), cpu_seconds(), proportional_memory())
 
 
 def _end_with_parent() -> None:

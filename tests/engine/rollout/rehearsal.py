@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -133,6 +134,16 @@ class FaultyVisitors:
             case "nan final":
                 outcome.truncated[1, 2] = True
                 outcome.final_observations[1, 2] = np.nan
+
+
+class Unloadable:
+    """Makes environments where it was born, and cannot be unpickled elsewhere."""
+
+    def __call__(self, prepared: object, copies: int) -> BatchedEnv:
+        return Visitors(VISITORS, copies)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return import_module, ("nowhere",)
 
 
 class RareVisitors(Visitors):

@@ -1,6 +1,7 @@
 """Workers that die, raise, or bring NaN: replaced without a trace in the data, or told in one line."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rehearsal import (
     FaultConfig,
     FaultyVisitors,
     Taken,
+    Unloadable,
     assert_same,
     collector_of,
     iterations_of,
@@ -166,6 +168,14 @@ def test_what_fails_again_ends_with_the_worker_s_own_traceback(tmp_path: Path, f
     assert cause in _one_line(failure.value)
     assert "Traceback (most recent call last)" in failure.value.worker_traceback
     assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.worker_traceback
+
+
+def test_a_plan_that_a_worker_cannot_load_is_told_with_its_traceback(tmp_path: Path) -> None:
+    plan = replace(_never(tmp_path), make_env=Unloadable())
+    with collector_of(plan) as collector, pytest.raises(WorkerFailedError) as failure:
+        collector.begin()
+    assert "ModuleNotFoundError: No module named 'nowhere'" in _one_line(failure.value)
+    assert "pickle.loads" in failure.value.worker_traceback
 
 
 @pytest.mark.parametrize("name", ["serial", "process"])
