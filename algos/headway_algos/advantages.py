@@ -24,8 +24,8 @@ def generalised_advantages(
 
     While an agent is absent (`present` (T + 1, C, N) false) but its stream goes on, time passes: what it
     is paid meanwhile, discounted, belongs to its last action before (a semi-Markov step: Sutton, Precup
-    and Singh 1999). Entries of absent steps are 0 and the numbers found there are never used. An agent
-    absent after the last step is given a value of 0.
+    and Singh 1999); a reward that is NaN or infinite counts as 0. Advantages of absent steps are 0 and the
+    values found there are never used. An agent absent after the last step is given a value of 0.
     """
     rewards = np.where(np.isfinite(rewards), rewards, 0)
     advantages = np.zeros_like(rewards)

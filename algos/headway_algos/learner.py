@@ -29,7 +29,10 @@ def resolve_device(device: str) -> torch.device:
         device = "cuda" if torch.cuda.is_available() else "cpu"
     if device.startswith("cuda") and not torch.cuda.is_available():
         raise HeadwayError("device: cuda was asked for, but torch sees no GPU; use device=auto or device=cpu")
-    return torch.device(device)
+    try:
+        return torch.device(device)
+    except RuntimeError:
+        raise HeadwayError(f"device: {device!r} is no device; use device=auto, cpu or cuda") from None
 
 
 class OnPolicyLearner:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 class RunningMoments(nn.Module):
     """Mean and variance of all rows seen, by Chan's parallel formula, in float64; (P, 1, size) each.
 
-    Until something was seen it leaves values unchanged. Buffers, so checkpoints hold them.
+    Until something was seen the mean is 0 and the variance 1. Buffers, so checkpoints hold them.
     """
 
     count: Tensor

@@ -334,3 +334,8 @@ def test_a_gpu_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.Monk
     with pytest.raises(HeadwayError, match="device=auto or device=cpu"):
         OnPolicyLearner(IPPO, DISCRETE, (1,), "cuda")
     assert OnPolicyLearner(IPPO, DISCRETE, (1,), "auto").device.type == "cpu"
+
+
+def test_a_device_that_is_none_is_refused_in_one_line() -> None:
+    with pytest.raises(HeadwayError, match="'gpu' is no device; use device=auto, cpu or cuda"):
+        OnPolicyLearner(IPPO, DISCRETE, (1,), "gpu")

@@ -45,7 +45,7 @@ def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
     return torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
 
 
-def _old_distribution(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
+def _old_network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
     """Network outputs (P, B, A) at the parameters that acted, for the KL penalty."""
     with torch.no_grad():
         pieces = even_slices(rows.observations.shape[1], len(rows.observations), config.piece_samples)
@@ -83,7 +83,7 @@ def ppo(
     info, each (P,). Section 4 of the paper gives the adaptation; the factors are RLlib's.
     """
     penalised = config.kl_coeff > 0
-    old_outputs = _old_distribution(actor, rows, config) if penalised else None
+    old_outputs = _old_network_outputs(actor, rows, config) if penalised else None
     old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
     totals = torch.zeros(4, len(kl_coeff), device=layout.device, dtype=layout.dtype)
     steps = np.zeros(len(kl_coeff))
