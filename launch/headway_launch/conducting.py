@@ -2,9 +2,10 @@
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 
 from headway.config import ExperimentConfig
 from headway.energy import EnergyMeter, EnergyReport
@@ -68,6 +69,7 @@ class Conductor:
     def conduct(self) -> int:
         """Train, evaluate the rules, print the table; returns the exit code."""
         began = time.monotonic()
+        rules: dict[str, list[Row]] = {}
         session = Session(
             [job.progress for job in self._jobs], self._shares.parallel, self._begin, self._take, self._tick
         )
@@ -75,9 +77,10 @@ class Conductor:
             stopped = session.run()
             self._finish_jobs(stopped)
             rules = {} if stopped else self._rules()
+            self._cell.keep_rules(rules)
         finally:
             report = self._meter.stop()
-            self._cell.finish(self._status(), _session_figures(report))
+            self._cell.finish(self._status(), {**_session_figures(report), **_rule_figures(rules)})
             for line in (*self._meter.notices(), *self._store.close()):
                 print(f"headway: {line}", file=sys.stderr)
         print_results(self._config, self._results, rules)
@@ -234,6 +237,13 @@ def _session_figures(report: EnergyReport) -> dict[str, float]:
 
 def _uses_gpu(device: str) -> bool:
     return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
+
+
+def _rule_figures(rules: Mapping[str, Sequence[Row]]) -> dict[str, float]:
+    return {
+        f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
+        for rule, rows in rules.items()
+    }
 
 
 def _has_checkpoint(directory: Path) -> bool:

@@ -140,6 +140,16 @@ def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str
         return run_id, parent / run_id
 
 
+def rules_file(root: Path, study: str, cell: str) -> Path:
+    """Where the episodes of a cell's rules are kept: a JSON object, name -> rows."""
+    return root / _slug(study) / f"{cell}.rules.json"
+
+
+def rules_files(root: Path, study: str) -> list[Path]:
+    """The files of `rules_file` that a study has."""
+    return sorted((root / _slug(study)).glob("*.rules.json"))
+
+
 def run_folders(root: Path) -> Iterator[Path]:
     """Every folder under `root` that holds a run, in no order."""
     try:

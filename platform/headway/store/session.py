@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -22,6 +22,7 @@ from headway.store.folder import (
     create_run_folder,
     find_run,
     now,
+    rules_file,
 )
 from headway.store.following import RunFollower
 from headway.store.index import RunIndex
@@ -142,6 +143,11 @@ class Cell:
         write_json(directory / "plan.json", plan)
         record.write(directory)
         return Run(self._store, directory, record)
+
+    def keep_rules(self, episodes: Mapping[str, Sequence[Row]]) -> None:
+        """Keep what rules did on the evaluation days, beside the cell's runs: name -> one row a day."""
+        rows = {rule: [dict(row) for row in rows] for rule, rows in episodes.items()}
+        write_json(rules_file(self._store.root, self._study, self.name), rows)
 
     def finish(self, status: Status, figures: Mapping[str, float] | None = None) -> None:
         """End the cell's parent run in MLflow, with figures over its seeds."""
