@@ -5,9 +5,10 @@ import sys
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, MultiDiscrete
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, MultiDiscrete, Observed
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.entries import ENTRIES
@@ -114,3 +115,27 @@ def test_a_network_without_hidden_layers_is_linear() -> None:
     learner, acting = OnPolicyLearner(config, SPEC, (0,), "cpu"), StackedActingPolicy.of(config, SPEC)
     assert learner.acting_parameters().keys() == acting.parameter_shapes(1).keys()
     assert "weight_1" not in learner.acting_parameters()
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared"])
+def test_policies_start_near_the_initial_logits(policies: Any) -> None:  # noqa: ANN401 - a literal
+    config = AlgoConfig(
+        policies=policies, model=ModelConfig(initial_logits=(0.0, 1.0), actor_gain=1e-9), precision="float64"
+    )
+    learner, acting = OnPolicyLearner(config, SPEC, (0, 1), "cpu"), StackedActingPolicy.of(config, SPEC)
+    observed = Observed(
+        np.ones((2, 3, 3), np.float32), np.zeros((2, 0), np.float32), np.ones((2, 3), np.bool_)
+    )
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
+    assert (actions == 1).all()
+    np.testing.assert_allclose(np.exp(log_probs), 1 / (1 + np.exp(-1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("space", [Discrete(3), Box((-1.0,), (1.0,))])
+def test_initial_logits_that_do_not_fit_are_refused(space: Any) -> None:  # noqa: ANN401 - any space
+    entry = ENTRIES["ippo"]
+    config = entry.config(model=ModelConfig(initial_logits=(0.0, 1.0)))
+    assert entry.refuses(config, SPEC) is None
+    line = entry.refuses(config, replace(SPEC, action_space=space))
+    assert line is not None
+    assert "initial_logits has 2 entries" in line

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from headway.contracts import Learner
 from headway.events import Row
 from headway.rollout.backends import SerialCollector
 from headway.rollout.episodes import evaluate_rule
@@ -19,6 +20,25 @@ ROOT, EPISODES = 77, 20
 ALGORITHMS = list(ENTRIES)
 
 
+def _begun(
+    env: str,
+    env_args: Mapping[str, Any],
+    algorithm: str,
+    settings: Mapping[str, Any],
+    seeds: tuple[int, ...],
+    batch: tuple[int, int],
+) -> tuple[SerialCollector, Learner]:
+    copies, steps = batch
+    toy, entry = TOYS[env], ENTRIES[algorithm]
+    prepared = toy.prepare(toy.config(**env_args))
+    spec, config = toy.make(prepared, 1).spec, entry.config(**settings)
+    policy = entry.acting_policy(config, spec)
+    plan = RolloutPlan(toy.make, (), prepared, spec, policy, seeds, copies, steps, copies)
+    collector = SerialCollector(plan)
+    collector.begin()
+    return collector, entry.learner(config, spec, seeds, "cpu")
+
+
 def _train(
     env: str,
     env_args: Mapping[str, Any],
@@ -29,13 +49,7 @@ def _train(
 ) -> list[list[Row]]:
     """Greedy evaluation episodes of every seed after training on `batch` = copies, steps, iterations."""
     copies, steps, iterations = batch
-    toy, entry = TOYS[env], ENTRIES[algorithm]
-    prepared = toy.prepare(toy.config(**env_args))
-    spec, config = toy.make(prepared, 1).spec, entry.config(**settings)
-    policy = entry.acting_policy(config, spec)
-    plan = RolloutPlan(toy.make, (), prepared, spec, policy, seeds, copies, steps, copies)
-    collector, learner = SerialCollector(plan), entry.learner(config, spec, seeds, "cpu")
-    collector.begin()
+    collector, learner = _begun(env, env_args, algorithm, settings, seeds, (copies, steps))
     for iteration in range(1, iterations + 1):
         collector.collect(iteration, learner.acting_parameters())
         learner.update(collector.trajectory, iteration, (iteration - 1) / iterations)
@@ -103,3 +117,25 @@ def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(al
     shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
     assert min(shares) > 0.96
     assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("env", ["visitors", "tracking"])
+def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algorithm: str) -> None:
+    settings = {"precision": "float64", "gamma": 0.9}
+    among, learner = _begun(env, {}, algorithm, settings, (3, 5, 7), (2, 20))
+    alone, single = _begun(env, {}, algorithm, settings, (5,), (2, 20))
+    for iteration in range(1, 4):
+        among.collect(iteration, learner.acting_parameters())
+        alone.collect(iteration, single.acting_parameters())
+        part = among.trajectory.of_copies(2, 2)
+        np.testing.assert_array_equal(part.observations[0], alone.trajectory.observations[0])
+        np.testing.assert_allclose(part.actions, alone.trajectory.actions, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(part.rewards, alone.trajectory.rewards, rtol=1e-4, atol=1e-5)
+        learner.update(among.trajectory, iteration, 0.0)
+        single.update(alone.trajectory, iteration, 0.0)
+        if iteration == 1:
+            for name, array in single.acting_parameters().items():
+                policies = len(array)
+                mine = learner.acting_parameters()[name][policies : 2 * policies]
+                np.testing.assert_allclose(mine, array, rtol=1e-10, atol=1e-10, err_msg=name)
