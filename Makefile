@@ -10,7 +10,7 @@ PIP_ARGS ?=
 
 STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
-SOURCES := platform envs algos launch tests $(wildcard benchmarks)
+SOURCES := platform envs algos launch tests
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiment sweep test check lint format types benchmarks browse clean
@@ -57,8 +57,7 @@ types: $(STAMP) ## check the types
 	@$(BIN)/mypy
 
 benchmarks: $(STAMP) ## measure the speed of this machine's installation
-	@test -d benchmarks || { echo "make: there is no benchmarks folder yet" >&2; exit 1; }
-	@for program in benchmarks/*.py; do echo "== $$program"; $(BIN)/python "$$program" $(ARGS) || exit 1; done
+	@$(BIN)/python -m headway_launch.benchmarks $(ARGS)
 
 browse: $(STAMP) ## open the store of runs in MLflow's pages
 	@$(BIN)/headway browse $(ARGS)

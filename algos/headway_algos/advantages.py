@@ -41,3 +41,18 @@ def generalised_advantages(
         next_value = np.where(present[t], values[t], returns)
         next_advantage = np.where(present[t], advantages[t], gamma * carried)
     return advantages
+
+
+def with_teammates_values(
+    values: Array, present: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Values and presence (T + 1, C, N) in which agents absent after the last step are given the mean value
+    of their copy's present agents there: with a shared reward all await the same return, and 0 in its
+    place would make leaving look costly (or, with negative rewards, good)."""
+    values, present = values.copy(), present.copy()
+    here, last = present[-1], values[-1]
+    count = here.sum(axis=1, keepdims=True)
+    mean = np.where(here, last, 0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+    values[-1] = np.where(here, last, mean)
+    present[-1] = here | (count > 0)
+    return values, present

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
 from headway_algos.actor import Actor
-from headway_algos.advantages import generalised_advantages
+from headway_algos.advantages import generalised_advantages, with_teammates_values
 from headway_algos.config import AlgoConfig
 from headway_algos.critics import Critic
 from headway_algos.experience import Layout, zero_where_absent
@@ -88,6 +88,8 @@ class OnPolicyLearner:
             truncated = np.logical_and(ended, ~terminated)
             rewards = rewards[:, :, :1]
         present = self.critic.present(trajectory.alive)
+        if self.spec.shared_reward and not present[-1].all():
+            values, present = with_teammates_values(values, present)
         advantages = generalised_advantages(
             rewards.astype(np.float64), values, final_values, terminated, truncated, present,
             self.config.gamma, self.config.gae_lambda,

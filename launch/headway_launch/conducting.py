@@ -10,7 +10,7 @@ from statistics import fmean
 from headway.config import ExperimentConfig
 from headway.energy import EnergyMeter, EnergyReport
 from headway.events import Event, Row
-from headway.store import Status
+from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
 from headway.store.folder import read_summary
 from headway.store.provenance import usable_cores
@@ -29,7 +29,6 @@ from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
 from headway_launch.results import SeedResult, print_results, seed_result
 from headway_launch.session import Session
-from headway_launch.trained import checkpoint_folder
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _NAMED_RUNS = 3
@@ -247,7 +246,7 @@ def _rule_figures(rules: Mapping[str, Sequence[Row]]) -> dict[str, float]:
 
 
 def _has_checkpoint(directory: Path) -> bool:
-    return latest_iteration(checkpoint_folder(directory)) is not None
+    return latest_iteration(directory / CHECKPOINTS) is not None
 
 
 def _from_here(folder: str) -> str:

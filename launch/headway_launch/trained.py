@@ -1,8 +1,8 @@
 """Policies from checkpoints, and the days that they play."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from headway.contracts.environment import EnvSpec
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
 from headway.store.folder import CHECKPOINTS
 from headway_launch.stored import StoredRun
@@ -30,7 +30,9 @@ class TrainedPolicy:
 
 def newest_policy(run: StoredRun, prepared: object, spec: EnvSpec) -> TrainedPolicy:
     """The policies in the newest whole checkpoint of a run. Raises HeadwayError if it has none."""
-    iteration, state, _ = load_latest(checkpoint_folder(run.directory))
+    iteration, state, notices = load_latest(run.directory / CHECKPOINTS)
+    for line in notices:
+        print(f"headway: {line}", file=sys.stderr)
     experiment, rollout = run.experiment, run.experiment.config.rollout
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     plan = RolloutPlan(
@@ -52,12 +54,6 @@ def newest_policy(run: StoredRun, prepared: object, spec: EnvSpec) -> TrainedPol
 def policy_episodes(policy: TrainedPolicy, root: int, episodes: int, greedy: bool) -> list[Row]:
     """One row an episode on the evaluation seeds that follow from `root`."""
     rows: list[Row] = []
-    for request in EvaluationRequest.split(root, episodes, greedy):
+    for request in EvaluationRequest.split(root, episodes, greedy, evaluation_block(policy.plan.spec, 1)):
         rows += evaluate_policy(policy.plan, policy.parameters, request)[0]
     return rows
-
-
-def checkpoint_folder(directory: Path) -> Path:
-    """Where a run keeps its checkpoints."""
-    inner = directory / CHECKPOINTS
-    return inner if inner.is_dir() else directory

@@ -28,6 +28,7 @@ from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
 from headway.rollout.usage import cpu_seconds, proportional_memory
 from headway.store.checkpoint import load_latest, save_checkpoint
+from headway.store.folder import CHECKPOINTS
 from headway.store.log import RunLog
 
 MEMORY_EVERY_S = 5.0
@@ -214,12 +215,12 @@ class _Training:
         for log in self.logs:
             log.commit(self.iteration)
         for replica, directory in enumerate(self.job.directories):
-            save_checkpoint(Path(directory), self.iteration, {**state, "replica": replica})
+            save_checkpoint(Path(directory, CHECKPOINTS), self.iteration, {**state, "replica": replica})
         self.saved_iteration = self.iteration
         self.report(CheckpointSaved(self.iteration))
 
     def _resume(self) -> None:
-        iteration, state, notices = load_latest(Path(self.job.directories[0]))
+        iteration, state, notices = load_latest(Path(self.job.directories[0], CHECKPOINTS))
         for line in notices:
             self.report(Notice(line))
         self.iteration = self.saved_iteration = iteration

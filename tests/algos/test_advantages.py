@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from headway_algos.advantages import generalised_advantages
+from headway_algos.advantages import generalised_advantages, with_teammates_values
 
 Oracle = Callable[..., NDArray[np.float64]]
 Array = NDArray[Any]
@@ -80,3 +80,13 @@ def test_numbers_of_absent_steps_are_never_read() -> None:
     np.testing.assert_array_equal(result, expected)
     assert np.isfinite(result).all()
     assert (result[absent[:-1]] == 0).all()
+
+
+def test_who_is_away_at_the_cut_awaits_what_its_teammates_do() -> None:
+    values = np.array([[[9.0, 9.0, 9.0], [9.0, 9.0, 9.0]], [[1.0, np.nan, 4.0], [np.nan, np.nan, np.nan]]])
+    present = np.array([[[True] * 3] * 2, [[True, False, True], [False] * 3]])
+    filled, awaiting = with_teammates_values(values, present)
+    np.testing.assert_array_equal(filled[1, 0], [1.0, 2.5, 4.0])
+    np.testing.assert_array_equal(awaiting[1], [[True] * 3, [False] * 3])
+    np.testing.assert_array_equal(filled[0], values[0])
+    assert not present[1, 0, 1]

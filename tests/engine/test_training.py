@@ -184,7 +184,7 @@ def test_stopped_before_the_first_iteration_and_resumed(whole: Log, tmp_path: Pa
 def test_a_checkpoint_cut_in_half_falls_back_to_the_one_before(whole: Log, tmp_path: Path) -> None:
     job = job_of(tmp_path)
     trained(job, stop_after=4)
-    newest = tmp_path / "5" / "checkpoint-000004.pt"
+    newest = tmp_path / "5" / "checkpoints" / "checkpoint-000004.pt"
     newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
     events = trained(replace(job, resume=True))
     assert "checkpoint-000004.pt is broken" in _of(Notice, events)[0].line

@@ -13,7 +13,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.adapters.finite import check_finite
 from headway.adapters.spaces import Space, action_decoder, action_space, observation_size
 from headway.contracts import (
     Discrete,
@@ -24,6 +23,7 @@ from headway.contracts import (
     Outcome,
     child_seeds,
 )
+from headway.finite import check_finite
 
 Infos = Mapping[str, Mapping[str, Any]]
 

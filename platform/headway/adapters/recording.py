@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.adapters.finite import check_finite
 from headway.contracts import (
     BatchedEnv,
     Box,
@@ -18,6 +17,7 @@ from headway.contracts import (
     TrajectoryLayout,
     generator,
 )
+from headway.finite import check_finite
 
 _FACED = ("observations", "states", "alive", "action_masks")
 _GIVEN = ("rewards", "terminated", "truncated", "acting", "final_observations", "final_states")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, Observed, Rule, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
-from headway.rollout.checks import NameCopy, check_finite
+from headway.finite import NameCopy, check_finite
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
 from headway.rollout.sampler import BlockwiseActing, Tally
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from headway.contracts import Observed, Outcome, Trajectory, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
-from headway.rollout.checks import check_finite
+from headway.finite import check_finite
 from headway.rollout.plan import RolloutPlan
 
 

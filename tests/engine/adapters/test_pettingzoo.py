@@ -232,8 +232,8 @@ def test_termination_hides_truncation() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "what"),
     [
-        ("observations", np.array([0, np.nan, 0]), "an observation.*component 1 is nan"),
-        ("rewards", np.inf, "a reward.*component 0 is inf"),
+        ("observations", np.array([0, np.nan, 0]), "nan as observation"),
+        ("rewards", np.inf, "inf as reward"),
     ],
 )
 def test_numbers_that_are_not_finite_are_named(field: str, value: object, what: str) -> None:
@@ -245,10 +245,8 @@ def test_numbers_that_are_not_finite_are_named(field: str, value: object, what: 
     env.reset(seeds())
     env.step(NOTHING)
     env.step(NOTHING)
-    with pytest.raises(HeadwayError, match=f"'scripted' gave {what.split('.*')[0]}") as caught:
+    with pytest.raises(HeadwayError, match=f"scripted gave {what} of agent b in copy 1 at step 3"):
         env.step(NOTHING)
-    assert "copy 1, agent 'b', step 3" in str(caught.value)
-    assert what.split(".*")[1] in str(caught.value)
 
 
 def test_spaces_that_differ_are_refused_until_padded() -> None:

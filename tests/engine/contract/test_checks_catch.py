@@ -103,5 +103,5 @@ def test_nan_in_a_live_row_is_caught_while_playing() -> None:
         if call == 4:
             observed.observations[1] = np.nan
 
-    with pytest.raises(HeadwayError, match=r"'visitors'.*copy 1, agent 'visitor_\d', step 4"):
+    with pytest.raises(HeadwayError, match=r"visitors .* of agent visitor_\d in copy 1 at step 4"):
         play(lambda copies: Broken(copies, spoil, {}))

@@ -11,7 +11,7 @@ import pytest
 from rehearsal import plan_of_toy
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
-from headway.rollout.checks import check_finite
+from headway.finite import check_finite
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.usage import available_memory, cpu_seconds, proportional_memory

@@ -1,6 +1,7 @@
 """NaN and infinity are caught where they come in, with the place named."""
 
 from collections.abc import Callable
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,13 @@ NameCopy = Callable[[int], str]
 """What to call a copy of a batch, by its row: "copy 3 of seed 7", say."""
 
 
+def _copy(row: int) -> str:
+    return f"copy {row}"
+
+
+@np.errstate(over="ignore")
 def check_finite(
-    spec: EnvSpec, outcome: Outcome | None, observed: Observed, step: int, name_copy: NameCopy
+    spec: EnvSpec, outcome: Outcome | None, observed: Observed, step: int, name_copy: NameCopy = _copy
 ) -> None:
     """Raise HeadwayError for a NaN or infinity where a learner looks: observations of live agents, final
     observations of agents whose stream ends, states, and all rewards (who gets nothing gets 0).
@@ -22,7 +28,7 @@ def check_finite(
     """
 
     def check(what: str, values: NDArray[np.float32], present: NDArray[np.bool_], remedy: str) -> None:
-        if np.isfinite(values).all():
+        if _surely_finite(values):
             return
         bad = ~np.isfinite(values).all(axis=-1) & present
         if bad.any():
@@ -38,6 +44,12 @@ def check_finite(
     if over.any():
         check("final observation", outcome.final_observations, over, "")
         check("final state", outcome.final_states[:, None], outcome.episode_ended[:, None], "")
+
+
+def _surely_finite(values: NDArray[np.float32]) -> bool:
+    """One product, several times faster than looking at each number; false too where squares overflow."""
+    flat = values.reshape(-1)
+    return isfinite(flat.dot(flat))
 
 
 def _line(
