@@ -8,9 +8,9 @@ import pytest
 
 from headway.contracts import Learner
 from headway.events import Row
-from headway.rollout.backends import SerialCollector
 from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.serial import SerialCollector
 from headway_algos.config import ModelConfig
 from headway_algos.entries import ENTRIES
 from headway_envs.toy.entry import ENTRIES as TOYS

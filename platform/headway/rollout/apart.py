@@ -1,19 +1,17 @@
 """Evaluation in a process of its own, for environments of which a process may hold few copies."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from headway.contracts.acting import Parameters
 from headway.events import Row
+from headway.rollout.collecting import Collector
 from headway.rollout.sampler import Episode
-
-if TYPE_CHECKING:
-    from headway.rollout.backends import Collector
 
 
 class EvaluatingApart:
     """Trains with one collector and evaluates with another, which is never begun."""
 
-    def __init__(self, training: "Collector", evaluating: "Collector") -> None:
+    def __init__(self, training: Collector, evaluating: Collector) -> None:
         self.training, self.evaluating = training, evaluating
         self.trajectory = training.trajectory
 

@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, EnvSpec, Observed, Outcome, Trajectory, generator
-from headway.rollout.backends import Collector, Notify, open_collector
+from headway.rollout.backends import open_collector
+from headway.rollout.collecting import Collector
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.processes import Notify
 from headway.rollout.sampler import Episode
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.recipes.ippo import IPPOConfig

@@ -24,9 +24,10 @@ from rehearsal import (
 )
 
 from headway.contracts import HeadwayError
-from headway.rollout import backends
-from headway.rollout.backends import Collector, ProcessCollector, WorkerFailedError
+from headway.rollout import processes
+from headway.rollout.collecting import Collector
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.processes import ProcessCollector, WorkerFailedError
 
 SHARD = 2
 """Copies of each of two workers."""
@@ -154,7 +155,7 @@ def test_a_worker_that_raises_once_is_replaced(tmp_path: Path) -> None:
 def test_a_worker_that_ends_or_hangs_up_is_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, reason: str
 ) -> None:
-    monkeypatch.setattr(backends, "GRACE_S", 0.5)
+    monkeypatch.setattr(processes, "GRACE_S", 0.5)
     notices: list[str] = []
     assert_same(_taken(_never(tmp_path)), _taken(_plan(tmp_path, fault), notices))
     assert reason in notices[0]
@@ -217,7 +218,7 @@ def test_absent_agents_may_hold_nan(tmp_path: Path) -> None:
 def test_closing_does_not_wait_for_busy_workers_to_finish(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(backends, "GRACE_S", 1.0)
+    monkeypatch.setattr(processes, "GRACE_S", 1.0)
     plan = _never(tmp_path)
     with collector_of(plan, workers=2) as collector:
         assert isinstance(collector, ProcessCollector)

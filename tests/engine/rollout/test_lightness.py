@@ -14,7 +14,7 @@ import psutil
 import pytest
 from rehearsal import collector_of, parameters_of, plan_of_toy
 
-from headway.rollout.backends import ProcessCollector
+from headway.rollout.processes import ProcessCollector
 
 MEBIBYTE = 2**20
 HEAVY = {"torch", "pandas", "pyarrow", "mlflow", "scipy", "pettingzoo", "gymnasium", "matplotlib"}
@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np, psutil
 sys.path.insert(0, sys.argv[1])
 from spying import SpyConfig, make_spy
-from headway.rollout.backends import ProcessCollector
+from headway.rollout.processes import ProcessCollector
 from headway.rollout.plan import RolloutPlan
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.recipes.ippo import IPPOConfig
@@ -75,7 +75,7 @@ _COLLECT_FOR_EVER = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 from rehearsal import parameters_of, plan_of_toy
-from headway.rollout.backends import ProcessCollector
+from headway.rollout.processes import ProcessCollector
 
 plan = plan_of_toy("visitors", copies=8, steps=500)
 collector = ProcessCollector(plan, 3, print)

@@ -1,0 +1,76 @@
+"""What every backend is: a collector of experience and evaluations."""
+
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from headway.contracts import HeadwayError, Trajectory
+from headway.contracts.acting import Parameters
+from headway.events import Row
+from headway.rollout.episodes import EvaluationRequest
+from headway.rollout.plan import RolloutPlan, evaluation_block
+from headway.rollout.sampler import Episode
+
+
+class Collector(Protocol):
+    """Rollouts and evaluations with given parameters."""
+
+    trajectory: Trajectory
+    """Where `collect` leaves the experience; overwritten by the next one."""
+
+    def begin(self) -> None:
+        """Start the first episodes."""
+        ...
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Sample one iteration; the episodes that ended in it, by replica, copy and time."""
+        ...
+
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        """Evaluation episodes: one list a replica, one row an episode."""
+        ...
+
+    def snapshot(self) -> list[Any]:
+        """Where every shard stands, for a checkpoint; entries are None where the environment cannot tell."""
+        ...
+
+    def restore(self, snapshots: list[Any], iteration: int) -> None:
+        """Go on from the snapshots of a checkpoint after `iteration`; where they are None, start anew.
+
+        Raises HeadwayError if they are those of another number of workers.
+        """
+        ...
+
+    def process_ids(self) -> list[int]:
+        """Worker processes alive."""
+        ...
+
+    def usage(self) -> tuple[float, int]:
+        """CPU seconds of all workers so far, dead ones included, and their proportional memory in bytes."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:
+    """An evaluation in the blocks in which every backend plays it."""
+    return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec, plan.replicas))
+
+
+def joined(plan: RolloutPlan, parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
+    """The blocks of an evaluation, each one list a replica, one after another."""
+    collected = list(parts)
+    return [[row for part in collected for row in part[r]] for r in range(plan.replicas)]
+
+
+def require_shards(snapshots: list[Any], shards: int) -> None:
+    """Raise HeadwayError unless a checkpoint has one snapshot a shard."""
+    if len(snapshots) != shards:
+        raise HeadwayError(
+            f"the checkpoint was made with {len(snapshots)} workers; "
+            f"set backend.name=process backend.workers={len(snapshots)}"
+        )
+
+
+def restart_purpose(iteration: int) -> str:
+    """Purpose of the seeds of episodes that start anew after an iteration: not those of an earlier start."""
+    return f"env restart {iteration}"

@@ -1,0 +1,241 @@
+"""Rollouts in worker processes, which are replaced when they die."""
+
+import multiprocessing
+import pickle
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.context import ForkServerProcess
+from typing import Any
+
+from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
+from headway.contracts.acting import Parameters
+from headway.events import Row
+from headway.rollout.collecting import evaluation_requests, joined, require_shards, restart_purpose
+from headway.rollout.memory import SharedBlock
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.sampler import Episode, in_order
+from headway.rollout.worker import (
+    Begin,
+    Broken,
+    Collect,
+    Command,
+    Done,
+    Evaluate,
+    Restore,
+    WorkerSetup,
+    parameter_arrays,
+    parameter_bytes,
+    run_worker,
+)
+
+Notify = Callable[[str], None]
+
+GRACE_S = 5.0
+"""How long workers that are told to end may finish what they do, and that hung up may take to die."""
+
+
+@dataclass
+class _Worker:
+    """A worker process and what is known of it."""
+
+    process: ForkServerProcess
+    pipe: connection.Connection
+    begun: bool = False
+    """Its episodes have started."""
+    snapshot: Any = None
+    """Where it stood after its last command that moved it."""
+    cpu_seconds: float = 0.0
+    memory_bytes: int = 0
+
+    def remember(self, command: Command, done: Done) -> None:
+        """Note what it says of itself after a command."""
+        self.cpu_seconds, self.memory_bytes = done.cpu_seconds, done.memory_bytes
+        if not isinstance(command, Evaluate):
+            self.begun, self.snapshot = True, done.snapshot
+
+
+class ProcessCollector:
+    """Worker processes that write into one shared trajectory and read one shared set of parameters."""
+
+    def __init__(self, plan: RolloutPlan, workers: int, notify: Notify) -> None:
+        self.plan, self.notify = plan, notify
+        self.shards = plan.shards(workers)
+        self.pickled_plan = pickle.dumps(plan)
+        self.needs_main = b"_main__" in self.pickled_plan
+        layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
+        shapes = plan.policy.parameter_shapes(plan.replicas)
+        self.blocks = SharedBlock.create(layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
+        self.trajectory = Trajectory.over(self.blocks[0].buffer, layout)
+        self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
+        self.context = multiprocessing.get_context("forkserver")
+        self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
+        self.lost_cpu_seconds = 0.0
+        self.iteration = 0
+        self.workers = [self._start(shard) for shard in range(len(self.shards))]
+
+    def begin(self) -> None:
+        """Start the first episodes."""
+        self._all([Begin("env")] * len(self.workers))
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
+        self._publish(parameters)
+        done = self._all([Collect(iteration)] * len(self.workers))
+        self.iteration = iteration
+        return in_order(episode for part in done for episode in part.episodes)
+
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        """Evaluation episodes, blocks dealt out to the workers in turn."""
+        self._publish(parameters)
+        requests = evaluation_requests(self.plan, root, episodes, greedy)
+        parts: list[list[list[Row]]] = []
+        for start in range(0, len(requests), len(self.workers)):
+            round_ = requests[start : start + len(self.workers)]
+            parts += [done.evaluation for done in self._all([Evaluate(request) for request in round_])]
+        return joined(self.plan, parts)
+
+    def snapshot(self) -> list[Any]:
+        """One a worker, as of the end of the last iteration."""
+        return [worker.snapshot for worker in self.workers]
+
+    def restore(self, snapshots: list[Any], iteration: int) -> None:
+        """Go on from a checkpoint, or start afresh where it holds no snapshots."""
+        require_shards(snapshots, len(self.workers))
+        self.iteration = iteration
+        self._all([_stand(snapshot, iteration) for snapshot in snapshots])
+
+    def process_ids(self) -> list[int]:
+        """Worker processes, by id."""
+        return [worker.process.pid for worker in self.workers if worker.process.pid is not None]
+
+    def usage(self) -> tuple[float, int]:
+        """As the workers last reported."""
+        cpu = self.lost_cpu_seconds + sum(worker.cpu_seconds for worker in self.workers)
+        return cpu, sum(worker.memory_bytes for worker in self.workers)
+
+    def close(self) -> None:
+        """End the workers, busy ones after some seconds of grace."""
+        for worker in self.workers:
+            worker.pipe.close()
+        deadline = time.monotonic() + GRACE_S
+        for worker in self.workers:
+            worker.process.join(max(deadline - time.monotonic(), 0))
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+        for block in self.blocks:
+            block.close()
+
+    def _publish(self, parameters: Parameters) -> None:
+        for name, array in self.parameters.items():
+            array[...] = parameters[name]
+
+    def _start(self, shard: int) -> _Worker:
+        first, count = self.shards[shard]
+        ours, theirs = self.context.Pipe()
+        setup = WorkerSetup(self.pickled_plan, first, count, *self.blocks)
+        process = self.context.Process(
+            target=run_worker, args=(setup, theirs), name=f"headway worker {shard}", daemon=True
+        )
+        with nullcontext() if self.needs_main else _main_left_out():
+            process.start()
+        theirs.close()
+        return _Worker(process, ours)
+
+    def _all(self, commands: Sequence[Command]) -> list[Done]:
+        """Have workers 0, 1, ... carry out one command each, at the same time."""
+        for worker, command in zip(self.workers, commands, strict=False):
+            _send(worker, command)
+        return [self._answer(shard, command) for shard, command in enumerate(commands)]
+
+    def _answer(self, shard: int, command: Command) -> Done:
+        answer = _receive(self.workers[shard])
+        if not isinstance(answer, Done):
+            if isinstance(answer, Broken) and answer.is_users:
+                raise HeadwayError(answer.line)
+            answer = self._again(shard, command, answer)
+        self.workers[shard].remember(command, answer)
+        return answer
+
+    def _again(self, shard: int, command: Command, first: Broken | str) -> Done:
+        """Replace a worker that failed and repeat its command from where it stood; once."""
+        reason = first.line if isinstance(first, Broken) else first
+        old = self.workers[shard]
+        old.process.kill()
+        old.process.join()
+        old.pipe.close()
+        self.lost_cpu_seconds += old.cpu_seconds
+        worker = self.workers[shard] = self._start(shard)
+        steps: list[Command] = [command]
+        # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
+        if isinstance(command, Collect | Evaluate) and old.begun:
+            steps.insert(0, _stand(old.snapshot, self.iteration))
+        anew = any(isinstance(step, Begin) for step in steps)
+        again = "its episodes start again" if anew else "repeating its part from where it stood"
+        self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
+        answer: Done | Broken | str = first
+        for step in steps:
+            _send(worker, step)
+            answer = _receive(worker)
+            if not isinstance(answer, Done):
+                break
+            worker.remember(step, answer)
+        if isinstance(answer, Done):
+            return answer
+        if isinstance(answer, Broken) and answer.is_users:
+            raise HeadwayError(answer.line)
+        if isinstance(answer, Broken):
+            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
+        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+
+
+@contextmanager
+def _main_left_out() -> Iterator[None]:
+    """Start processes without the main module, which each would otherwise run again: it may import torch,
+    or train when imported. Multiprocessing finds it by these two attributes."""
+    main = sys.modules["__main__"]
+    hidden: dict[str, Any] = {
+        name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)
+    }
+    vars(main).update(dict.fromkeys(hidden))
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)
+
+
+class WorkerFailedError(HeadwayError):
+    """A worker failed twice in a row; `worker_traceback` is its own."""
+
+    def __init__(self, line: str, worker_traceback: str) -> None:
+        super().__init__(line)
+        self.worker_traceback = worker_traceback
+
+
+def _stand(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque
+    """Bring a worker to where a snapshot stands, or to new episodes where there is none."""
+    return Begin(restart_purpose(iteration)) if snapshot is None else Restore(snapshot)
+
+
+def _send(worker: _Worker, command: Command) -> None:
+    try:
+        worker.pipe.send(command)
+    except OSError:
+        return  # it is dead: `_receive` says so
+
+
+def _receive(worker: _Worker) -> Done | Broken | str:
+    """A worker's answer, or a line that says how it died."""
+    try:
+        answer: Done | Broken = worker.pipe.recv()
+    except (EOFError, OSError):
+        worker.process.join(GRACE_S)
+        code = worker.process.exitcode
+        if code is None:
+            return "alive, but it closed its pipe"
+        return f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
+    return answer
