@@ -223,12 +223,12 @@ def test_closing_does_not_wait_for_busy_workers_to_finish(
     with collector_of(plan, workers=2) as collector:
         assert isinstance(collector, ProcessCollector)
         collector.begin()
-        processes = [psutil.Process(process_id) for process_id in collector.process_ids()]
-        for process in processes:
+        children = [psutil.Process(process_id) for process_id in collector.process_ids()]
+        for process in children:
             process.suspend()  # stands for a step that takes for ever
         began = time.monotonic()
     assert time.monotonic() - began < 1.9  # the grace is for all together, not for each
-    assert not any(process.is_running() for process in processes)
+    assert not any(process.is_running() for process in children)
 
 
 def test_cpu_seconds_of_replaced_workers_still_count(tmp_path: Path) -> None:
