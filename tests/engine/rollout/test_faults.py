@@ -218,7 +218,7 @@ def test_absent_agents_may_hold_nan(tmp_path: Path) -> None:
 def test_closing_does_not_wait_for_busy_workers_to_finish(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(processes, "GRACE_S", 1.0)
+    monkeypatch.setattr(processes, "GRACE_S", 2.0)
     plan = _never(tmp_path)
     with collector_of(plan, workers=2) as collector:
         assert isinstance(collector, ProcessCollector)
@@ -227,7 +227,7 @@ def test_closing_does_not_wait_for_busy_workers_to_finish(
         for process in children:
             process.suspend()  # stands for a step that takes for ever
         began = time.monotonic()
-    assert time.monotonic() - began < 1.9  # the grace is for all together, not for each
+    assert time.monotonic() - began < 3.9  # the grace is for all together, not for each
     assert not any(process.is_running() for process in children)
 
 
