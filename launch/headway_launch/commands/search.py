@@ -92,5 +92,9 @@ def _read(name: str) -> Search:
     known: Sequence[str] = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
         raise HeadwayError(f"there is no search {name!r}; {suggestion(name, known)}")
-    content = yaml.safe_load((folder / f"{name}.yaml").read_text())
+    try:
+        content = yaml.safe_load((folder / f"{name}.yaml").read_text())
+    except yaml.YAMLError as error:
+        problem = " ".join(str(error).split())
+        raise HeadwayError(f"configs/search/{name}.yaml is not valid YAML: {problem}") from error
     return build(Search, content, f"search/{name}")

@@ -1,0 +1,68 @@
+"""`headway search` finds a winner by real runs, and `headway plot` draws them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HEADWAY = str(Path(sys.executable).with_name("headway"))
+
+
+def _headway(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([HEADWAY, *words], capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    root = tmp_path_factory.mktemp("store")
+    small = ("env_steps=2048", "energy=off", f"store.root={root}")
+    return root, _headway("search", "toy_matrix", *small)
+
+
+def test_a_search_names_one_winner_a_cell(searched: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    _, done = searched
+    assert done.returncode == 0, done.stderr
+    table = done.stdout[done.stdout.index("cell\tcandidate") :].splitlines()[1:]
+    rows = [line.split("\t") for line in table if line]
+    assert [row[1] for row in rows] == ["lr 5e-4", "lr 5e-3"]
+    assert [row[3] for row in rows].count("best") == 1
+    best = max(rows, key=lambda row: float(row[2]))
+    assert best[3] == "best" or float(rows[0][2]) == float(rows[1][2])
+
+
+def test_a_study_is_drawn(searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
+    root, _ = searched
+    picture = tmp_path / "curves.png"
+    done = _headway("plot", "search_toy_matrix", "--store", str(root), "--output", str(picture))
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("search", "bus_lin"), "there is no search 'bus_lin'; did you mean bus_line?"),
+        (("search", "toy_matrix", "algo.lrr=1"), "algo.lrr"),
+    ],
+)
+def test_a_wrong_search_is_one_line(words: tuple[str, ...], line: str) -> None:
+    done = _headway(*words)
+    assert done.returncode == 2
+    assert line.lower() in done.stderr.lower()
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_wrong_words_for_a_plot_are_one_line(
+    searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    root, _ = searched
+    for words, line in (
+        (("search_toy_matri",), "no study 'search_toy_matri'"),
+        (("search_toy_matrix", "--metric", "evaluation_greedy/retrun"), "evaluation_greedy/return"),
+        (("search_toy_matrix", "--output", str(tmp_path / "absent" / "x.png")), "cannot be written"),
+    ):
+        done = _headway("plot", *words, "--store", str(root))
+        assert done.returncode == 2
+        assert line in done.stderr
+        assert len(done.stderr.splitlines()) == 1
