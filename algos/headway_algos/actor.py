@@ -48,10 +48,6 @@ class Actor(nn.Module):
             return MaskedCategorical.of_logits(outputs, masks)
         return DiagonalGaussian(outputs, self.log_std)
 
-    def trainable(self) -> list[nn.Parameter]:
-        """The tensors that gradients reach."""
-        return list(self.parameters())
-
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """What `StackedActingPolicy` needs, by its names."""
         dtype = self.network.weights[0].dtype

@@ -5,28 +5,10 @@ Proven equal to torch.distributions in the tests; these skip its checks and keep
 
 from dataclasses import dataclass
 from math import log, pi
-from typing import Protocol, Self
+from typing import Self
 
 import torch
 from torch import Tensor
-
-
-class ActionDistribution(Protocol):
-    """Distributions of P x B rows."""
-
-    def log_prob(self, actions: Tensor) -> Tensor:
-        """(P, B) from actions (P, B) or (P, B, A)."""
-        ...
-
-    def entropy(self) -> Tensor:
-        """(P, B)"""
-        ...
-
-    def kl_from(self, old: Self) -> Tensor:
-        """KL(old || self): (P, B)."""
-        ...
-
-    def detach(self) -> Self: ...
 
 
 @dataclass(frozen=True)
@@ -65,10 +47,6 @@ class MaskedCategorical:
         """sum p_old (log p_old - log p): (P, B)."""
         return old._expectation(old.log_probs - self.log_probs)
 
-    def detach(self) -> Self:
-        """The same without gradients."""
-        return type(self)(self.log_probs.detach(), self.allowed)
-
 
 @dataclass(frozen=True)
 class DiagonalGaussian:
@@ -92,7 +70,3 @@ class DiagonalGaussian:
         variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
         distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
-
-    def detach(self) -> Self:
-        """The same without gradients."""
-        return type(self)(self.mean.detach(), self.log_std.detach())

@@ -15,12 +15,9 @@ from headway_algos.config import AlgoConfig
 from headway_algos.critics import Critic
 from headway_algos.experience import Layout, zero_where_absent
 from headway_algos.grouping import Grouping
-from headway_algos.optimiser import StackedAdam
-from headway_algos.orders import simultaneous
-from headway_algos.updates.ppo import PolicyRows, ppo, standardise
-
-UPDATES = {"ppo": ppo}
-ORDERS = {"simultaneous": simultaneous}
+from headway_algos.orders import ORDERS
+from headway_algos.policy_rows import PolicyRows, standardise
+from headway_algos.updates import UPDATES
 
 
 def resolve_device(device: str) -> torch.device:
@@ -45,10 +42,7 @@ class OnPolicyLearner:
         self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
         policies = self.grouping.num_policies
         self.actor = Actor(config.model, spec, seeds, policies, self.dtype).to(self.device)
-        self.optimiser = StackedAdam(self.actor.trainable(), config.lr, config.grad_clip)
-        self.kl_coeff = torch.full(
-            (len(seeds) * policies,), config.kl_coeff, device=self.device, dtype=self.dtype
-        )
+        self.policy_update = UPDATES[config.update](self.actor, config, self.layout)
         self.critic = Critic(config, spec, self.grouping, seeds, self.device, self.dtype)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
@@ -60,7 +54,7 @@ class OnPolicyLearner:
     ) -> dict[str, NDArray[np.float64]]:
         """One iteration of learning: advantages, policies, critic, normalisers, in this order."""
         share = 1 - (1 - self.config.lr_end) * progress
-        self.optimiser.anneal(share)
+        self.policy_update.anneal(share)
         self.critic.optimiser.anneal(share)
         inputs = self.critic.rows(trajectory.observations[:-1], trajectory.states[:-1], trajectory.alive[:-1])
         values, advantages, present = self._advantages(trajectory, inputs)
@@ -115,20 +109,11 @@ class OnPolicyLearner:
             self.layout.rows(zero_where_absent(trajectory.log_probs, used)),
             selected,
         )
-        by_agent = np.broadcast_to(advantages, alive.shape)
-        by_policy = self.layout.rows(np.where(alive, by_agent, 0))
+        by_policy = self.layout.rows(np.broadcast_to(advantages, alive.shape))
         if self.config.normalise_advantages:
             by_policy = standardise(by_policy, torch.from_numpy(selected).to(self.device))
         generators = self._generators("actor minibatch", iteration, False)
-
-        def improve(weighted_advantages: Tensor) -> dict[str, Tensor]:
-            self.kl_coeff, info = UPDATES[self.config.update](
-                self.actor, self.optimiser, rows, weighted_advantages, self.kl_coeff, generators,
-                self.config, self.layout,
-            )  # fmt: skip
-            return info
-
-        return ORDERS[self.config.order](improve, by_policy)
+        return ORDERS[self.config.order](self.policy_update, rows, by_policy, generators)
 
     def _absorb(self, trajectory: Trajectory) -> None:
         """Update the normalisers from this iteration; they act from the next one on."""
@@ -162,19 +147,17 @@ class OnPolicyLearner:
         return result
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normalisers, optimisers and KL coefficients."""
+        """Networks and normalisers, what the update carries on, and the critic's optimiser."""
         return {
             "actor": self.actor.state_dict(),
             "critic": self.critic.state_dict(),
-            "actor_optimiser": self.optimiser.state_dict(),
+            "policy_update": self.policy_update.state_dict(),
             "critic_optimiser": self.critic.optimiser.state_dict(),
-            "kl_coeff": self.kl_coeff,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
         self.actor.load_state_dict(state["actor"])
         self.critic.load_state_dict(state["critic"])
-        self.optimiser.load_state_dict(state["actor_optimiser"])
+        self.policy_update.load_state_dict(state["policy_update"])
         self.critic.optimiser.load_state_dict(state["critic_optimiser"])
-        self.kl_coeff = state["kl_coeff"].to(self.device)

@@ -1,13 +1,22 @@
 """In what order a team's policies are improved."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import numpy as np
 from torch import Tensor
 
-Improve = Callable[[Tensor], dict[str, Tensor]]
-"""Advantages (P, B) -> info, each (P,); changes the policies."""
+from headway_algos.policy_rows import PolicyRows
+from headway_algos.updates import Update
+
+Order = Callable[[Update, PolicyRows, Tensor, Sequence[np.random.Generator]], dict[str, Tensor]]
+"""(update, rows, advantages (P, B), generators (P,)) -> info, each (P,); changes the policies."""
 
 
-def simultaneous(improve: Improve, advantages: Tensor) -> dict[str, Tensor]:
+def simultaneous(
+    update: Update, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+) -> dict[str, Tensor]:
     """All policies at once, each against the others as they were."""
-    return improve(advantages)
+    return update.improve(rows, advantages, generators)
+
+
+ORDERS: dict[str, Order] = {"simultaneous": simultaneous}

@@ -355,7 +355,9 @@ def test_an_update_equals_the_naive_one(
             p = r * len(naive.policies) + k
             _assert_same(learner.actor.network, p, policy.network)
             if config.kl_coeff > 0:
-                assert float(learner.kl_coeff[p]) == pytest.approx(policy.kl_coeff, rel=1e-12)
+                assert float(learner.policy_update.state_dict()["kl_coeff"][p]) == pytest.approx(
+                    policy.kl_coeff, rel=1e-12
+                )
             if policy.log_std is not None and learner.actor.log_std is not None:
                 torch.testing.assert_close(
                     learner.actor.log_std[p, :, 0], policy.log_std, rtol=1e-10, atol=1e-10

@@ -1,7 +1,7 @@
 """The learner as a whole: stacks, absent agents, endings, and going on from a checkpoint."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
+from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.experience import Layout
 from headway_algos.learner import OnPolicyLearner
+from headway_algos.orders import ORDERS
+from headway_algos.policy_rows import PolicyRows
 from headway_algos.recipes.ippo import IPPOConfig
 from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.updates import UPDATES, Update
 
 Fabricate = Callable[..., Trajectory]
 Poison = Callable[[Trajectory], Trajectory]
@@ -48,12 +54,16 @@ CASES = {
 every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
 
 
+def _numbers(module: torch.nn.Module) -> dict[str, NDArray[Any]]:
+    return {name: value.detach().numpy().copy() for name, value in module.state_dict().items()}
+
+
 def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
     """Every number that learning changes, with leading axis P."""
     named = {
         **{f"actor {name}": value for name, value in learner.actor.state_dict().items()},
         **{f"critic {name}": value for name, value in learner.critic.state_dict().items()},
-        "kl_coeff": learner.kl_coeff,
+        "kl_coeff": learner.policy_update.state_dict()["kl_coeff"],
     }
     return {name: value.detach().numpy().copy() for name, value in named.items()}
 
@@ -211,13 +221,80 @@ def test_a_saved_state_is_not_changed_by_loading_it_elsewhere(fabricate: Fabrica
         np.testing.assert_array_equal(value, results[1][name], err_msg=name)
 
 
+class PlainGradient:
+    """One step of the policy gradient: another update, with a state of its own."""
+
+    def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
+        self.actor, self.lr, self.share, self.improvements = actor, config.lr, 1.0, 0
+
+    def improve(
+        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+    ) -> dict[str, Tensor]:
+        chosen = torch.from_numpy(rows.selected)
+        log_probs = self.actor(rows.observations, rows.masks).log_prob(rows.actions)
+        gains = torch.where(chosen, log_probs * advantages, 0).sum(1) / chosen.sum(1).clamp(min=1)
+        parameters = list(self.actor.parameters())
+        slopes = torch.autograd.grad(gains.sum(), parameters)
+        with torch.no_grad():
+            for parameter, slope in zip(parameters, slopes, strict=True):
+                parameter += self.lr * self.share * slope
+        self.improvements += 1
+        return {"gain": gains.detach()}
+
+    def anneal(self, share: float) -> None:
+        self.share = share
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"improvements": self.improvements}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.improvements = state["improvements"]
+
+
+def _each_in_turn(
+    update: Update, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+) -> dict[str, Tensor]:
+    """An order in which agents, each with a policy of its own, improve one after another."""
+    gains = torch.zeros(len(rows.selected), dtype=advantages.dtype)
+    for p in range(len(rows.selected)):
+        mine = np.zeros_like(rows.selected)
+        mine[p] = rows.selected[p]
+        gains += update.improve(replace(rows, selected=mine), advantages, generators)["gain"]
+    return {"gain": gains}
+
+
+def test_critic_update_and_order_are_three_choices(
+    fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second update and a second order join by name alone; in turns, and all at once, a plain gradient
+    step of independent policies is the same."""
+    monkeypatch.setitem(UPDATES, "gradient", PlainGradient)
+    monkeypatch.setitem(ORDERS, "in turn", _each_in_turn)
+    results = []
+    for order in ("simultaneous", "in turn"):
+        choices: dict[str, Any] = {"update": "gradient", "order": order}
+        learner = OnPolicyLearner(replace(IPPO, **choices), DISCRETE, (1, 2), "cpu")
+        start = _numbers(learner.actor)
+        info = learner.update(fabricate(DISCRETE, 8, 6, seed=0, absent=0.3), 1, 0.0)
+        assert info["policy/gain"].shape == (2,)
+        results.append(_numbers(learner.actor))
+        assert (results[-1]["network.weights.0"] != start["network.weights.0"]).any(axis=(1, 2)).all()
+        improvements = learner.state_dict()["policy_update"]["improvements"]
+        assert improvements == (1 if order == "simultaneous" else 8)
+        other = OnPolicyLearner(replace(IPPO, **choices), DISCRETE, (1, 2), "cpu")
+        other.load_state_dict(learner.state_dict())
+        assert other.state_dict()["policy_update"]["improvements"] == improvements
+    _assert_close(results[1], results[0])
+
+
 @pytest.mark.parametrize(("progress", "share"), [(0.0, 1.0), (0.5, 0.55), (1.0, 0.1)])
 def test_learning_rates_are_annealed_linearly(fabricate: Fabricate, progress: float, share: float) -> None:
     config = replace(IPPO, lr=1e-3, critic_lr=2e-3, lr_end=0.1)
     learner = OnPolicyLearner(config, DISCRETE, (1,), "cpu")
     for _ in range(2):  # from the base each time, not from the last
         learner.update(fabricate(DISCRETE, 4, 2, seed=0), 1, progress)
-    assert learner.optimiser.adam.param_groups[0]["lr"] == pytest.approx(1e-3 * share)
+    state = learner.policy_update.state_dict()
+    assert state["optimiser"]["param_groups"][0]["lr"] == pytest.approx(1e-3 * share)
     assert learner.critic.optimiser.adam.param_groups[0]["lr"] == pytest.approx(2e-3 * share)
 
 

@@ -16,7 +16,8 @@ from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
 from headway_algos.optimiser import StackedAdam
-from headway_algos.updates.ppo import PolicyRows, clipped_surrogate, ppo, standardise
+from headway_algos.policy_rows import PolicyRows, standardise
+from headway_algos.updates.ppo import PPO, clipped_surrogate
 
 P, B, D, A = 3, 24, 4, 3
 DOUBLE = torch.float64
@@ -71,10 +72,10 @@ def _run(
     before, after = (Actor(config.model, SPEC, range(P), 1, DOUBLE) for _ in range(2))
     rows, advantages = _rows(P, selected)
     layout = Layout(Grouping.of("shared", SPEC), P, torch.device("cpu"), DOUBLE)
-    optimiser = StackedAdam(after.trainable(), config.lr, config.grad_clip)
-    generators = [generator(p, "test") for p in range(P)]
-    adapted, info = ppo(after, optimiser, rows, advantages, kl_coeff, generators, config, layout)
-    return before, after, rows, adapted, info
+    update = PPO(after, config, layout)
+    update.kl_coeff = kl_coeff
+    info = update.improve(rows, advantages, [generator(p, "test") for p in range(P)])
+    return before, after, rows, update.kl_coeff, info
 
 
 def _mean_kl(before: Actor, after: Actor, rows: PolicyRows, p: int) -> float:

@@ -1,11 +1,10 @@
 """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347), for a stack of policies."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.actor import Actor
@@ -13,31 +12,7 @@ from headway_algos.config import AlgoConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.experience import Layout, Piece, even_slices, minibatches
 from headway_algos.optimiser import StackedAdam
-
-
-@dataclass(frozen=True)
-class PolicyRows:
-    """What the policies did, laid out by policy."""
-
-    observations: Tensor
-    """(P, B, D), normalised."""
-    masks: Tensor | None
-    """(P, B, A)"""
-    actions: Tensor
-    """(P, B) or (P, B, A)"""
-    log_probs: Tensor
-    """(P, B), at the parameters that acted."""
-    selected: NDArray[np.bool_]
-    """(P, B): the agent was alive and its action was used."""
-
-
-def standardise(advantages: Tensor, selected: Tensor) -> Tensor:
-    """Advantages (P, B) to mean 0 and standard deviation 1 over each policy's selected rows."""
-    weight = selected.to(advantages.dtype)
-    count = weight.sum(1, keepdim=True).clamp(min=1)
-    mean = (advantages * weight).sum(1, keepdim=True) / count
-    variance = ((advantages - mean) ** 2 * weight).sum(1, keepdim=True) / count
-    return (advantages - mean) / (variance.sqrt() + 1e-8)
+from headway_algos.policy_rows import PolicyRows
 
 
 def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
@@ -67,57 +42,76 @@ def _kl_to_old(
     return new.kl_from(DiagonalGaussian(outputs, old_log_std))
 
 
-def ppo(
-    actor: Actor,
-    optimiser: StackedAdam,
-    rows: PolicyRows,
-    advantages: Tensor,
-    kl_coeff: Tensor,
-    generators: Sequence[np.random.Generator],
-    config: AlgoConfig,
-    layout: Layout,
-) -> tuple[Tensor, dict[str, Tensor]]:
-    """Several epochs of minibatch steps on the clipped surrogate, KL penalty and entropy bonus.
+class PPO:
+    """Several epochs of minibatch steps on the clipped surrogate, KL penalty and entropy bonus."""
 
-    `advantages` (P, B) are used as they come; `kl_coeff` (P,). Returns the adapted KL coefficients and
-    info, each (P,). Section 4 of the paper gives the adaptation; the factors are RLlib's.
-    """
-    penalised = config.kl_coeff > 0
-    old_outputs = _old_network_outputs(actor, rows, config) if penalised else None
-    old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
-    totals = torch.zeros(4, len(kl_coeff), device=layout.device, dtype=layout.dtype)
-    steps = np.zeros(len(kl_coeff))
-    batches = minibatches(
-        rows.selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
-    )
-    for pieces, active in batches:
-        optimiser.begin()
-        for piece in pieces:
-            masks = piece.of(rows.masks) if rows.masks is not None else None
-            distribution = actor(piece.of(rows.observations), masks)
-            log_ratio = distribution.log_prob(piece.of(rows.actions)) - piece.of(rows.log_probs)
-            ratio = log_ratio.exp()
-            surrogate = clipped_surrogate(ratio, piece.of(advantages), config.clip)
-            entropy = distribution.entropy()
-            objective = surrogate + config.entropy_coeff * entropy
-            if old_outputs is not None:
-                kl = _kl_to_old(distribution, piece.of(old_outputs), masks, old_log_std)
-                objective = objective - kl_coeff[:, None] * kl
-            else:
-                # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
-                kl = ratio - 1 - log_ratio
-            (-(objective * piece.weight).sum()).backward()
-            totals[:3] += _weighted(piece, kl, entropy, ((ratio - 1).abs() > config.clip).to(layout.dtype))
-        totals[3] += optimiser.step(active)
-        steps += active
-    kl, entropy, clipped, norm = totals / torch.from_numpy(steps).to(totals).clamp(min=1)
-    info = {"kl": kl, "entropy": entropy, "clip_fraction": clipped, "gradient_norm": norm}
-    if penalised:
-        final_kl = _mean_kl(actor, rows, old_outputs, old_log_std, config)
-        info["kl"], info["kl_coeff"] = final_kl, kl_coeff
-        kl_coeff = torch.where(final_kl > 2 * config.kl_target, kl_coeff * 1.5, kl_coeff)
-        kl_coeff = torch.where(final_kl < config.kl_target / 2, kl_coeff * 0.5, kl_coeff)
-    return kl_coeff, info
+    def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
+        self.actor, self.config, self.layout = actor, config, layout
+        self.optimiser = StackedAdam(actor.parameters(), config.lr, config.grad_clip)
+        policies = layout.replicas * layout.grouping.num_policies
+        self.kl_coeff = torch.full((policies,), config.kl_coeff, device=layout.device, dtype=layout.dtype)
+
+    def improve(
+        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+    ) -> dict[str, Tensor]:
+        """See `headway_algos.updates.Update`."""
+        actor, config, layout = self.actor, self.config, self.layout
+        penalised = config.kl_coeff > 0
+        old_outputs = _old_network_outputs(actor, rows, config) if penalised else None
+        old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
+        totals = torch.zeros(4, len(self.kl_coeff), device=layout.device, dtype=layout.dtype)
+        steps = np.zeros(len(self.kl_coeff))
+        batches = minibatches(
+            rows.selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
+        )
+        for pieces, active in batches:
+            self.optimiser.begin()
+            for piece in pieces:
+                masks = piece.of(rows.masks) if rows.masks is not None else None
+                distribution = actor(piece.of(rows.observations), masks)
+                log_ratio = distribution.log_prob(piece.of(rows.actions)) - piece.of(rows.log_probs)
+                ratio = log_ratio.exp()
+                surrogate = clipped_surrogate(ratio, piece.of(advantages), config.clip)
+                entropy = distribution.entropy()
+                objective = surrogate + config.entropy_coeff * entropy
+                if old_outputs is not None:
+                    kl = _kl_to_old(distribution, piece.of(old_outputs), masks, old_log_std)
+                    objective = objective - self.kl_coeff[:, None] * kl
+                else:
+                    # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
+                    kl = ratio - 1 - log_ratio
+                (-(objective * piece.weight).sum()).backward()
+                clipped = ((ratio - 1).abs() > config.clip).to(layout.dtype)
+                totals[:3] += _weighted(piece, kl, entropy, clipped)
+            totals[3] += self.optimiser.step(active)
+            steps += active
+        kl, entropy, clipped, norm = totals / torch.from_numpy(steps).to(totals).clamp(min=1)
+        info = {"kl": kl, "entropy": entropy, "clip_fraction": clipped, "gradient_norm": norm}
+        if penalised:
+            info["kl"] = _mean_kl(actor, rows, old_outputs, old_log_std, config)
+            info["kl_coeff"] = self.kl_coeff
+            self.kl_coeff = adapted(self.kl_coeff, info["kl"], config.kl_target)
+        return info
+
+    def anneal(self, share: float) -> None:
+        """Set the learning rate to `share` of its base."""
+        self.optimiser.anneal(share)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The optimiser and the KL coefficients."""
+        return {"optimiser": self.optimiser.state_dict(), "kl_coeff": self.kl_coeff}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`."""
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.kl_coeff = state["kl_coeff"].to(self.layout.device)
+
+
+def adapted(kl_coeff: Tensor, kl: Tensor, target: float) -> Tensor:
+    """KL coefficients (P,) for the next improvement, from this one's mean KL (P,): section 4 of the paper,
+    with RLlib's factors."""
+    kl_coeff = torch.where(kl > 2 * target, kl_coeff * 1.5, kl_coeff)
+    return torch.where(kl < target / 2, kl_coeff * 0.5, kl_coeff)
 
 
 def _weighted(piece: Piece, *values: Tensor) -> Tensor:
