@@ -16,6 +16,7 @@ class ModelConfig:
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers."""
     activation: Literal["tanh", "relu"] = "tanh"
+    """Between the layers."""
     actor_gain: float = 0.01
     """Gain of the orthogonal initialisation of the actor's last layer."""
     initial_logits: tuple[float, ...] = ()
@@ -31,9 +32,10 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class AlgoConfig:
-    """An on-policy algorithm. A named algorithm fixes defaults of the first three; all can be set."""
+    """An on-policy algorithm, freely composed. A named algorithm fixes critic, update and order."""
 
     name: str = "custom"
+    """Name in the registry: see `headway list algos`."""
     critic: Literal["local", "central"] = "local"
     """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state."""
     update: Literal["ppo"] = "ppo"
@@ -64,8 +66,10 @@ class AlgoConfig:
     kl_target: float = 0.01
     """KL divergence that the adaptive coefficient aims at."""
     entropy_coeff: float = 0.01
+    """Weight of the policy's entropy in the objective; 0: none."""
     value_clip: float | None = None
-    """Bound of the critic's squared error, as RLlib's vf_clip_param; null: none."""
+    """Bound of the critic's squared error, as RLlib's vf_clip_param, in units of return squared; with
+    `normalise_values` in normalised ones, in which an error of 1 is a standard deviation. null: none."""
     grad_clip: float | None = 0.5
     """Bound of the gradient's norm, for each policy and each critic; null: none."""
     normalise_advantages: bool = True
@@ -75,6 +79,7 @@ class AlgoConfig:
     normalise_values: bool = True
     """The critic learns returns in units of their running mean and standard deviation."""
     precision: Literal["float32", "float64"] = "float32"
+    """Of networks and of what they learn from; normalisers, advantages and returns are float64 always."""
     piece_samples: int = 5120
     """Samples, over all policies of a stack, worked on at once, so that activations stay in the cache. No
     effect on results beyond rounding."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from headway.contracts import AlgoEntry, Discrete, EnvSpec, Learner, MultiDiscrete
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig
-from headway_algos.recipes import ippo, mappo
+from headway_algos.recipes import custom, ippo, mappo
 
 
 def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
@@ -31,6 +31,7 @@ def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
 
 
 ENTRIES = {
+    "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
     "ippo": _entry(ippo.SUMMARY, ippo.SOURCE, ippo.IPPOConfig),
     "mappo": _entry(mappo.SUMMARY, mappo.SOURCE, mappo.MAPPOConfig),
 }

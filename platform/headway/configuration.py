@@ -46,7 +46,8 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
     `__post_init__` refuses, and for `_target_` anywhere.
     """
     refuse_targets(mapping, path)
-    fields = {field.name: field for field in dataclasses.fields(_as_dataclass(record_class)) if field.init}
+    checked = _as_dataclass(record_class)
+    fields = {field.name: field for field in dataclasses.fields(checked) if field.init}
     for key in mapping:
         if key not in fields:
             owner = of or path or "the experiment"
@@ -57,7 +58,9 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
     for name, field in fields.items():
         if name not in mapping and field.default is MISSING and field.default_factory is MISSING:
             raise HeadwayError(f"{_join(path, name)} is missing and has no default; give it a value")
-    hints = get_type_hints(record_class)
+    hints, docs = get_type_hints(record_class), _field_docs(checked)
+    for key, value in mapping.items():
+        _refuse_another(hints[key], value, _join(path, key), of, docs.get(key, ""))
     values = {key: _convert(hints[key], value, _join(path, key)) for key, value in mapping.items()}
     try:
         return record_class(**values)
@@ -165,6 +168,14 @@ def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
         return "null"
     names = {int: "whole number", float: "number", str: "text", bool: "true or false", Any: "anything"}
     return names.get(hint, getattr(hint, "__name__", str(hint)))
+
+
+def _refuse_another(hint: Any, value: object, key: str, of: str, doc: str) -> None:  # noqa: ANN401 - any annotation
+    """A key that can have one value only belongs to what the record is: its docstring says what else to
+    use."""
+    allowed = get_args(hint)
+    if get_origin(hint) is Literal and len(allowed) == 1 and value != allowed[0]:
+        raise HeadwayError(f"{key}={_show(value)} is not possible, {of or 'it'} has {allowed[0]}: {doc}")
 
 
 def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value

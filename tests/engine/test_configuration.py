@@ -86,6 +86,20 @@ def test_bad_input_gives_one_line_that_names_the_key(mapping: dict[str, Any], pa
         assert part in message
 
 
+@dataclass(frozen=True)
+class Fixed:
+    shape: Literal["round"] = "round"
+    """A circle. For corners take the square."""
+
+
+def test_another_value_of_a_fixed_key_says_what_to_use() -> None:
+    assert build(Fixed, {"shape": "round"}).shape == "round"
+    with pytest.raises(HeadwayError) as caught:
+        build(Fixed, {"shape": "edged"}, "algo", "circle")
+    line = "algo.shape='edged' is not possible, circle has round: A circle. For corners take the square."
+    assert str(caught.value) == line
+
+
 def test_a_missing_key_without_default_is_named() -> None:
     with pytest.raises(HeadwayError, match=r"env\.args\.folder is missing"):
         build(Needy, {}, "env.args")

@@ -1,6 +1,9 @@
 import pytest
 
+from headway.config import ExperimentConfig
+from headway.configuration import describe
 from headway.contracts import HeadwayError
+from headway.registry import algo_entries, env_entries
 from headway_launch.composing import compose, groups, resolve, summary_of
 from headway_launch.planning import cell_parameters, full_mapping, plan_jobs, share_cores
 
@@ -13,6 +16,15 @@ def test_overrides_reach_keys_that_no_file_has() -> None:
     assert experiment.env_config.agents == 3
     assert experiment.config.rollout.steps == 100
     assert experiment.config.seed == (0, 1, 2)
+
+
+def test_what_no_named_algorithm_is_can_be_composed() -> None:
+    composed = compose(["env=trivial", "algo=custom", "algo.critic=central"])
+    assert composed.algo_config.critic == "central"
+    with pytest.raises(
+        HeadwayError, match=r"ippo has local: .*With V\(s\) it is algo=mappo; algo=custom takes"
+    ):
+        compose(["env=trivial", "algo=ippo", "algo.critic=central"])
 
 
 def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
@@ -42,6 +54,10 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
         ("experiment=bus_mapo", ["did you mean experiment=bus_mappo?"]),
         ("env=trivail", ["did you mean env=trivial?"]),
         ("algo=ippo,mappo", ["one option at a time"]),
+        (
+            "algo.critic=local",
+            ["algo.critic='local' is not possible, mappo has central", "algo=ippo", "custom"],
+        ),
         ("env.id=bsu", ["'bsu' is no environment"]),
         ("algo.name=ipo", ["'ipo' is no algorithm", "did you mean ippo?"]),
         ("seed=1..x", ["seed=1..x is not a list of seeds", "0..49"]),
@@ -75,6 +91,13 @@ def test_a_stored_configuration_gives_the_same_experiment() -> None:
     assert again.env_config == experiment.env_config
     assert again.config.seed == (2,)
     assert cell_parameters(again) == cell_parameters(experiment)
+
+
+def test_every_key_says_what_it_is() -> None:
+    records = [entry.config for entry in (*algo_entries().values(), *env_entries().values())]
+    for record in (ExperimentConfig, *records):
+        for key in describe(record):
+            assert key.doc, f"{record.__name__}.{key.key} has no docstring"
 
 
 @pytest.mark.parametrize("option", groups()["experiment"])

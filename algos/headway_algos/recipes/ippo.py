@@ -26,6 +26,9 @@ class IPPOConfig(AlgoConfig):
     """IPPO is local critic x PPO x simultaneous."""
 
     name: str = "ippo"
-    critic: Literal["local", "central"] = "local"
+    critic: Literal["local"] = "local"
+    """V(o) of an agent's own observation. With V(s) it is algo=mappo; algo=custom takes any critic."""
     update: Literal["ppo"] = "ppo"
+    """Proximal policy optimisation. algo=custom takes any update."""
     order: Literal["simultaneous"] = "simultaneous"
+    """All agents at once. algo=custom takes any order."""

@@ -23,6 +23,9 @@ class MAPPOConfig(AlgoConfig):
     """MAPPO is central critic x PPO x simultaneous."""
 
     name: str = "mappo"
-    critic: Literal["local", "central"] = "central"
+    critic: Literal["central"] = "central"
+    """V(s) of the global state. With V(o) it is algo=ippo; algo=custom takes any critic."""
     update: Literal["ppo"] = "ppo"
+    """Proximal policy optimisation. algo=custom takes any update."""
     order: Literal["simultaneous"] = "simultaneous"
+    """All agents at once. algo=custom takes any order."""
