@@ -19,10 +19,15 @@ class Grouping:
 
     @classmethod
     def of(cls, policies: str, spec: EnvSpec) -> Self:
-        """The grouping named by a config's `policies` key: independent, shared or groups."""
+        """The grouping named by a config's `policies` key: independent, shared or groups.
+
+        Raises ValueError for another word.
+        """
         agents = np.arange(spec.num_agents)
         if policies == "independent":
             return cls(agents[:, None])
+        if policies not in ("shared", "groups"):
+            raise ValueError(f"policies must be independent, shared or groups, not {policies!r}")
         if policies == "shared" or not spec.groups:
             return cls(agents[None, :])
         names = list(dict.fromkeys(spec.groups))
@@ -56,6 +61,13 @@ class Grouping:
         place = np.empty(int((flat >= 0).sum()), np.int64)
         place[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
         return place
+
+    def owner(self, policy: int, spec: EnvSpec) -> str:
+        """Whose policy `policy` (of K) is: "agent bus_3", "group line_1" or "all agents"."""
+        members = self.members[policy][self.members[policy] >= 0]
+        if self.width == 1:
+            return f"agent {spec.agents[members[0]]}"
+        return "all agents" if self.num_policies == 1 else f"group {spec.groups[members[0]]}"
 
     def gather(self, by_agent: NDArray[Any], replicas: int) -> NDArray[Any]:
         """(T, C, N, ...) -> (P, G x T x E, ...), rows ordered by agent, then step, then copy.

@@ -64,6 +64,7 @@ class OnPolicyLearner:
             inputs, returns, present, self._generators("critic minibatch", iteration, True)
         )
         self._absorb(trajectory)
+        self._refuse_divergence(iteration)
         metrics = {f"policy/{name}": self._per_replica(value) for name, value in info.items()}
         metrics["critic/loss"] = self._per_replica(critic_loss)
         metrics["critic/explained_variance"] = self._explained_variance(values, returns, present)
@@ -122,6 +123,19 @@ class OnPolicyLearner:
             alive = trajectory.alive[:-1]
             rows = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
             self.actor.moments.include(rows, torch.from_numpy(self.layout.selection(alive)).to(self.device))
+
+    def _refuse_divergence(self, iteration: int) -> None:
+        """Raise HeadwayError where policies are no longer finite: workers would act on them all the same."""
+        for array in self.acting_parameters().values():
+            broken = ~np.isfinite(array).all(axis=(1, 2))
+            if broken.any():
+                replica, policy = divmod(int(broken.argmax()), self.grouping.num_policies)
+                owner = self.grouping.owner(policy, self.spec)
+                raise HeadwayError(
+                    f"{self.config.name} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not "
+                    f"finite after iteration {iteration}; lower algo.lr and algo.critic_lr, or bound the "
+                    "gradients by algo.grad_clip"
+                )
 
     def _generators(self, purpose: str, iteration: int, for_critic: bool) -> list[np.random.Generator]:
         networks = (self.critic.view.grouping if for_critic else self.grouping).num_policies

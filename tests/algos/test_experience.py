@@ -173,3 +173,8 @@ def test_absent_rows_become_zero_in_a_copy() -> None:
     assert (cleaned[1, 2] == 5).all()
     assert (cleaned[~present] == 0).all()
     assert np.isnan(values[~present]).all()
+
+
+def test_an_unknown_word_for_policies_is_refused() -> None:
+    with pytest.raises(ValueError, match="independent, shared or groups, not 'group'"):
+        Grouping.of("group", SPEC)

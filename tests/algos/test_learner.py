@@ -4,7 +4,7 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -416,3 +416,37 @@ def test_a_gpu_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.Monk
 def test_a_device_that_is_none_is_refused_in_one_line() -> None:
     with pytest.raises(HeadwayError, match="'gpu' is no device; use device=auto, cpu or cuda"):
         OnPolicyLearner(IPPO, DISCRETE, (1,), "gpu")
+
+
+@pytest.mark.parametrize(
+    ("policies", "owner"),
+    [("independent", "agent c"), ("groups", "group y"), ("shared", "all agents")],
+)
+@pytest.mark.parametrize("spec", [DISCRETE, BOX])
+def test_a_policy_that_is_no_longer_finite_is_named(
+    fabricate: Fabricate, policies: Literal["independent", "groups", "shared"], owner: str, spec: EnvSpec
+) -> None:
+    learner = OnPolicyLearner(replace(IPPO, policies=policies), spec, (4, 6), "cpu")
+    k = {"independent": 2, "groups": 1, "shared": 0}[policies]
+    with torch.no_grad():
+        learner.actor.network.weights[1][learner.grouping.num_policies + k, 0, 0] = np.nan
+    with pytest.raises(HeadwayError) as caught:
+        learner.update(fabricate(spec, 4, 2, seed=0), 7, 0.0)
+    message = str(caught.value)
+    assert f"ippo diverged: the policy of {owner}, seed 6, is not finite after iteration 7" in message
+    assert "lower algo.lr" in message
+    assert "algo.grad_clip" in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("spec", [DISCRETE, BOX])
+def test_an_absurd_learning_rate_ends_in_one_line(fabricate: Fabricate, spec: EnvSpec) -> None:
+    config = replace(MAPPO, lr=1e30, precision="float32", normalise_values=False)
+    learner = OnPolicyLearner(config, spec, (1,), "cpu")
+
+    def learn() -> None:
+        for iteration in range(1, 20):
+            learner.update(fabricate(spec, 8, 3, seed=iteration), iteration, 0.0)
+
+    with pytest.raises(HeadwayError, match=r"mappo diverged: the policy of agent [abcd], seed 1, is not"):
+        learn()

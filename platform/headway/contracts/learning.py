@@ -19,7 +19,11 @@ class Learner(Protocol):
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Learn from one iteration's experience; `progress` is the share of the budget already used, for
-        schedules. Returns metrics by `group/name`, each of shape (R,)."""
+        schedules. Returns metrics by `group/name`, each of shape (R,).
+
+        Raises HeadwayError, naming seed and iteration, where learning diverged: where what acts is no
+        longer finite.
+        """
         ...
 
     def state_dict(self) -> dict[str, Any]:
