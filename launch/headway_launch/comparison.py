@@ -4,14 +4,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from headway.events import Row
+from headway.events import LABELS, Row
 from headway_launch.tables import Cell, print_table
 
 if TYPE_CHECKING:
     from headway.stats import Interval
     from headway_launch.composing import Experiment
 
-_NOT_METRICS = ("episode_seed", "copy", "length", "return", "iteration", "env_steps", "mode", "final")
+_NOT_METRICS = LABELS | {"length", "return"}
 _COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to")
 
 

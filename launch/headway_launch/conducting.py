@@ -12,7 +12,6 @@ from headway.energy import EnergyMeter, EnergyReport
 from headway.events import Event, Row
 from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
-from headway.store.folder import read_summary
 from headway.store.provenance import usable_cores
 from headway.store.session import Cell, Run, SessionStore
 from headway.training import TrainingJob
@@ -24,6 +23,7 @@ from headway_launch.planning import (
     full_mapping,
     require_free_disk,
     share_cores,
+    workers_of,
 )
 from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
@@ -51,7 +51,9 @@ class Conductor:
         self._debug = debug
         mode = self._config.evaluation.modes[0]
         self._jobs = [_Job(job, JobProgress(job.seeds, self._config.iterations, mode)) for job in jobs]
-        self._shares: Shares = share_cores(self._config.backend, len(jobs), usable_cores())
+        self._shares: Shares = share_cores(
+            self._config.backend, len(jobs), usable_cores(), max(job.workers or 1 for job in jobs)
+        )
         seeds = sum(len(job.seeds) for job in jobs)
         require_free_disk(Path(self._config.store.root), seeds)
         self._store = SessionStore.open(self._config.store)
@@ -98,10 +100,10 @@ class Conductor:
         """The runs of a job, made or taken up again, and what its training process is given."""
         job = self._jobs[index]
         runs = self._runs(job.planned)
-        before = [read_summary(run.directory) for run in runs] if job.planned.resumed else []
+        before = [run.energy_so_far for run in runs] if job.planned.resumed else []
         job.recording = JobRecording(runs, uses_gpu=_uses_gpu(self._config.device), before=before)
         experiment, planned = self._experiment, job.planned
-        with_checkpoint = all(_has_checkpoint(run.directory) for run in runs)
+        with_checkpoint = any(_has_checkpoint(run.directory) for run in runs)
         return TrainingJob(
             make_env=experiment.env.make,
             preload=experiment.env.preload,
@@ -112,7 +114,7 @@ class Conductor:
             algo_config=experiment.algo_config,
             seeds=planned.seeds,
             config=replace(self._config, seed=planned.seeds),
-            workers=self._shares.workers,
+            workers=workers_of(planned, self._shares),
             directories=tuple(str(run.directory) for run in runs),
             resume=bool(planned.resumed) and with_checkpoint,
         )
@@ -122,7 +124,11 @@ class Conductor:
             return [self._store.resume(run_id) for run_id in planned.resumed]
         import yaml
 
-        plan = {"stack": list(planned.seeds), "rollout": full_mapping(self._experiment, ())["rollout"]}
+        plan = {
+            "stack": list(planned.seeds),
+            "rollout": full_mapping(self._experiment, ())["rollout"],
+            "workers": workers_of(planned, self._shares),
+        }
         return [
             self._cell.begin_run(
                 seed,
@@ -162,17 +168,14 @@ class Conductor:
         running = self._running()
         energies = self._meter.sample({name: recording.usage for name, recording in running.items()})
         for name, recording in running.items():
-            row = energies[name].per_seed(len(recording.runs)).as_row()
-            for run in recording.runs:
-                run.energy({"time": time.time(), **row})
+            recording.keep_energy(time.time(), energies[name])
 
     def _finish(self, index: int, recording: JobRecording) -> None:
         others = {name: other.usage for name, other in self._running().items()}
-        energy = self._meter.finish(str(index), others, recording.usage).per_seed(len(recording.runs))
+        energy = self._meter.finish(str(index), others, recording.usage)
         modes = self._meter.modes.as_tags() if self._config.energy.enabled else {}
-        for place, run in enumerate(recording.runs):
-            before = recording.before[place] if recording.before else {}
-            result = seed_result(run, recording, self._config.evaluation.modes[0], energy, modes, before)
+        for run, used in zip(recording.runs, recording.keep_energy(time.time(), energy), strict=True):
+            result = seed_result(run, recording, self._config.evaluation.modes[0], used, modes)
             run.finish(recording.status, result.summary)
             self._results.append(result)
 
@@ -196,9 +199,8 @@ class Conductor:
         if not any(result.status == "FINISHED" for result in self._results):
             return {}
         evaluation = self._config.evaluation
-        episodes = max(evaluation.final_episodes, evaluation.episodes)
-        prepared = self._jobs[0].planned.prepared
-        return rule_episodes(self._experiment, prepared, evaluation.rules, evaluation.seed, episodes)
+        days, prepared = evaluation.last_episodes, self._jobs[0].planned.prepared
+        return rule_episodes(self._experiment, prepared, evaluation.rules, evaluation.seed, days)
 
     def _exit_code(self, stopped: bool) -> int:
         if stopped:

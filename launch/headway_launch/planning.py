@@ -27,6 +27,8 @@ class PlannedJob:
     seeds: tuple[int, ...]
     resumed: tuple[str, ...] = ()
     """Identities of the runs to go on with, one a seed; empty: new ones."""
+    workers: int | None = None
+    """Rollout workers that its checkpoint knows; None for a new job, which takes its share of the cores."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,21 @@ def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
     )
 
 
-def share_cores(backend: BackendConfig, jobs: int, cores: int) -> Shares:
-    """As many training processes as cores (at most one a job); each has its share of the cores as workers."""
-    parallel = min(backend.parallel or cores, jobs)
+def share_cores(backend: BackendConfig, jobs: int, cores: int, stored_workers: int = 1) -> Shares:
+    """As many training processes as cores (at most one a job); each has its share of the cores as workers.
+    Stored jobs, whose number of workers is fixed, run side by side as far as the cores go round."""
+    parallel = min(backend.parallel or max(1, cores // stored_workers), jobs)
     return Shares(parallel, backend.workers or max(1, cores // parallel))
+
+
+def workers_of(job: PlannedJob, shares: Shares) -> int:
+    """Rollout workers of a job: what its checkpoints were made with, or as many as have work to do."""
+    config = job.experiment.config
+    if job.workers is not None:
+        return job.workers
+    if config.backend.name == "serial":
+        return 1
+    return min(shares.workers, config.rollout.copies // config.rollout.block)
 
 
 def require_free_disk(root: Path, seeds: int) -> None:

@@ -1,8 +1,8 @@
 """What one job reports goes into the runs of its seeds."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from headway.events import (
     CheckpointSaved,
@@ -13,10 +13,11 @@ from headway.events import (
     IterationFinished,
     Row,
     Started,
+    Usage,
 )
 
 if TYPE_CHECKING:
-    from headway.energy.ledger import JobUsage
+    from headway.energy.ledger import Energy, JobUsage
     from headway.store.folder import Status
     from headway.store.session import Run
 
@@ -30,13 +31,12 @@ class JobRecording:
 
     runs: Sequence["Run"]
     uses_gpu: bool = False
-    before: Sequence[Mapping[str, Any]] = ()
-    """Summaries of earlier sessions that trained these runs, one a seed; empty for new ones."""
+    before: Sequence[Row] = ()
+    """Last energy samples of earlier sessions that trained these runs, one a seed; empty for new ones."""
     env_steps: int = 0
     """Environment steps of each seed, those before a resume included."""
-    cpu_seconds: float = 0.0
-    """Of this session, all seeds of the job together."""
-    memory_bytes: int = 0
+    used: Usage = field(default_factory=Usage)
+    """In this session, all seeds of the job together."""
     process_ids: tuple[int, ...] = ()
     status: "Status" = "RUNNING"
     failure: Failed | None = None
@@ -49,18 +49,19 @@ class JobRecording:
             case Started(process_ids=process_ids):
                 self.process_ids = process_ids
             case IterationFinished():
-                self.env_steps, self.cpu_seconds = event.env_steps, event.cpu_seconds
-                self.memory_bytes = event.memory_bytes
+                self.env_steps, self.used = event.env_steps, event.usage
                 # The training process's own clock: events may wait while the session is busy.
                 self._last = (float(event.curve[0]["wall_s"]), event.env_steps)
                 self._first = self._first or self._last
                 self._points(event.curve)
-            case EvaluationFinished(curve=curve):
+            case EvaluationFinished(usage=usage, curve=curve):
+                self.used = usage
                 self._points(curve)
             case CheckpointSaved(iteration=iteration):
                 for run in self.runs:
                     run.durable(iteration)
-            case Finished(stopped=stopped):
+            case Finished(stopped=stopped, usage=usage):
+                self.used = usage or self.used
                 self.status = "KILLED" if stopped else "FINISHED"
             case Failed():
                 self.status, self.failure = "FAILED", event
@@ -72,11 +73,24 @@ class JobRecording:
         from headway.energy.ledger import JobUsage
 
         return JobUsage(
-            self.cpu_seconds,
-            self.memory_bytes,
+            self.used.cpu_seconds,
+            self.used.memory_bytes,
             uses_gpu=self.uses_gpu,
             process_ids=self.process_ids,
         )
+
+    def keep_energy(self, time: float, energy: "Energy") -> Sequence[Row]:
+        """Give each run a sample of what its training has used by `time` (seconds since 1970), over all
+        sessions, where `energy` is the job's in this one; the samples, one a seed."""
+        seeds = len(self.runs)
+        share = {**energy.per_seed(seeds).as_row(), "cpu_seconds": self.used.cpu_seconds / seeds}
+        samples = []
+        for run, before in zip(self.runs, self.before or (dict[str, float](),) * seeds, strict=True):
+            earlier = {name: float(value) for name, value in before.items() if name != "time"}
+            sums = {name: earlier.get(name, 0.0) + share.get(name, 0.0) for name in {**earlier, **share}}
+            samples.append({"time": time, **sums})
+            run.energy(samples[-1])
+        return samples
 
     @property
     def steps_per_second(self) -> float | None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from headway.config import ExperimentConfig
 from headway.events import Row
@@ -11,10 +11,10 @@ from headway_launch.comparison import print_comparison
 from headway_launch.tables import Cell, print_table
 
 if TYPE_CHECKING:
-    from headway.energy.ledger import Energy
     from headway.store.session import Run
     from headway_launch.recording import JobRecording
 
+_USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
 _COLUMNS = ("seed", "status", "final reward", "AUC", "env steps", "steps/s", "CPU s", "kWh", "kg CO2eq")
 
 
@@ -69,21 +69,11 @@ def seed_result(
     run: "Run",
     recording: "JobRecording",
     mode: str,
-    energy: "Energy",
+    used: Row,
     energy_modes: Mapping[str, str],
-    before: Mapping[str, Any],
 ) -> SeedResult:
-    """The figures of a run whose training has ended, from its log; `before` is the summary of earlier
-    sessions, whose use is added."""
+    """The figures of a run whose training has ended, from its log and its last energy sample."""
     final, area = curve_figures(run, mode)
-    used = {
-        "cpu_seconds": recording.cpu_seconds / len(recording.runs),
-        "kwh": energy.kwh,
-        "kg_co2": energy.kg_co2,
-        "cpu_kwh": energy.cpu_kwh,
-        "gpu_kwh": energy.gpu_kwh,
-        "ram_kwh": energy.ram_kwh,
-    }
     return SeedResult(
         seed=run.record.seed,
         status=recording.status,
@@ -93,14 +83,9 @@ def seed_result(
         auc=area,
         env_steps=max(recording.env_steps, run.record.durable_env_steps),
         steps_per_second=recording.steps_per_second,
-        use={name: _sum(before.get(name), value) for name, value in used.items()},
+        use={name: float(used[name]) if name in used else None for name in _USE},
         energy_modes=energy_modes,
     )
-
-
-def _sum(before: float | None, now: float | None) -> float | None:
-    known = [part for part in (before, now) if part is not None]
-    return sum(known) if known else None
 
 
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:

@@ -1,5 +1,7 @@
 """Runs in the store, as experiments again."""
 
+import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +22,8 @@ class StoredRun:
     record: RunRecord
     mapping: dict[str, Any]
     stack: tuple[int, ...]
+    workers: int | None
+    """Rollout workers, each with its part of a checkpoint; None where the run's plan does not tell."""
 
     @classmethod
     def find(cls, root: Path, run_id: str) -> "StoredRun":
@@ -40,8 +44,15 @@ class StoredRun:
             raise HeadwayError(f"{path} holds no configuration: the run cannot be used")
         # The store may have been moved since.
         mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
-        stack = tuple(int(seed) for seed in read_json(directory / "plan.json")["stack"])
-        return cls(directory, RunRecord.read(directory), mapping, stack)
+        plan = read_json(directory / "plan.json")
+        stack = tuple(int(seed) for seed in plan["stack"])
+        return cls(directory, RunRecord.read(directory), mapping, stack, plan.get("workers"))
+
+    @property
+    def configuration(self) -> str:
+        """Its whole configuration but for the seed, to be compared."""
+        rest = {key: value for key, value in self.mapping.items() if key != "seed"}
+        return json.dumps(rest, sort_keys=True, default=str)
 
     @property
     def experiment(self) -> Experiment:
@@ -50,17 +61,22 @@ class StoredRun:
 
 
 def jobs_to_resume(runs: Sequence[StoredRun]) -> list[tuple[PlannedJob, ...]]:
-    """The jobs that go on with `runs`, those of one experiment together, stacks as they were.
+    """The jobs that go on with `runs`, stacks as they were: those of one configuration together, but for
+    runs of one seed, which go on one after another.
 
     Raises HeadwayError where a stack is incomplete: its seeds go on together or not at all.
     """
-    cells: dict[tuple[str, str], list[StoredRun]] = {}
-    for run in runs:
-        cells.setdefault((run.record.study, run.record.cell), []).append(run)
-    return [_cell_jobs(cell) for cell in cells.values()]
+    batches: dict[tuple[str, int], list[StoredRun]] = {}
+    times: Counter[tuple[str, int]] = Counter()
+    # By age, so that the runs of a stack, which began together, come into one batch.
+    for run in sorted(runs, key=lambda run: run.record.started):
+        seed = run.configuration, run.record.seed
+        batches.setdefault((run.configuration, times[seed]), []).append(run)
+        times[seed] += 1
+    return [_batch_jobs(batch) for batch in batches.values()]
 
 
-def _cell_jobs(runs: Sequence[StoredRun]) -> tuple[PlannedJob, ...]:
+def _batch_jobs(runs: Sequence[StoredRun]) -> tuple[PlannedJob, ...]:
     first = runs[0]
     seeds = [run.record.seed for run in runs]
     experiment = resolve({**first.mapping, "seed": seeds})
@@ -76,5 +92,5 @@ def _cell_jobs(runs: Sequence[StoredRun]) -> tuple[PlannedJob, ...]:
                 f"name the runs of seed {', '.join(map(str, missing))} too"
             )
         run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
-        jobs.append(PlannedJob(experiment, prepared, spec, stack, run_ids))
+        jobs.append(PlannedJob(experiment, prepared, spec, stack, run_ids, by_seed[stack[0]].workers))
     return tuple(jobs)

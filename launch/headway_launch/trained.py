@@ -35,18 +35,9 @@ def newest_policy(run: StoredRun, prepared: object, spec: EnvSpec) -> TrainedPol
         print(f"headway: {line}", file=sys.stderr)
     experiment, rollout = run.experiment, run.experiment.config.rollout
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
-    plan = RolloutPlan(
-        experiment.env.make,
-        experiment.env.preload,
-        prepared,
-        spec,
-        policy,
-        (run.record.seed,),
-        rollout.copies,
-        rollout.steps,
-        rollout.block,
-    )
-    replica, replicas = int(state["replica"]), len(run.stack)
+    env, seeds = experiment.env, (run.record.seed,)
+    plan = RolloutPlan.of(rollout, env.make, env.preload, prepared, spec, policy, seeds)
+    replica, replicas = run.stack.index(run.record.seed), len(run.stack)
     parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}
     return TrainedPolicy(plan, parameters, iteration)
 

@@ -12,7 +12,7 @@ def _require(holds: bool, message: str) -> None:
 
 @dataclass(frozen=True)
 class EnvConfig:
-    """Which environment, with which arguments and wrappers."""
+    """Which environment, with which arguments."""
 
     id: str = "bus"
     """Name in the registry: see `headway list envs`."""
@@ -79,6 +79,11 @@ class EvaluationConfig:
         _require(self.every >= 1, "every must be at least 1")
         _require(self.final_episodes >= 1, "final_episodes must be at least 1")
         _require(len(self.modes) >= 1, "modes must name at least one of greedy, sampled")
+
+    @property
+    def last_episodes(self) -> int:
+        """Episodes of the last evaluation and of the rules: those of every evaluation are among them."""
+        return max(self.final_episodes, self.episodes)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,22 @@ from dataclasses import dataclass
 
 Row = Mapping[str, float | int | str]
 
+LABELS = frozenset({"copy", "episode_seed", "iteration", "env_steps", "mode", "final"})
+"""Columns of tables of episodes that say which one it was; the others are its figures."""
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What processes have used."""
+
+    cpu_seconds: float = 0.0
+    """Since they started, dead ones included."""
+    memory_bytes: int = 0
+    """Proportional memory, of those alive."""
+
+    def __add__(self, other: "Usage") -> "Usage":
+        return Usage(self.cpu_seconds + other.cpu_seconds, self.memory_bytes + other.memory_bytes)
+
 
 @dataclass(frozen=True, slots=True)
 class Started:
@@ -26,10 +42,8 @@ class IterationFinished:
     """Counted from 1."""
     env_steps: int
     """Environment steps of each seed so far."""
-    cpu_seconds: float
-    """CPU seconds of the training process and its workers, dead ones included, since they started."""
-    memory_bytes: int
-    """Proportional memory of the training process and its workers."""
+    usage: Usage
+    """Of the training process and its workers."""
     curve: tuple[Row, ...]
     """One a seed: `iteration`, `env_steps`, `wall_s` and metrics by `group/name`."""
 
@@ -42,10 +56,10 @@ class EvaluationFinished:
     env_steps: int
     mode: str
     final: bool
+    usage: Usage
+    """Of the training process and its workers."""
     curve: tuple[Row, ...]
     """One a seed: `iteration`, `env_steps`, `wall_s` and means by `evaluation_MODE/name`."""
-    episodes: tuple[tuple[Row, ...], ...]
-    """One tuple a seed, one row an episode: `episode_seed`, `length`, `return` and the episode metrics."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +82,8 @@ class Finished:
 
     iteration: int
     stopped: bool
+    usage: Usage | None = None
+    """Of the training process and its workers; None where it was killed and could not tell."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from headway.config import ExperimentConfig
 from headway.contracts import BatchedEnv, EnvSpec, Learner
 from headway.contracts.acting import ActingPolicy
 from headway.events import (
+    LABELS,
     CheckpointSaved,
     EvaluationFinished,
     Event,
@@ -22,17 +23,15 @@ from headway.events import (
     Notice,
     Row,
     Started,
+    Usage,
 )
 from headway.rollout.backends import open_collector
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
-from headway.rollout.usage import cpu_seconds, proportional_memory
-from headway.store.checkpoint import load_latest, save_checkpoint
+from headway.rollout.usage import OwnUsage
+from headway.store.checkpoint import checkpoint_bytes, load_latest, write_checkpoint
 from headway.store.folder import CHECKPOINTS
 from headway.store.log import RunLog
-
-MEMORY_EVERY_S = 5.0
-"""Reading a process's proportional memory takes milliseconds, so it is not done every iteration."""
 
 
 @dataclass(frozen=True)
@@ -58,19 +57,16 @@ class TrainingJob:
     """Run folders, one a seed."""
     resume: bool = False
 
+    @property
+    def checkpoints(self) -> tuple[Path, ...]:
+        """Folders of checkpoints, one a seed."""
+        return tuple(Path(directory, CHECKPOINTS) for directory in self.directories)
+
     def plan(self) -> RolloutPlan:
         """What decides this job's draws."""
-        rollout = self.config.rollout
-        return RolloutPlan(
-            self.make_env,
-            self.preload,
-            self.prepared,
-            self.spec,
-            self.make_policy(self.algo_config, self.spec),
-            self.seeds,
-            rollout.copies,
-            rollout.steps,
-            rollout.block,
+        policy = self.make_policy(self.algo_config, self.spec)
+        return RolloutPlan.of(
+            self.config.rollout, self.make_env, self.preload, self.prepared, self.spec, policy, self.seeds
         )
 
 
@@ -104,7 +100,7 @@ class _Training:
         self.saved_iteration = -1
         self.seconds_before = 0.0
         self.started = time.monotonic()
-        self.memory_bytes, self.memory_read = 0, -MEMORY_EVERY_S
+        self.own_usage = OwnUsage()
 
     @property
     def env_steps(self) -> int:
@@ -117,6 +113,9 @@ class _Training:
         if self.job.resume:
             self._resume()
         else:
+            # Rows of a session that died before its first checkpoint, if there was one.
+            for log in self.logs:
+                log.rewind(-1)
             self.collector.begin()
         self.report(Started(self.iteration, (os.getpid(), *self.collector.process_ids())))
         if self.saved_iteration < 0:
@@ -127,7 +126,7 @@ class _Training:
                 self._checkpoint()
         if self.saved_iteration < self.iteration:
             self._checkpoint()
-        self.report(Finished(self.iteration, stopped=self.iteration < total))
+        self.report(Finished(self.iteration, stopped=self.iteration < total, usage=self._usage()))
 
     def _iterate(self, total: int) -> None:
         began = time.monotonic()
@@ -142,11 +141,7 @@ class _Training:
         }
         rows = self._labelled(self._training_rows(metrics, episodes, seconds))
         self._log_episodes(episodes)
-        self.report(
-            IterationFinished(
-                self.iteration, self.env_steps, self._cpu_seconds(), self._memory(), tuple(rows)
-            )
-        )
+        self.report(IterationFinished(self.iteration, self.env_steps, self._usage(), tuple(rows)))
         due = self.iteration % self.config.evaluation.every == 0 or self.iteration == total
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
 
@@ -172,7 +167,7 @@ class _Training:
     def _evaluate(self, final: bool) -> list[dict[str, float | int | str]]:
         """Evaluate in every mode, report, log the episodes; one row of means a seed."""
         evaluation, parameters = self.config.evaluation, self.learner.acting_parameters()
-        count = max(evaluation.final_episodes, evaluation.episodes) if final else evaluation.episodes
+        count = evaluation.last_episodes if final else evaluation.episodes
         means: list[dict[str, float | int | str]] = [{} for _ in self.job.seeds]
         for mode in evaluation.modes:
             episodes = self.collector.evaluate(evaluation.seed, count, mode == "greedy", parameters)
@@ -185,9 +180,7 @@ class _Training:
                 mean.update(of_mode)
                 curve.append(self._labelled([of_mode])[0])
             self.report(
-                EvaluationFinished(
-                    self.iteration, self.env_steps, mode, final, tuple(curve), tuple(map(tuple, episodes))
-                )
+                EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), tuple(curve))
             )
         return means
 
@@ -203,8 +196,8 @@ class _Training:
             log.append("episodes", [{**label, **e.row} for e in episodes if e.replica == r])
 
     def _checkpoint(self) -> None:
-        """All logs first: a checkpoint never knows more than they hold, and one may be all there is when
-        a stack is killed between two writes."""
+        """All logs first: a checkpoint never knows more than they hold. Each seed's folder gets the same
+        one, of the whole stack, and one may be all there is when a stack is killed between two writes."""
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
@@ -214,13 +207,14 @@ class _Training:
         }
         for log in self.logs:
             log.commit(self.iteration)
-        for replica, directory in enumerate(self.job.directories):
-            save_checkpoint(Path(directory, CHECKPOINTS), self.iteration, {**state, "replica": replica})
+        content = checkpoint_bytes(state)
+        for directory in self.job.checkpoints:
+            write_checkpoint(directory, self.iteration, content)
         self.saved_iteration = self.iteration
         self.report(CheckpointSaved(self.iteration))
 
     def _resume(self) -> None:
-        iteration, state, notices = load_latest(Path(self.job.directories[0], CHECKPOINTS))
+        iteration, state, notices = load_latest(*self.job.checkpoints)
         for line in notices:
             self.report(Notice(line))
         self.iteration = self.saved_iteration = iteration
@@ -233,19 +227,13 @@ class _Training:
         for log in self.logs:
             log.rewind(iteration)
 
-    def _cpu_seconds(self) -> float:
-        return cpu_seconds() + self.collector.usage()[0]
-
-    def _memory(self) -> int:
-        now = time.monotonic()
-        if now - self.memory_read >= MEMORY_EVERY_S:
-            self.memory_bytes, self.memory_read = proportional_memory(), now
-        return self.memory_bytes + self.collector.usage()[1]
+    def _usage(self) -> Usage:
+        return self.own_usage.read() + self.collector.usage()
 
 
 def _means(group: str, rows: list[Row]) -> dict[str, float | int | str]:
     """Means of an episode table's numbers, named `group/column`; nothing where there are no episodes."""
     if not rows:
         return {}
-    columns = [name for name, value in rows[0].items() if name not in ("copy", "episode_seed")]
+    columns = [name for name in rows[0] if name not in LABELS]
     return {f"{group}/{name}": float(np.mean([float(row[name]) for row in rows])) for name in columns}

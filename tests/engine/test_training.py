@@ -2,7 +2,6 @@
 
 import multiprocessing
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from headway.events import (
 )
 from headway.rollout.episodes import evaluation_seeds
 from headway.rollout.processes import WorkerFailedError
-from headway.store.checkpoint import save_checkpoint
+from headway.store.checkpoint import write_checkpoint
 from headway.store.log import RunLog, read_rows
 from headway.training import TrainingJob, train
 
@@ -47,6 +46,11 @@ def _faulty(folder: Path, fault: Fault = "kill", **choices: Any) -> tuple[type[F
 
 def _of(kind: type[Event], events: list[Event]) -> list[Any]:
     return [event for event in events if isinstance(event, kind)]
+
+
+def _end(events: list[Event]) -> tuple[int, bool]:
+    assert isinstance(events[-1], Finished)
+    return events[-1].iteration, events[-1].stopped
 
 
 def test_the_log_holds_every_iteration_evaluation_and_episode(whole: Log) -> None:
@@ -68,8 +72,11 @@ def test_a_curve_s_last_point_is_of_the_same_episodes_as_the_others(tmp_path: Pa
     events = trained(job := job_of(tmp_path, iterations=2))
     last = _of(EvaluationFinished, events)[-1]
     assert last.final
-    assert len(last.episodes[0]) == 3
-    expected = np.mean([row["return"] for row in last.episodes[0][:2]])
+    played = read_rows(Path(job.directories[0]), "evaluation")[-3:]
+    assert [(row["mode"], row["final"], row["episode_seed"]) for row in played] == [
+        ("sampled", 1, day) for day in range(3)
+    ]
+    expected = np.mean([row["return"] for row in played[:2]])
     assert last.curve[0]["evaluation_sampled/return"] == expected
     assert read_rows(Path(job.directories[0]), "curve")[-1]["evaluation_sampled/return"] == expected
 
@@ -78,15 +85,23 @@ def test_events_come_in_order(tmp_path: Path) -> None:
     events = trained(job_of(tmp_path, backend="process"))
     assert isinstance(events[0], Started)
     assert len(events[0].process_ids) == 3
-    assert events[-1] == Finished(6, stopped=False)
+    assert _end(events) == (6, False)
     assert [e.iteration for e in _of(IterationFinished, events)] == [1, 2, 3, 4, 5, 6]
     assert [e.iteration for e in _of(CheckpointSaved, events)] == [2, 4, 6]
     assert [(e.iteration, e.final) for e in _of(EvaluationFinished, events)[::2]] == [
         (0, False), (2, False), (4, False), (6, True),
     ]  # fmt: skip
-    cpu = [e.cpu_seconds for e in _of(IterationFinished, events)]
+    told = [e for e in events if isinstance(e, IterationFinished | EvaluationFinished | Finished)]
+    cpu = [e.usage.cpu_seconds for e in told if e.usage]
+    assert len(cpu) == len(told)
     assert cpu == sorted(cpu)
     assert cpu[0] > 0
+
+
+def test_the_last_word_counts_the_last_evaluation_and_checkpoint(tmp_path: Path) -> None:
+    events = trained(job_of(tmp_path, iterations=1))
+    before, after = (event.usage.cpu_seconds for event in (_of(IterationFinished, events)[0], events[-1]))  # type: ignore[union-attr]
+    assert after - before > 0.002
 
 
 def test_the_same_again_is_the_same(whole: Log, tmp_path: Path) -> None:
@@ -165,17 +180,18 @@ def test_stopped_and_resumed_equals_never_stopped(
 ) -> None:
     job = job_of(tmp_path, backend=backend)
     events = trained(job, stop_after=stop)
-    assert events[-2:] == [CheckpointSaved(stop), Finished(stop, stopped=True)]
+    assert events[-2] == CheckpointSaved(stop)
+    assert _end(events) == (stop, True)
     events = trained(replace(job, resume=True))
     assert _of(Started, events)[0].iteration == stop
     assert logs_of(job) == [whole]
-    assert trained(replace(job, resume=True))[-1] == Finished(6, stopped=False)  # nothing is left to do
+    assert _end(trained(replace(job, resume=True))) == (6, False)  # nothing is left to do
     assert logs_of(job) == [whole]
 
 
 def test_stopped_before_the_first_iteration_and_resumed(whole: Log, tmp_path: Path) -> None:
     job = job_of(tmp_path)
-    assert trained(job, stop_after=0)[-1] == Finished(0, stopped=True)
+    assert _end(trained(job, stop_after=0)) == (0, True)
     trained(replace(job, resume=True), stop_after=0)
     trained(replace(job, resume=True))
     assert logs_of(job) == [whole]
@@ -222,9 +238,9 @@ def test_a_stack_killed_between_two_writes_loses_nothing(
         if written > writes:
             raise KeyboardInterrupt
 
-    def save(directory: Path, iteration: int, state: Mapping[str, Any]) -> Path:
+    def save(directory: Path, iteration: int, content: bytes) -> Path:
         count()
-        return save_checkpoint(directory, iteration, state)
+        return write_checkpoint(directory, iteration, content)
 
     class CountedLog(RunLog):
         def commit(self, iteration: int) -> None:
@@ -233,11 +249,40 @@ def test_a_stack_killed_between_two_writes_loses_nothing(
 
     job = job_of(tmp_path / "disturbed", seeds=(5, 6))
     with monkeypatch.context() as patch:
-        patch.setattr(training, "save_checkpoint", save)
+        patch.setattr(training, "write_checkpoint", save)
         patch.setattr(training, "RunLog", CountedLog)
         with pytest.raises(KeyboardInterrupt):
             trained(job)
     trained(replace(job, resume=True))
+    assert logs_of(job) == logs_of(undisturbed)
+
+
+def test_rows_of_a_session_that_died_before_its_first_checkpoint_are_not_doubled(
+    whole: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def die(directory: Path, iteration: int, content: bytes) -> Path:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "write_checkpoint", die)
+        with pytest.raises(KeyboardInterrupt):
+            trained(job_of(tmp_path))
+    assert log_of(tmp_path / "5")["curve"]
+    trained(job := job_of(tmp_path))
+    assert logs_of(job) == [whole]
+
+
+def test_a_stack_resumes_from_whichever_of_its_folders_holds_the_newest_whole_checkpoint(
+    tmp_path: Path,
+) -> None:
+    trained(undisturbed := job_of(tmp_path / "whole", seeds=(5, 6)))
+    job = job_of(tmp_path / "disturbed", seeds=(5, 6))
+    trained(job, stop_after=4)
+    newest, same = (folder / "checkpoint-000004.pt" for folder in job.checkpoints)
+    assert newest.read_bytes() == same.read_bytes()
+    newest.write_bytes(newest.read_bytes()[:-1])
+    events = trained(replace(job, resume=True))
+    assert _of(Started, events)[0].iteration == 4
     assert logs_of(job) == logs_of(undisturbed)
 
 

@@ -115,7 +115,7 @@ def _train(task: Task) -> Measurement:
             marks.append(
                 (
                     time.monotonic(),
-                    event.cpu_seconds,
+                    event.usage.cpu_seconds,
                     float(row["time/collect_s"]),
                     float(row["time/learn_s"]),
                 )

@@ -24,7 +24,7 @@ The differences are those of the return, policy minus rule, day by day, with 95%
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run and the days."""
     parser.add_argument("run", metavar="RUN", help="identity as `headway runs` shows it")
-    parser.add_argument("--episodes", type=int, help="days (default: the run's evaluation.final_episodes)")
+    parser.add_argument("--episodes", type=int, help="days (default: those of the run's last evaluation)")
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
     parser.add_argument(
         "--seed", type=int, help="root of the days' seeds (default: the run's evaluation.seed)"
@@ -45,7 +45,7 @@ def execute(arguments: argparse.Namespace) -> int:
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
     experiment = run.experiment
     evaluation = experiment.config.evaluation
-    episodes = evaluation.final_episodes if arguments.episodes is None else arguments.episodes
+    episodes = evaluation.last_episodes if arguments.episodes is None else arguments.episodes
     root = evaluation.seed if arguments.seed is None else arguments.seed
     if episodes < 1 or root < 0:
         raise HeadwayError("--episodes must be at least 1 and --seed at least 0")

@@ -10,14 +10,14 @@ EXAMPLES = """\
 examples:
   headway resume bus-mappo-1f2e3d-s0-20260101-120000-ab12
   headway resume s0-20260101-1200          any part of the name that only one run has
-  headway resume --study bus               all killed runs of a study
+  headway resume --study bus               all killed and failed runs of a study
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Runs or a study, and the store."""
     parser.add_argument("runs", metavar="RUN", nargs="*", help="identities as `headway runs` shows them")
-    parser.add_argument("--study", help="all KILLED runs of this study")
+    parser.add_argument("--study", help="all KILLED and FAILED runs of this study")
     parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
 
 
@@ -33,13 +33,17 @@ def execute(arguments: argparse.Namespace) -> int:
     root = existing_store(arguments.store)
     names = list(arguments.runs)
     if arguments.study:
-        names += [row.run_id for row in RunIndex(root).rows(arguments.study) if row.status == "KILLED"]
+        rows = RunIndex(root).rows(arguments.study)
+        names += [row.run_id for row in rows if row.status in ("KILLED", "FAILED")]
     if not names:
         missing = (
-            f"study {arguments.study} has no killed runs" if arguments.study else "name a run or --study"
+            f"study {arguments.study} has no killed or failed runs"
+            if arguments.study
+            else "name a run or --study"
         )
-        raise HeadwayError(f"{missing}; `headway runs --status KILLED` shows what can go on")
-    runs = [StoredRun.find(root, name) for name in dict.fromkeys(names)]
+        raise HeadwayError(f"{missing}; `headway runs` shows what is KILLED or FAILED and can go on")
+    found = [StoredRun.find(root, name) for name in names]
+    runs = list({run.directory: run for run in found}.values())
     worst = 0
     for jobs in jobs_to_resume(runs):
         worst = max(worst, Conductor(jobs, arguments.debug).conduct())

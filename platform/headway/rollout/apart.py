@@ -3,7 +3,7 @@
 from typing import Any
 
 from headway.contracts.acting import Parameters
-from headway.events import Row
+from headway.events import Row, Usage
 from headway.rollout.collecting import Collector
 from headway.rollout.sampler import Episode
 
@@ -39,10 +39,9 @@ class EvaluatingApart:
         """Workers of both."""
         return self.training.process_ids() + self.evaluating.process_ids()
 
-    def usage(self) -> tuple[float, int]:
+    def usage(self) -> Usage:
         """Of both."""
-        (cpu, memory), (more_cpu, more_memory) = self.training.usage(), self.evaluating.usage()
-        return cpu + more_cpu, memory + more_memory
+        return self.training.usage() + self.evaluating.usage()
 
     def close(self) -> None:
         """End both."""

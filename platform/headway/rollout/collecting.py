@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
-from headway.events import Row
+from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.rollout.sampler import Episode
@@ -44,8 +44,8 @@ class Collector(Protocol):
         """Worker processes alive."""
         ...
 
-    def usage(self) -> tuple[float, int]:
-        """CPU seconds of all workers so far, dead ones included, and their proportional memory in bytes."""
+    def usage(self) -> Usage:
+        """Of all workers, as far as known."""
         ...
 
     def close(self) -> None: ...
@@ -66,8 +66,8 @@ def require_shards(snapshots: list[Any], shards: int) -> None:
     """Raise HeadwayError unless a checkpoint has one snapshot a shard."""
     if len(snapshots) != shards:
         raise HeadwayError(
-            f"the checkpoint was made with {len(snapshots)} workers; "
-            f"set backend.name=process backend.workers={len(snapshots)}"
+            f"the checkpoint was made with {len(snapshots)} workers, not with {shards}; "
+            f'let "workers" in the run\'s plan.json be {len(snapshots)}, and backend.name what it was'
         )
 
 

@@ -1,9 +1,11 @@
-"""What decides the draws of a run: kept with it, and used again when it is resumed."""
+"""What decides the draws of a run, and how its copies are dealt out to workers. A run's `plan.json` keeps
+the numbers (seeds of the stack, copies, steps, block, workers), and a resumed run takes them from there."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
+from headway.config import RolloutConfig
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError
 from headway.contracts.acting import ActingPolicy
 
@@ -36,6 +38,21 @@ class RolloutPlan:
     """T"""
     block: int
     """B: copies of each replica whose actions are computed in one piece."""
+
+    @classmethod
+    def of(
+        cls,
+        rollout: RolloutConfig,
+        make_env: Callable[[Any, int], BatchedEnv],
+        preload: tuple[str, ...],
+        prepared: object,
+        spec: EnvSpec,
+        policy: ActingPolicy,
+        seeds: tuple[int, ...],
+    ) -> Self:
+        """The plan with the numbers of a configuration."""
+        numbers = {"copies": rollout.copies, "steps": rollout.steps, "block": rollout.block}
+        return cls(make_env, preload, prepared, spec, policy, seeds, **numbers)
 
     @property
     def replicas(self) -> int:

@@ -6,14 +6,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
 
 from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
 from headway.contracts.acting import Parameters
-from headway.events import Row
+from headway.events import Row, Usage
 from headway.rollout.collecting import evaluation_requests, joined, require_shards, restart_purpose
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
@@ -48,12 +48,11 @@ class _Worker:
     """Its episodes have started."""
     snapshot: Any = None
     """Where it stood after its last command that moved it."""
-    cpu_seconds: float = 0.0
-    memory_bytes: int = 0
+    usage: Usage = field(default_factory=Usage)
 
     def remember(self, command: Command, done: Done) -> None:
         """Note what it says of itself after a command."""
-        self.cpu_seconds, self.memory_bytes = done.cpu_seconds, done.memory_bytes
+        self.usage = done.usage
         if not isinstance(command, Evaluate):
             self.begun, self.snapshot = True, done.snapshot
 
@@ -112,10 +111,9 @@ class ProcessCollector:
         """Worker processes, by id."""
         return [worker.process.pid for worker in self.workers if worker.process.pid is not None]
 
-    def usage(self) -> tuple[float, int]:
+    def usage(self) -> Usage:
         """As the workers last reported."""
-        cpu = self.lost_cpu_seconds + sum(worker.cpu_seconds for worker in self.workers)
-        return cpu, sum(worker.memory_bytes for worker in self.workers)
+        return sum((worker.usage for worker in self.workers), Usage(self.lost_cpu_seconds))
 
     def close(self) -> None:
         """End the workers, busy ones after some seconds of grace."""
@@ -168,7 +166,7 @@ class ProcessCollector:
         old.process.kill()
         old.process.join()
         old.pipe.close()
-        self.lost_cpu_seconds += old.cpu_seconds
+        self.lost_cpu_seconds += old.usage.cpu_seconds
         worker = self.workers[shard] = self._start(shard)
         steps: list[Command] = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.

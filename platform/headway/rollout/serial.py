@@ -4,7 +4,7 @@ from typing import Any
 
 from headway.contracts import Trajectory, TrajectoryLayout
 from headway.contracts.acting import Parameters
-from headway.events import Row
+from headway.events import Row, Usage
 from headway.rollout.collecting import evaluation_requests, joined, require_shards, restart_purpose
 from headway.rollout.episodes import evaluate_policy
 from headway.rollout.plan import RolloutPlan
@@ -51,9 +51,9 @@ class SerialCollector:
         """None: this process does the work."""
         return []
 
-    def usage(self) -> tuple[float, int]:
+    def usage(self) -> Usage:
         """Nothing beside this process."""
-        return 0.0, 0
+        return Usage()
 
     def close(self) -> None:
         """Close the environment."""

@@ -3,6 +3,25 @@
 import time
 from pathlib import Path
 
+from headway.events import Usage
+
+_MEMORY_EVERY_S = 5.0
+"""Reading proportional memory takes up to milliseconds, so it is not done at every iteration."""
+
+
+class OwnUsage:
+    """Tells what this process has used; the memory may be some seconds old."""
+
+    def __init__(self) -> None:
+        self._memory_bytes, self._read_at = 0, -_MEMORY_EVERY_S
+
+    def read(self) -> Usage:
+        """As of now."""
+        now = time.monotonic()
+        if now - self._read_at >= _MEMORY_EVERY_S:
+            self._memory_bytes, self._read_at = proportional_memory(), now
+        return Usage(cpu_seconds(), self._memory_bytes)
+
 
 def cpu_seconds() -> float:
     """CPU seconds of this process, all its threads, since it started."""

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
-from headway.events import Row
+from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, Sampler
-from headway.rollout.usage import cpu_seconds, proportional_memory
+from headway.rollout.usage import OwnUsage
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,7 @@ class Done:
     episodes: list[Episode]
     evaluation: list[list[Row]]
     snapshot: Any
-    cpu_seconds: float
-    memory_bytes: int
+    usage: Usage
 
 
 @dataclass(frozen=True)
@@ -139,6 +138,7 @@ class _Service:
         self.trajectory = Trajectory.over(setup.trajectory.buffer, layout)
         shapes = plan.policy.parameter_shapes(plan.replicas)
         self.parameters = parameter_arrays(shapes, setup.parameters.buffer)
+        self.own_usage = OwnUsage()
 
     @cached_property
     def sampler(self) -> Sampler:
@@ -151,14 +151,14 @@ class _Service:
         match command:
             case Evaluate(request=request):
                 evaluation = evaluate_policy(self.plan, self.parameters, request)
-                return Done([], evaluation, None, cpu_seconds(), proportional_memory())
+                return Done([], evaluation, None, self.own_usage.read())
             case Begin(purpose=purpose):
                 self.sampler.begin(purpose)
             case Restore(snapshot=snapshot):
                 self.sampler.restore(snapshot)
             case Collect(iteration=iteration):
                 episodes = self.sampler.collect(iteration, self.parameters)
-        return Done(episodes, [], self.sampler.snapshot(), cpu_seconds(), proportional_memory())
+        return Done(episodes, [], self.sampler.snapshot(), self.own_usage.read())
 
 
 def _end_with_parent() -> None:

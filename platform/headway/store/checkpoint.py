@@ -8,7 +8,7 @@ import io
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,49 +22,57 @@ _KIND = "__headway__"
 
 
 def save_checkpoint(directory: Path, iteration: int, state: Mapping[str, Any]) -> Path:
-    """Write `state` durably as the checkpoint of `iteration` and keep the last two.
+    """`write_checkpoint` of `checkpoint_bytes`; raises as they do."""
+    return write_checkpoint(directory, iteration, checkpoint_bytes(state))
+
+
+def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
+    """The contents of a checkpoint's file.
 
     `state` holds tensors, numpy arrays and scalars, numbers, strings, bytes, None, and lists, tuples and
-    dicts of these. Raises ValueError, naming its place, for anything else; HeadwayError if it cannot be
-    written, and then the earlier checkpoints are untouched.
+    dicts of these. Raises ValueError, naming its place, for anything else.
     """
     import torch
 
     payload = io.BytesIO()
     torch.save(_encoded(state, "state"), payload)
     content = payload.getbuffer()
+    return b"".join((_MAGIC, hashlib.sha256(content).digest(), content))
+
+
+def write_checkpoint(directory: Path, iteration: int, content: bytes) -> Path:
+    """Write the checkpoint of `iteration` durably and keep the last two.
+
+    Raises HeadwayError if it cannot be written, and then the earlier checkpoints are untouched.
+    """
     path = directory / f"checkpoint-{iteration:06d}.pt"
-
-    def write(stream: IO[bytes]) -> None:
-        stream.write(_MAGIC)
-        stream.write(hashlib.sha256(content).digest())
-        stream.write(content)
-
     make_folder(directory)
     remove_partial(directory, "checkpoint-")
-    write_durably(path, write)
+    write_durably(path, lambda stream: stream.write(content))
     for _, older in _checkpoints(directory)[_KEPT:]:
         older.unlink(missing_ok=True)
     sync_folder(directory)
     return path
 
 
-def load_latest(directory: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
-    """(iteration, state, notices) of the newest whole checkpoint; tensors are on the CPU.
+def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
+    """(iteration, state, notices) of the newest whole checkpoint in folders that hold the same ones, as far
+    as they hold them (a stack's); tensors are on the CPU.
 
     A notice is one line about a checkpoint that had to be passed over. Raises HeadwayError if none is whole.
     """
     notices: list[str] = []
-    for iteration, path in _checkpoints(directory):
+    found = [entry for directory in directories for entry in _checkpoints(directory)]
+    # The sort is stable: of one iteration, the first folder's comes first.
+    for iteration, path in sorted(found, key=lambda entry: -entry[0]):
         try:
             return iteration, _load(path), tuple(notices)
         except (OSError, ValueError) as error:
             notices.append(f"checkpoint {path.name} is broken ({error}) and was passed over")
+    where = " or ".join(str(directory) for directory in directories)
     if notices:
-        raise HeadwayError(
-            f"no checkpoint in {directory} is whole: start the run anew ({'; '.join(notices)})"
-        )
-    raise HeadwayError(f"there is no checkpoint in {directory}: start the run anew")
+        raise HeadwayError(f"no checkpoint in {where} is whole: start the run anew ({'; '.join(notices)})")
+    raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
 
 
 def latest_iteration(directory: Path) -> int | None:

@@ -50,5 +50,7 @@ class EnergyLog:
         if not self._loaded and self._path.exists():
             import pyarrow.parquet as pq
 
-            self._rows = [*pq.ParquetFile(self._path).read().to_pylist(), *self._rows]
+            stored = pq.ParquetFile(self._path).read().to_pylist()
+            known = ({name: value for name, value in row.items() if value is not None} for row in stored)
+            self._rows = [*known, *self._rows]
         self._loaded = True

@@ -11,7 +11,7 @@ from typing import Any, Self
 from headway.config import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.durable import locked, make_folder, write_json, write_text
+from headway.store.durable import locked, make_folder, read_json, write_json, write_text
 from headway.store.energy_log import EnergyLog
 from headway.store.folder import (
     SUMMARY,
@@ -145,9 +145,13 @@ class Cell:
         return Run(self._store, directory, record)
 
     def keep_rules(self, episodes: Mapping[str, Sequence[Row]]) -> None:
-        """Keep what rules did on the evaluation days, beside the cell's runs: name -> one row a day."""
-        rows = {rule: [dict(row) for row in rows] for rule, rows in episodes.items()}
-        write_json(rules_file(self._store.root, self._study, self.name), rows)
+        """Keep what rules did on the evaluation days, beside the cell's runs: name -> one row a day. Rules
+        kept by earlier sessions stay, but for those played again."""
+        if not episodes:
+            return
+        path = rules_file(self._store.root, self._study, self.name)
+        kept = read_json(path) if path.exists() else {}
+        write_json(path, kept | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
     def finish(self, status: Status, figures: Mapping[str, float] | None = None) -> None:
         """End the cell's parent run in MLflow, with figures over its seeds."""

@@ -236,11 +236,11 @@ def test_cpu_seconds_of_replaced_workers_still_count(tmp_path: Path) -> None:
     with collector_of(plan, workers=2) as collector:
         collector.begin()
         taken = take(collector.trajectory, collector.collect(1, parameters_of(plan)))
-        before, memory = collector.usage()
-        assert before > 0
-        assert memory > 1_000_000
+        before = collector.usage()
+        assert before.cpu_seconds > 0
+        assert before.memory_bytes > 1_000_000
         for process_id in collector.process_ids():
             _kill(process_id)
         collector.collect(2, parameters_of(plan))
-        assert collector.usage()[0] > before
+        assert collector.usage().cpu_seconds > before.cpu_seconds
     assert len(taken.episodes) > 0

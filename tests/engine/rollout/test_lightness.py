@@ -41,8 +41,8 @@ for attempt in ("cold", "warm"):
     collector.begin()
     ready = time.monotonic() - began
     collector.collect(1, parameters)
-    resident = [psutil.Process(process_id).memory_info().rss for process_id in collector.process_ids()]
-    _, proportional = collector.usage()
+    workers = [psutil.Process(process_id).memory_full_info() for process_id in collector.process_ids()]
+    resident, proportional = [worker.rss for worker in workers], sum(worker.pss for worker in workers)
     collector.close()
 print(json.dumps({"ready_s": ready, "resident": resident, "proportional": proportional / 2}))
 """

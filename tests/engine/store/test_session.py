@@ -19,6 +19,7 @@ from headway.events import Row
 from headway.store import Run, RunIndex, RunLog, SessionStore, sync
 from headway.store.checkpoint import save_checkpoint
 from headway.store.durable import read_json
+from headway.store.folder import rules_file
 from headway.store.tracking import Tracker
 
 ITERATIONS = 40
@@ -150,6 +151,18 @@ def test_a_resumed_run_repeats_no_point(root: Path) -> None:
     assert (row.status, row.iterations, row.final_reward) == ("FINISHED", ITERATIONS, 1.0)
     with pytest.raises(HeadwayError, match="has finished"):
         second.resume(run.run_id)
+
+
+def test_rules_kept_by_earlier_sessions_stay(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    cell = store.begin_cell("study one", "bus", "mappo", {})
+    cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
+    cell.keep_rules({"held": [{"return": 1.0}], "random": [{"return": 2.0}]})
+    cell.keep_rules({})
+    cell.keep_rules({"random": [{"return": 3.0}]})
+    kept = read_json(rules_file(root, "study one", cell.name))
+    assert kept == {"held": [{"return": 1.0}], "random": [{"return": 3.0}]}
+    store.close()
 
 
 def test_a_running_run_is_not_taken_over(root: Path) -> None:
