@@ -9,12 +9,16 @@ Each check raises AssertionError with what was broken.
 
 import pickle
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.adapters.recording import RandomPlay, Recording, assert_same, record
 from headway.contracts import BatchedEnv, HeadwayError
+from headway.store.checkpoint import load_latest, save_checkpoint
 
 Make = Callable[[int], BatchedEnv]
 """(copies) -> environment."""
@@ -102,7 +106,7 @@ def check_copies(make: Make, recording: Recording) -> None:
 
 
 def check_snapshots(make: Make, recording: Recording) -> None:
-    """A snapshot sent elsewhere goes on bit for bit, from mid-episode and across an episode's end."""
+    """A snapshot kept in a checkpoint goes on bit for bit, from mid-episode and across an episode's end."""
     seeds = seeds_from(FIRST_SEED, COPIES)
     env = make(COPIES)
     play_on = RandomPlay(seeds)
@@ -113,10 +117,9 @@ def check_snapshots(make: Make, recording: Recording) -> None:
         except HeadwayError:
             return
         raise AssertionError("snapshots is false in the spec, and snapshot() raises no HeadwayError")
-    saved = pickle.dumps((env.snapshot(), play_on))
+    snapshot, play_elsewhere = _through_a_checkpoint(env.snapshot()), pickle.loads(pickle.dumps(play_on))
     on = record(env, env.restore(env.snapshot()), play_on, LONGEST, episodes=2)
     env.close()
-    snapshot, play_elsewhere = pickle.loads(saved)
     other = make(COPIES)
     observed = other.restore(snapshot)
     np.testing.assert_array_equal(observed.alive, before.trajectory.alive[-1], "alive")
@@ -125,6 +128,15 @@ def check_snapshots(make: Make, recording: Recording) -> None:
         rest = min(on.steps, recording.steps - before.steps)
         assert_same(on.of_copy(copy, steps=rest), recording.of_copy(copy, before.steps, rest))
     other.close()
+
+
+def _through_a_checkpoint(snapshot: Any) -> Any:  # noqa: ANN401 - opaque to the engine
+    with TemporaryDirectory() as folder:
+        try:
+            save_checkpoint(Path(folder), 0, {"snapshot": snapshot})
+        except ValueError as error:
+            raise AssertionError(f"a checkpoint cannot hold the snapshot: {error}") from error
+        return load_latest(Path(folder))[1]["snapshot"]
 
 
 CHECKS: Mapping[str, Check] = {

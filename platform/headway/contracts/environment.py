@@ -111,8 +111,10 @@ class BatchedEnv(Protocol):
         """Apply actions, (C, N) int64 or (C, N, size) float32. Actions of agents not alive are ignored."""
         ...
 
-    def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the engine, picklable
-        """A picklable value from which `restore` continues bit for bit (only if spec.snapshots)."""
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the engine
+        """A value from which `restore` continues bit for bit (only if spec.snapshots), such as a checkpoint
+        holds: numpy arrays and scalars, numbers, strings, bytes, None, and lists, tuples and dicts of these,
+        with strings or numbers as keys; no other object, not even one that can be pickled."""
         ...
 
     def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401

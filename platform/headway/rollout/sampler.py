@@ -112,7 +112,7 @@ class Sampler:
         seeds = [child_seeds(seed, purpose, self.first, self.count) for seed in self.plan.seeds]
         self.observed = self.env.reset(np.concatenate(seeds))
 
-    def snapshot(self) -> Any:  # noqa: ANN401 - opaque, picklable
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
         """Where this sampler stands between two iterations, or None if the environment cannot tell."""
         if not self.plan.spec.snapshots:
             return None

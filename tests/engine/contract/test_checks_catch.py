@@ -93,6 +93,24 @@ def test_a_broken_promise_is_caught(check: str, change: Change, spec: dict[str, 
         CHECKS[check](make, play(make))
 
 
+class Pickled(Visitors):
+    """Snapshots that a pickle holds and a checkpoint does not."""
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
+        return {"kept": super().snapshot(), "days": {1, 2}}
+
+    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+        return super().restore(snapshot["kept"])
+
+
+def test_a_snapshot_that_no_checkpoint_can_hold_is_caught() -> None:
+    def make(copies: int) -> Pickled:
+        return Pickled(VisitorsConfig(), copies)
+
+    with pytest.raises(AssertionError, match=r"cannot hold the snapshot: .*\['days'\] is a set"):
+        CHECKS["snapshots"](make, play(make))
+
+
 def test_promised_masks_that_are_missing_are_caught() -> None:
     with pytest.raises(AssertionError, match="does not promise"):
         play(lambda copies: Broken(copies, keep, {"has_action_mask": False}))
