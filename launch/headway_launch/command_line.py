@@ -9,6 +9,7 @@ from typing import NoReturn, Protocol, cast
 
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
+from headway_launch.telling import silence, tell
 
 _EXAMPLES = """\
 examples:
@@ -25,6 +26,8 @@ headway COMMAND --help shows more. Errors are one line; --debug adds the traceba
 class _Command:
     summary: str
     module: str
+    only_prints: bool = True
+    """Nothing is left to do once its reader has gone; False for what trains."""
 
 
 class _CommandModule(Protocol):
@@ -40,10 +43,12 @@ class _CommandModule(Protocol):
 
 
 _COMMANDS = {
-    "run": _Command("train an experiment, all its seeds", "run"),
-    "sweep": _Command("train an experiment over many seeds", "run"),
-    "search": _Command("search for hyper-parameters by a committed configuration", "search"),
-    "resume": _Command("go on with runs that were stopped or killed", "resume"),
+    "run": _Command("train an experiment, all its seeds", "run", only_prints=False),
+    "sweep": _Command("train an experiment over many seeds", "run", only_prints=False),
+    "search": _Command(
+        "search for hyper-parameters by a committed configuration", "search", only_prints=False
+    ),
+    "resume": _Command("go on with runs that were stopped, killed or failed", "resume", only_prints=False),
     "runs": _Command("table of the runs in the store", "runs"),
     "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),
     "plot": _Command("picture of a study's learning curves", "plot"),
@@ -71,22 +76,28 @@ def run(arguments: Sequence[str]) -> int:
     except HeadwayError as error:
         if debug:
             raise
-        print(f"headway: {' '.join(str(error).split())}", file=sys.stderr)
+        tell(f"headway: {' '.join(str(error).split())}")
         return 2
     except KeyboardInterrupt:
         if debug:
             raise
-        print("headway: stopped", file=sys.stderr)
+        tell("headway: stopped")
         return 130
-    except BrokenPipeError:  # `headway runs | head`
-        sys.stdout = None  # or the interpreter complains when it flushes it
-        return 0
     except Exception as error:
+        if isinstance(error, BrokenPipeError) and _only_prints(words):  # `headway runs | head`
+            silence(sys.stdout)
+            silence(sys.stderr)
+            return 0
         if debug:
             raise
         text = " ".join(str(error).split())
-        print(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)", file=sys.stderr)
+        tell(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)")
         return 2
+
+
+def _only_prints(words: Sequence[str]) -> bool:
+    command = _COMMANDS.get(words[0]) if words else None
+    return command is None or command.only_prints or not {"-h", "--help"}.isdisjoint(words)
 
 
 def _dispatch(words: Sequence[str], debug: bool) -> int:

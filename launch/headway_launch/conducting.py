@@ -29,6 +29,7 @@ from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
 from headway_launch.results import SeedResult, print_results, seed_result
 from headway_launch.session import Session
+from headway_launch.telling import tell, to_a_reader
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _NAMED_RUNS = 3
@@ -83,8 +84,9 @@ class Conductor:
             report = self._meter.stop()
             self._cell.finish(self._status(), {**_session_figures(report), **_rule_figures(rules)})
             for line in (*self._meter.notices(), *self._store.close()):
-                print(f"headway: {line}", file=sys.stderr)
-        print_results(self._config, self._results, rules)
+                tell(f"headway: {line}")
+        with to_a_reader(sys.stdout):
+            print_results(self._config, self._results, rules)
         self._say_where(time.monotonic() - began)
         return self._exit_code(stopped)
 
@@ -148,7 +150,7 @@ class Conductor:
         if job.recording.status != "RUNNING":
             self._finish(index, job.recording)
             if self._debug and job.recording.failure:
-                print(job.recording.failure.traceback, file=sys.stderr)
+                tell(job.recording.failure.traceback)
 
     def _tick(self) -> tuple[str, ...]:
         now = time.monotonic()
@@ -212,22 +214,16 @@ class Conductor:
         folders = sorted({str(Path(result.directory).parent) for result in self._results})
         where = ", ".join(_from_here(folder) for folder in folders)
         option = "" if root == type(self._config.store)().root else f" --store {root}"
-        print(
-            f"{seconds:.0f} s; run folders in {where}; look at them with: headway browse{option}",
-            file=sys.stderr,
-        )
+        tell(f"{seconds:.0f} s; run folders in {where}; look at them with: headway browse{option}")
         for result in self._results:
             if result.status == "FAILED":
-                print(
-                    f"headway: seed {result.seed}: see {_from_here(result.directory)}/{TRACEBACK}",
-                    file=sys.stderr,
-                )
+                tell(f"headway: seed {result.seed}: see {_from_here(result.directory)}/{TRACEBACK}")
         unfinished = [result.run_id for result in self._results if result.status in ("KILLED", "FAILED")]
         if unfinished:
             named = (
                 " ".join(unfinished) if len(unfinished) <= _NAMED_RUNS else f"--study {self._config.study}"
             )
-            print(f"headway: to go on: headway resume {named}{option}", file=sys.stderr)
+            tell(f"headway: to go on: headway resume {named}{option}")
 
 
 def _session_figures(report: EnergyReport) -> dict[str, float]:

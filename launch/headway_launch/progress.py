@@ -4,11 +4,13 @@ import sys
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
 from headway.events import EvaluationFinished, Event, IterationFinished, Started
+from headway_launch.telling import silence, tell
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -116,14 +118,18 @@ class Progress:
         trace: TracebackType | None,
     ) -> None:
         if self._live:
-            self._live.__exit__(kind, error, trace)
+            with suppress(OSError):  # a terminal that is gone
+                self._live.__exit__(kind, error, trace)
 
     def note(self, line: str) -> None:
         """A line for the user that stays."""
-        if self._live:
+        if self._live is None:
+            tell(line)
+            return
+        try:
             self._live.console.print(line, highlight=False, markup=False, soft_wrap=True)
-        else:
-            print(line, file=sys.stderr, flush=True)
+        except OSError:
+            silence(sys.stderr)
 
     def show(self) -> None:
         """Print what is new where lines cannot stay in place."""

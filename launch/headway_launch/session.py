@@ -132,9 +132,9 @@ class Session:
     def _obey(self, requests: int, shown: Progress) -> None:
         if requests and not self._asked_to_stop and self._running:
             self._asked_to_stop = True
-            shown.note("stopping after this iteration, with a checkpoint; Ctrl-C again kills at once")
             for process in self._running.values():
                 process.ask_to_stop()
+            shown.note("stopping after this iteration, with a checkpoint; Ctrl-C again kills at once")
         if requests > 1:
             self._killed = True
             for process in self._running.values():

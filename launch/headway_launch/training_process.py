@@ -59,7 +59,7 @@ class TrainingProcess:
         """The next event, or None where the process has closed its end."""
         try:
             event: Event = self._events.recv()
-        except (EOFError, ConnectionResetError):
+        except (EOFError, OSError):  # OSError also where it was killed in the middle of an event
             self._at_end = True
             return None
         return event
@@ -68,7 +68,7 @@ class TrainingProcess:
         """Ask for a checkpoint and an end; nothing happens if the process is already gone."""
         try:
             self._events.send("stop")
-        except (BrokenPipeError, ConnectionResetError):
+        except OSError:
             return
 
     def kill(self) -> None:

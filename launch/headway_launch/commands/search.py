@@ -20,7 +20,8 @@ examples:
 
 A search is a file of configs/search: an experiment, cells (what each gets its own winner for) and
 candidates (overrides tried in every cell). Every cell has the same candidates, seeds and budget; the
-winner has the highest mean final reward. Its seeds are never those that a study reports.
+winner has the highest mean final reward. Give it seeds that no study reports: on the seeds it was chosen
+by, a winner looks better than it is.
 """
 
 
@@ -51,6 +52,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.conducting import EXIT_DONE, Conductor
     from headway_launch.planning import plan_jobs
     from headway_launch.tables import print_table
+    from headway_launch.telling import tell, to_a_reader
 
     search = _read(arguments.search)
     plans = {
@@ -60,7 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
     }
     results: dict[tuple[str, str], float] = {}
     for number, (place, experiment) in enumerate(plans.items(), start=1):
-        print(f"search {number}/{len(plans)}: {' '.join(place)}", file=sys.stderr)
+        tell(f"search {number}/{len(plans)}: {' '.join(place)}")
         conductor = Conductor(plan_jobs(experiment), arguments.debug)
         code = conductor.conduct()
         if code != EXIT_DONE:
@@ -74,7 +76,8 @@ def execute(arguments: argparse.Namespace) -> int:
         for cell, candidate in plans
     ]
     config = next(iter(plans.values())).config
-    print_table(("cell", "candidate", "mean final reward", ""), rows, title=_title(config))
+    with to_a_reader(sys.stdout):
+        print_table(("cell", "candidate", "mean final reward", ""), rows, title=_title(config))
     return EXIT_DONE
 
 

@@ -1,0 +1,34 @@
+"""Words for a reader who may have gone: `headway run 2>&1 | head`."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TextIO
+
+
+def tell(line: str) -> None:
+    """Print a line on stderr; nothing happens, now or later, if it cannot be written."""
+    try:
+        print(line, file=sys.stderr, flush=True)
+    except OSError:
+        silence(sys.stderr)
+
+
+@contextmanager
+def to_a_reader(stream: TextIO) -> Iterator[None]:
+    """Print to a stream of which the reader may go: then the rest is left out."""
+    try:
+        yield
+        stream.flush()
+    except BrokenPipeError:
+        silence(stream)
+
+
+def silence(stream: TextIO) -> None:
+    """Let whatever is, or waits to be, written to a stream vanish."""
+    # Python's manual advises this; a stream left broken fails again when the interpreter flushes it.
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
