@@ -23,7 +23,6 @@ from headway.contracts import (
     Outcome,
     child_seeds,
 )
-from headway.finite import check_finite
 
 Infos = Mapping[str, Mapping[str, Any]]
 
@@ -61,10 +60,12 @@ class ParallelEnvBatch:
     next reset; a copy whose `agents` is empty has ended its episode and is reset with the seed
     `episode_seed(seeds[copy], episode)`. At the end of an episode the agents that were away are given the
     episode's own ending, with what they last observed, and those that had ended before are terminated again.
-    Termination hides truncation where the environment sets both.
+    Termination hides truncation where the environment sets both. With `shared_reward` the slots of agents
+    that are gone are given the team's reward. NaN and infinity are passed on: whoever steps the batch looks
+    for them, and knows what its copies are called.
 
-    Raises HeadwayError for spaces that differ between agents or are not supported, for agents that leave
-    early without `agents_come_and_go`, and for NaN or infinity in what a live agent is given.
+    Raises HeadwayError for spaces that differ between agents or are not supported, and for agents that leave
+    early without `agents_come_and_go`.
     """
 
     def __init__(
@@ -161,7 +162,7 @@ class ParallelEnvBatch:
         self._steps = 0
         for copy in range(self.num_copies):
             self._begin(copy, episode=0)
-        self._check(None)
+        self._check()
         return self._observed
 
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
@@ -173,7 +174,7 @@ class ParallelEnvBatch:
         self._steps += 1
         for copy in range(self.num_copies):
             self._step_copy(copy, actions[copy])
-        self._check(outcome)
+        self._check()
         return outcome, self._observed
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
@@ -213,6 +214,7 @@ class ParallelEnvBatch:
             given = {agent: decoded[self._index[agent]] for agent in present}
         observations, rewards, terminated, truncated, infos = env.step(given)
         self._write_observations(copy, observations)
+        self._outcome.rewards[copy] = self._paid(rewards, present)
         ended = False
         if (
             present is None
@@ -220,11 +222,10 @@ class ParallelEnvBatch:
             and True not in terminated.values()
             and True not in truncated.values()
         ):
-            self._outcome.rewards[copy] = [rewards.get(agent, 0.0) for agent in agents]
             if self._spec.agents_come_and_go:
                 self._observed.alive[copy] = True
         else:
-            ended = self._end_streams(copy, rewards, terminated, truncated)
+            ended = self._end_streams(copy, terminated, truncated)
             self._note_present(copy)
         if self._has_masks or any(infos.values()):
             self._read_infos(copy, infos, fresh=False)
@@ -249,6 +250,15 @@ class ParallelEnvBatch:
                 f"should be given {self._spec.observation_size} numbers; mend its observation_space"
             ) from error
 
+    def _paid(self, rewards: Mapping[str, float], present: Sequence[str] | None) -> list[float]:
+        """(N,): what each slot is given, if `present` were there to act (None: all)."""
+        agents = self._spec.agents
+        if not self._spec.shared_reward:
+            return [rewards.get(agent, 0.0) for agent in agents]
+        team = next((rewards[agent] for agent in present or agents if agent in rewards), 0.0)
+        there = agents if present is None else present
+        return [rewards.get(agent, team) if agent in there else team for agent in agents]
+
     def _note_present(self, copy: int) -> None:
         """Who is there now, by `env.agents`; infos may say otherwise afterwards."""
         live = self._envs[copy].agents
@@ -269,16 +279,14 @@ class ParallelEnvBatch:
     def _end_streams(
         self,
         copy: int,
-        rewards: Mapping[str, float],
         terminated: Mapping[str, bool],
         truncated: Mapping[str, bool],
     ) -> bool:
-        """Rewards and ends of a step in which not everybody just goes on; whether the episode ended."""
+        """Ends of a step in which not everybody just goes on; whether the episode ended."""
         outcome, env = self._outcome, self._envs[copy]
         over, cut, before = outcome.terminated[copy], outcome.truncated[copy], self._ended[copy]
         finals = outcome.final_observations[copy]
         for index, agent in enumerate(self._spec.agents):
-            outcome.rewards[copy, index] = rewards.get(agent, 0.0)
             over[index] = terminated.get(agent, False)
             cut[index] = truncated.get(agent, False) and not over[index]
         now = over | cut
@@ -322,8 +330,7 @@ class ParallelEnvBatch:
             if masks is not None and "action_mask" in info:
                 masks[copy, index] = info["action_mask"]
 
-    def _check(self, outcome: Outcome | None) -> None:
-        check_finite(self._spec, outcome, self._observed, self._steps)
+    def _check(self) -> None:
         alive, masks = self._observed.alive, self._observed.action_masks
         if not self._spec.agents_come_and_go and not alive.all():
             copy, agent = np.argwhere(~alive)[0]

@@ -24,7 +24,7 @@ class EnvSpec:
     groups: tuple[str, ...] = ()
     """The group of each agent (a bus line, say) for `policies: groups`; empty: all in one group."""
     shared_reward: bool = False
-    """Every agent is given the same reward."""
+    """The team's reward stands in every agent's slot, absent agents' too: a team's critic reads one."""
     has_action_mask: bool = False
     agents_come_and_go: bool = False
     """`alive` can be false before the episode ends."""
@@ -73,8 +73,8 @@ class Outcome:
     """
 
     rewards: NDArray[np.float32]
-    """(C, N): finite for every slot, 0 for one without an agent; what an agent is paid while away belongs
-    to its stream."""
+    """(C, N): finite for every slot; where no agent is, the team's if the reward is shared, else 0. What an
+    agent is paid while away belongs to its stream."""
     terminated: NDArray[np.bool_]
     """(C, N)"""
     truncated: NDArray[np.bool_]

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from headway.adapters.conformance import play
+from headway.adapters.conformance import CHECKS, play
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
 from headway.contracts import Box, Discrete, HeadwayError, MultiDiscrete
 from headway_envs.toy.entry import ENTRIES
@@ -229,24 +229,22 @@ def test_termination_hides_truncation() -> None:
     assert not outcome.truncated.any()
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "what"),
-    [
-        ("observations", np.array([0, np.nan, 0]), "nan as observation"),
-        ("rewards", np.inf, "inf as reward"),
-    ],
-)
-def test_numbers_that_are_not_finite_are_named(field: str, value: object, what: str) -> None:
+def test_a_shared_reward_is_also_that_of_agents_who_left() -> None:
     def script(env: Scripted) -> None:
-        if env.steps == 3 and env.start == episode_seed(1, 0) % 1000:
-            getattr(env, field)["b"] = value
+        env.rewards = dict.fromkeys(env.agents, 2.5 + env.steps)
+        if env.steps == 2:
+            env.terminated["a"] = True  # the first, whose slot a team's critic reads
 
-    env = batch(script)
+    def make(copies: int) -> ParallelEnvBatch:
+        return ParallelEnvBatch(
+            lambda: Scripted(script), copies, "scripted", shared_reward=True, agents_come_and_go=True
+        )
+
+    env = make(2)
     env.reset(seeds())
-    env.step(NOTHING)
-    env.step(NOTHING)
-    with pytest.raises(HeadwayError, match=f"scripted gave {what} of agent b in copy 1 at step 3"):
-        env.step(NOTHING)
+    paid = [env.step(NOTHING)[0].rewards[0].tolist() for _ in range(4)]
+    assert paid == [[3.5, 3.5], [4.5, 4.5], [5.5, 5.5], [6.5, 6.5]]
+    CHECKS["shared reward"](make, play(make))
 
 
 def test_spaces_that_differ_are_refused_until_padded() -> None:

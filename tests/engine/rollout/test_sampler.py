@@ -1,6 +1,6 @@
 """The sampler's books: what stands in which row, whose episode ended when, and with which seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,10 +8,12 @@ import pytest
 from numpy.typing import NDArray
 from rehearsal import parameters_of, plan_of_toy
 
+from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway.contracts import (
     BatchedEnv,
     Discrete,
     EnvSpec,
+    HeadwayError,
     Observed,
     Outcome,
     Trajectory,
@@ -23,6 +25,8 @@ from headway.contracts.acting import Parameters
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
 from headway.rollout.sampler import BlockwiseActing, Episode, Sampler
+from headway_envs.toy.trivial import TrivialConfig
+from headway_envs.toy.trivial_parallel import TrivialParallel
 
 AGENTS = 2
 
@@ -241,3 +245,30 @@ def test_sampled_evaluation_depends_on_the_seed_and_greedy_does_not_draw() -> No
     sampled = evaluate_policy(plan, parameters, EvaluationRequest(77, 0, 5, greedy=False))
     assert sampled[0] != sampled[1]
     assert [row["length"] for row in sampled[0]] == [row["length"] for row in greedy[0]]  # the same days
+
+
+class NanAtThree(TrivialParallel):
+    """The second agent is paid NaN at step 3."""
+
+    def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401 - as PettingZoo has it
+        observations, rewards, *rest = super().step(actions)
+        if self._step == 3:
+            rewards[self.possible_agents[1]] = np.nan
+        return observations, rewards, *rest
+
+
+def test_nan_of_an_adapted_environment_is_named_by_its_global_copy_and_seed() -> None:
+    def make(prepared: object, copies: int) -> BatchedEnv:
+        return ParallelEnvBatch(
+            lambda: NanAtThree(TrivialConfig(agents=3)), copies, "trivial", shared_reward=True
+        )
+
+    plan = replace(plan_of_toy("trivial", seeds=(5, 6)), make_env=make, spec=make(None, 1).spec)
+    trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, plan.steps, 2 * plan.copies))
+    sampler = Sampler(plan, 1, 2, trajectory)  # a worker's part: copies 1 and 2
+    sampler.begin()
+    agent = plan.spec.agents[1]
+    with pytest.raises(
+        HeadwayError, match=f"nan as reward of agent {agent} in copy 1 of seed 5 at step 3; .*gets 0"
+    ):
+        sampler.collect(1, parameters_of(plan))
