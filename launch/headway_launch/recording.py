@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from headway.contracts.errors import HeadwayError
 from headway.events import (
     CheckpointSaved,
     EvaluationFinished,
@@ -15,6 +16,8 @@ from headway.events import (
     Started,
     Usage,
 )
+from headway.store.durable import write_text
+from headway_launch.telling import tell
 
 if TYPE_CHECKING:
     from headway.energy.ledger import Energy, JobUsage
@@ -107,4 +110,7 @@ class JobRecording:
     def _keep_traceback(self, failure: Failed) -> None:
         for run in self.runs:
             text = failure.traceback or failure.line
-            (run.directory / TRACEBACK).write_text(text + "\n", encoding="utf-8")
+            try:
+                write_text(run.directory / TRACEBACK, text + "\n")
+            except HeadwayError as error:  # it must not end the other jobs
+                tell(f"headway: {error}")

@@ -109,8 +109,7 @@ def _train(job: "TrainingJob", connection: Connection) -> None:
     except BrokenPipeError:
         _end_group()
     except HeadwayError as error:
-        inner = getattr(error, "worker_traceback", "")
-        connection.send(Failed(str(error), f"{inner}{traceback.format_exc()}"))
+        connection.send(Failed(str(error), f"{error.details}{traceback.format_exc()}"))
     except Exception as error:
         line = f"{type(error).__name__}: {error}".splitlines()[0]
         connection.send(Failed(line, traceback.format_exc()))

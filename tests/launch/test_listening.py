@@ -5,10 +5,17 @@ import subprocess
 import sys
 from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
+from headway.events import Failed
+from headway.store import Run
 from headway.store.index import RunIndex
+from headway_launch.command_line import run as run_command
+from headway_launch.commands import browse
+from headway_launch.recording import JobRecording
 from headway_launch.training_process import TrainingProcess
 
 TINY = (
@@ -58,3 +65,27 @@ def test_a_process_killed_in_the_middle_of_an_event_is_at_its_end(word: bytes) -
     assert not process.has_event()
     assert process.has_ended()
     ours.close()
+
+
+def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = SimpleNamespace(directory=tmp_path / "absent")
+    recording = JobRecording([cast(Run, run)])
+    recording.take(Failed("it broke", "Traceback"))
+    assert recording.status == "FAILED"
+    assert "traceback.txt" in capsys.readouterr().err
+
+
+def test_pages_that_never_answer_are_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server = tmp_path / "python"
+    server.write_text("#!/bin/sh\necho still thinking\nexec sleep 60\n")
+    server.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(server))
+    monkeypatch.setattr(browse, "_READY_S", 0.5)
+    assert run_command(["browse", "--store", str(tmp_path), "--port", "50517"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "did not answer within 0.5 s: still thinking" in told.err

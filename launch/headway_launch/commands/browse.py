@@ -46,17 +46,19 @@ def execute(arguments: argparse.Namespace) -> int:
     with StopRequests() as requests, TemporaryFile("w+") as log:
         server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         try:
-            _wait_until_ready(server, arguments.port, requests)
-            if not requests.count:
+            ready = _wait_until_ready(server, arguments.port, requests)
+            if ready:
                 print(f"the store is at http://{_HOST}:{arguments.port} (Ctrl-C ends)", flush=True)
-            while not requests.count and server.poll() is None:
+            while ready and not requests.count and server.poll() is None:
                 time.sleep(0.2)
+            silent = not ready and server.poll() is None
         finally:
             _end(server)
         if not requests.count:
             log.seek(0)
             last = (log.read().strip().splitlines() or ["without a word"])[-1]
-            raise HeadwayError(f"MLflow's server ended by itself: {last}")
+            how = f"did not answer within {_READY_S:g} s" if silent else "ended by itself"
+            raise HeadwayError(f"MLflow's server {how}: {last}")
     return 0
 
 
@@ -71,12 +73,14 @@ def _require_free(port: int) -> None:
             raise HeadwayError(f"port {port} cannot be used ({error}); give another with --port") from error
 
 
-def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: StopRequests) -> None:
+def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: StopRequests) -> bool:
+    """Whether it answers."""
     deadline = time.monotonic() + _READY_S
     while server.poll() is None and not requests.count and time.monotonic() < deadline:
         with contextlib.suppress(OSError), socket.create_connection((_HOST, port), timeout=1):
-            return
+            return True
         time.sleep(0.2)
+    return False
 
 
 def _end(server: "subprocess.Popen[bytes]") -> None:

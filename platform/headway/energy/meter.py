@@ -1,6 +1,7 @@
 """The meter of a session: CodeCarbon's readings, shared out to the session's jobs."""
 
 import os
+import queue
 import threading
 import time
 from collections.abc import Mapping
@@ -51,7 +52,10 @@ class EnergyMeter:
         self._tracker: Any = None
         self._ledger: Ledger | None = None
         self._before: dict[str, JobUsage] = {}
-        self._notices: list[str] = []
+        self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
+        """From both threads."""
+        self._failed = False
+        """CodeCarbon could not be started, and a notice has said so."""
         self._utilization = ProcessUtilization()
         self._starting: threading.Thread | None = None
         self._missed = False
@@ -100,8 +104,10 @@ class EnergyMeter:
 
     def notices(self) -> tuple[str, ...]:
         """Lines for the user since the last call."""
-        lines, self._notices = tuple(self._notices), []
-        return lines
+        lines = []
+        while not self._notices.empty():
+            lines.append(self._notices.get())
+        return tuple(lines)
 
     def _start(self) -> None:
         try:
@@ -109,7 +115,8 @@ class EnergyMeter:
             self._tracker.start()
             self._tracker.flush()
         except Exception as error:  # whatever CodeCarbon meets must not end the session
-            self._notices.append(f"energy is not measured: CodeCarbon failed ({error})")
+            self._failed = True
+            self._notices.put(f"energy is not measured: CodeCarbon failed ({error})")
 
     def _ready(self, seconds: float) -> Ledger | None:
         if self._starting is not None:
@@ -120,11 +127,14 @@ class EnergyMeter:
         return self._ledger
 
     def _begin(self) -> None:
+        if self._failed:
+            return
         if self._readings.count == 0:
-            self._notices.append("energy is not measured: CodeCarbon gives no reading on this machine")
+            self._notices.put("energy is not measured: CodeCarbon gives no reading on this machine")
             return
         self.modes = power_modes(self._tracker)
-        self._notices.extend(self.modes.notices())
+        for line in self.modes.notices():
+            self._notices.put(line)
         cores, memory = os.cpu_count() or 1, psutil.virtual_memory().total
         self._ledger = Ledger(self._readings.time, cores, memory)
         # What was used before the first reading is none of its energy.
@@ -140,7 +150,7 @@ class EnergyMeter:
             self._close_interval(ledger)
         elif not self._missed:
             self._missed = True
-            self._notices.append("CodeCarbon missed a reading: its energy is counted with the next")
+            self._notices.put("CodeCarbon missed a reading: its energy is counted with the next")
 
     def _close_interval(self, ledger: Ledger) -> None:
         cpu, gpu, ram, kg = self._readings.increment()

@@ -15,7 +15,11 @@ def open_collector(name: str, plan: RolloutPlan, workers: int, notify: Notify) -
     collector = BACKENDS[name](plan, workers, notify)
     if plan.spec.max_copies_per_process is None:
         return collector
-    return EvaluatingApart(collector, ProcessCollector(plan.evaluating_apart, 1, notify))
+    try:
+        return EvaluatingApart(collector, ProcessCollector(plan.evaluating_apart, 1, notify))
+    except BaseException:
+        collector.close()
+        raise
 
 
 BACKENDS: Mapping[str, Callable[[RolloutPlan, int, Notify], Collector]] = {

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed, Rule, child_seeds, generator
+from headway.contracts import BatchedEnv, HeadwayError, Observed, Rule, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.finite import NameCopy, check_finite
@@ -16,6 +16,8 @@ from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
 from headway.rollout.sampler import BlockwiseActing, Tally
 
 _NOISE_STEPS = 256
+MOST_STEPS = 1_000_000
+"""Steps after which an episode is taken for one that never ends."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def run_episodes(
 ) -> list[Row]:
     """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step.
 
-    Raises HeadwayError where the environment gives a NaN or an infinity.
+    Raises HeadwayError where the environment gives a NaN or an infinity, or an episode does not end.
     """
     observed = env.reset(seeds)
     check_finite(env.spec, None, observed, 0, name_copy)
@@ -67,6 +69,12 @@ def run_episodes(
     rows: dict[int, Row] = {}
     step = 0
     while len(rows) < env.num_copies:
+        if step == MOST_STEPS:
+            copy = min(set(range(env.num_copies)) - rows.keys())
+            raise HeadwayError(
+                f"environment {env.spec.name}: {name_copy(copy)} has not ended in {step:,} steps; "
+                "its episodes must end by themselves or be truncated"
+            )
         outcome, observed = env.step(act(observed, step))
         step += 1
         check_finite(env.spec, outcome, observed, step, name_copy)
@@ -118,10 +126,11 @@ def evaluate_rule(
 ) -> list[Row]:
     """Episodes of a rule (an entry's `make` and one of its `rules`) on the evaluation seeds, one row each."""
     rows: list[Row] = []
+    rule = make_rule(prepared)  # one for all blocks: a rule that draws must not draw the same in each
     with closing(make_env(prepared, 1)) as env:
         block = evaluation_block(env.spec, replicas=1)
     for request in EvaluationRequest.split(root, episodes, True, block):
-        env, rule = make_env(prepared, request.count), make_rule(prepared)
+        env = make_env(prepared, request.count)
         act = _RuleActing(env, rule)
         with closing(env):
             played = run_episodes(env, request.seeds, act, request.name_copy)

@@ -207,11 +207,7 @@ def _main_left_out() -> Iterator[None]:
 
 
 class WorkerFailedError(HeadwayError):
-    """A worker failed twice in a row; `worker_traceback` is its own."""
-
-    def __init__(self, line: str, worker_traceback: str) -> None:
-        super().__init__(line)
-        self.worker_traceback = worker_traceback
+    """A worker failed twice in a row; the details are its own traceback."""
 
 
 def _stand(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque

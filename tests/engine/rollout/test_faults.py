@@ -167,8 +167,8 @@ def test_what_fails_again_ends_with_the_worker_s_own_traceback(tmp_path: Path, f
         _taken(_plan(tmp_path, fault, times=9))
     cause = {"raise": "RuntimeError: the bridge is out", "bad snapshot": "pickle"}[fault]
     assert cause in _one_line(failure.value)
-    assert "Traceback (most recent call last)" in failure.value.worker_traceback
-    assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.worker_traceback
+    assert "Traceback (most recent call last)" in failure.value.details
+    assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.details
 
 
 def test_a_plan_that_a_worker_cannot_load_is_told_with_its_traceback(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_a_plan_that_a_worker_cannot_load_is_told_with_its_traceback(tmp_path: P
     with collector_of(plan) as collector, pytest.raises(WorkerFailedError) as failure:
         collector.begin()
     assert "ModuleNotFoundError: No module named 'nowhere'" in _one_line(failure.value)
-    assert "pickle.loads" in failure.value.worker_traceback
+    assert "pickle.loads" in failure.value.details
 
 
 @pytest.mark.parametrize("name", ["serial", "process"])

@@ -12,6 +12,7 @@ from rehearsal import plan_of_toy
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway.finite import check_finite
+from headway.rollout import backends, usage
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.usage import available_memory, cpu_seconds, proportional_memory
@@ -142,6 +143,33 @@ def test_too_many_copies_for_a_process_are_refused_with_settings_that_work(
     words = dict(word.split("=") for word in str(refusal.value).replace(";", "").split() if "=" in word)
     shards = plan(int(words["rollout.block"])).shards(int(words["backend.workers"]))
     assert max(count for _, count in shards) * len(seeds) <= limit
+
+
+def test_a_collector_is_closed_where_its_companion_cannot_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def __init__(self, *_: object) -> None:
+            raise HeadwayError("no room")
+
+    closed: list[object] = []
+    monkeypatch.setattr(backends, "ProcessCollector", Full)
+    monkeypatch.setattr(backends.SerialCollector, "close", lambda self: closed.append(self))
+    plan = _limited(plan_of_toy("visitors"), 100)
+    with pytest.raises(HeadwayError, match="no room"):
+        backends.open_collector("serial", plan, 1, print)
+    assert len(closed) == 1
+
+
+def test_memory_is_not_read_at_every_glance(monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: list[int] = []
+
+    def read() -> int:
+        reads.append(1)
+        return 7
+
+    monkeypatch.setattr(usage, "proportional_memory", read)
+    own = usage.OwnUsage()
+    assert [own.read().memory_bytes for _ in range(5)] == [7] * 5
+    assert len(reads) == 1
 
 
 def test_a_stack_larger_than_a_process_allows_is_told_to_shrink() -> None:

@@ -22,6 +22,7 @@ from headway.contracts import (
     generator,
 )
 from headway.contracts.acting import Parameters
+from headway.rollout import episodes
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
 from headway.rollout.sampler import BlockwiseActing, Episode, Sampler
@@ -272,3 +273,25 @@ def test_nan_of_an_adapted_environment_is_named_by_its_global_copy_and_seed() ->
         HeadwayError, match=f"nan as reward of agent {agent} in copy 1 of seed 5 at step 3; .*gets 0"
     ):
         sampler.collect(1, parameters_of(plan))
+
+
+def test_a_rule_that_draws_draws_anew_in_every_block() -> None:
+    drawn: list[float] = []
+
+    class Drawing:
+        def __init__(self) -> None:
+            self.generator = np.random.default_rng(0)
+
+        def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+            drawn.append(self.generator.random())
+            return np.zeros(observed.alive.shape, np.int64)
+
+    evaluate_rule(Clock, lambda prepared: Drawing(), None, 77, 2 * EVALUATION_BLOCK)
+    assert len(set(drawn)) == len(drawn) > 2
+
+
+def test_an_episode_that_never_ends_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(episodes, "MOST_STEPS", 6)
+    plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5,), 8, 4, 1)
+    with pytest.raises(HeadwayError, match=r"evaluation episode 5 has not ended in 6 steps; .*truncated"):
+        evaluate_policy(plan, {}, EvaluationRequest(77, first=0, count=8, greedy=True))
