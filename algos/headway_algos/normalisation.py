@@ -7,7 +7,8 @@ from torch import Tensor, nn
 class RunningMoments(nn.Module):
     """Mean and variance of all rows seen, by Chan's parallel formula, in float64; (P, 1, size) each.
 
-    Until something was seen the mean is 0 and the variance 1. Buffers, so checkpoints hold them.
+    Until something was seen the mean is 0, and until two rows were the variance is 1, of which nothing
+    remains afterwards. Buffers, so checkpoints hold them.
     """
 
     count: Tensor
@@ -35,7 +36,7 @@ class RunningMoments(nn.Module):
         total = self.count + count
         share = count / total.clamp(min=1)
         shift = mean - self.mean
-        old_squares = torch.where(self.count > 0, self.variance * self.count, 0)
+        old_squares = torch.where(self.count > 1, self.variance * self.count, 0)
         new_squares = old_squares + squares + shift**2 * self.count * share
         self.mean += shift * share
         self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)

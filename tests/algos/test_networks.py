@@ -115,3 +115,16 @@ def test_running_moments_without_a_selection_take_every_row() -> None:
     other.include(rows, torch.ones(2, 30, dtype=torch.bool))
     torch.testing.assert_close(one.mean, other.mean)
     torch.testing.assert_close(one.variance, other.variance)
+
+
+def test_a_single_row_leaves_no_trace_of_the_variance_assumed_before() -> None:
+    rows = torch.tensor([[[3.0], [5.0], [10.0]]], dtype=torch.float64)
+    moments = RunningMoments(1, 1)
+    moments.include(rows[:, :1])
+    assert float(moments.mean) == 3
+    assert float(moments.variance) == 1
+    for count in (2, 3):
+        moments.include(rows[:, count - 1 : count])
+        seen = rows[0, :count, 0].numpy()
+        assert float(moments.mean) == pytest.approx(seen.mean(), rel=1e-12)
+        assert float(moments.variance) == pytest.approx(seen.var(), rel=1e-12)
