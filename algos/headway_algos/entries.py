@@ -22,7 +22,8 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     actions, logits = spec.action_space, config.model.initial_logits
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
         count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
-        return f"algo.model.initial_logits has {len(logits)} entries, and {spec.name} has {count}"
+        remedy = "give one an action, or leave it out" if isinstance(actions, Discrete) else "leave it out"
+        return f"algo.model.initial_logits has {len(logits)} entries, and {spec.name} has {count}; {remedy}"
     return None
 
 
