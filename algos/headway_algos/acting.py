@@ -13,7 +13,7 @@ from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 
 OBSERVATION_CLIP = 10.0
-"""Normalised observations are cut at this many standard deviations, as on-policy MAPPO does."""
+"""Normalised observations are cut at this many standard deviations, as by OpenAI Baselines' VecNormalize."""
 
 
 def layer_sizes(input_size: int, hidden: Sequence[int], output_size: int) -> list[tuple[int, int]]:

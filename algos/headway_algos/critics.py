@@ -19,7 +19,7 @@ from headway_algos.optimiser import StackedAdam
 
 
 class View(Protocol):
-    """What a critic sees. M is the number of its viewpoints: N agents, or 1 for a whole team."""
+    """What a critic sees. W is the number of its viewpoints: N agents, or 1 for a whole team."""
 
     grouping: Grouping
     input_size: int
@@ -27,7 +27,7 @@ class View(Protocol):
     """One value for the whole copy, of the shared reward."""
 
     def inputs(self, observations: NDArray[np.float32], states: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(T, C, N, D) and (T, C, S) -> (T, C, M, input_size)."""
+        """(T, C, N, D) and (T, C, S) -> (T, C, W, input_size)."""
         ...
 
 
@@ -107,7 +107,7 @@ class Critic(nn.Module):
         )
 
     def present(self, alive: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(T, C, N) -> (T, C, M): where there is a value to speak of."""
+        """(T, C, N) -> (T, C, W): where there is a value to speak of."""
         return np.ones((*alive.shape[:2], 1), np.bool_) if self.view.team else alive
 
     def rows(
@@ -122,7 +122,7 @@ class Critic(nn.Module):
         return scaled.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
 
     def _values(self, rows: Tensor, steps: int) -> NDArray[np.float64]:
-        """Values of rows as (T, C, M), in units of return, computed in pieces that stay in the cache."""
+        """Values of rows as (T, C, W), in units of return, computed in pieces that stay in the cache."""
         pieces = even_slices(rows.shape[1], len(rows), self.config.piece_samples)
         with torch.no_grad():
             values = torch.cat([self.network(rows[:, piece])[:, 0] for piece in pieces], dim=1).double()
@@ -133,7 +133,7 @@ class Critic(nn.Module):
     def evaluate(
         self, trajectory: Trajectory, rows: Tensor
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Values (T + 1, C, M) and, where truncated, values of the final observations (T, C, M).
+        """Values (T + 1, C, W) and, where truncated, values of the final observations (T, C, W).
 
         `rows` are the inputs of the first T steps.
         """
@@ -153,7 +153,7 @@ class Critic(nn.Module):
         present: NDArray[np.bool_],
         generators: Sequence[np.random.Generator],
     ) -> Tensor:
-        """Regress on returns (T, C, M) where present; (P,) mean squared error in normalised units.
+        """Regress on returns (T, C, W) where present; (P,) mean squared error in normalised units.
 
         With `value_clip` the squared error is cut there, as RLlib's vf_clip_param does.
         """

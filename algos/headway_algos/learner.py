@@ -73,7 +73,7 @@ class OnPolicyLearner:
     def _advantages(
         self, trajectory: Trajectory, inputs: Tensor
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Values, advantages and presence (T, C, M), M viewpoints of the critic."""
+        """Values, advantages and presence (T, C, W), W viewpoints of the critic."""
         values, final_values = self.critic.evaluate(trajectory, inputs)
         rewards, terminated, truncated = trajectory.rewards, trajectory.terminated, trajectory.truncated
         if self.critic.view.team:

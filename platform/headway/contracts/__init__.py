@@ -1,10 +1,10 @@
 """What crosses the seams of Headway. Environments and algorithms import nothing else of the engine.
 
-Axes have one name each, here and everywhere:
+Axes have one name each, here, in the engine and in the algorithms (an environment's kernel lists its own):
 R replicas (seeds trained together), T steps, C copies of the environment over all replicas
 (replica-major: the copies of replica r are rows r*E to (r+1)*E), E copies of one replica, N agents,
-K policies of one replica, P = R x K stacked policies, A actions, D observation size, S state size,
-M episode metrics.
+K policies of one replica, P = R x K stacked policies, G agents of the largest group, B = G x T x E rows of
+one policy, W viewpoints of a critic, A actions, D observation size, S state size, M episode metrics.
 """
 
 from headway.contracts.acting import ActingPolicy

@@ -26,6 +26,6 @@ class ActingPolicy(Protocol):
     def act(
         self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Actions and their log-probabilities (C, N) for a block of B copies of each replica (C = R x B,
-        replica-major). Noise (C, N, ...); None acts greedily (the mode of the distribution)."""
+        """Actions and their log-probabilities (C, N) for a block of copies, as many of each replica
+        (replica-major). Noise (C, N, ...); None acts greedily (the mode of the distribution)."""
         ...

@@ -14,9 +14,11 @@ def _entropy(seed: int, purpose: str, indices: tuple[int, ...]) -> np.random.See
 
 
 def generator(seed: int, purpose: str, *indices: int) -> np.random.Generator:
-    """An independent generator for `purpose` and `indices` (a global copy index, an iteration, ...).
+    """A generator for `purpose` and `indices` (a global copy index, an iteration, ...), independent of those
+    for others.
 
-    Seeds and indices are integers of at least 0.
+    Seeds and indices are integers of at least 0. A zero at the end of the indices makes no other stream
+    (numpy fills entropy up with zeros to four words of 32 bits): always give a purpose as many indices.
     """
     return np.random.Generator(np.random.Philox(_entropy(seed, purpose, indices)))
 

@@ -37,7 +37,7 @@ class RolloutPlan:
     steps: int
     """T"""
     block: int
-    """B: copies of each replica whose actions are computed in one piece."""
+    """Copies of each replica whose actions are computed in one piece."""
 
     @classmethod
     def of(

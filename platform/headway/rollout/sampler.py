@@ -57,7 +57,7 @@ class Tally:
 
 
 class BlockwiseActing:
-    """Actions of R x E copies (replica-major), computed in blocks of R x B rows."""
+    """Actions of R x E copies (replica-major), computed in blocks of a few copies of each replica."""
 
     def __init__(self, plan: RolloutPlan, copies: int, block: int) -> None:
         self.plan, self.copies = plan, copies
