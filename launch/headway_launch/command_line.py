@@ -51,6 +51,7 @@ _COMMANDS = {
     "resume": _Command("go on with runs that were stopped, killed or failed", "resume", only_prints=False),
     "runs": _Command("table of the runs in the store", "runs"),
     "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),
+    "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
     "plot": _Command("picture of a study's learning curves", "plot"),
     "browse": _Command("browse the store in MLflow's pages", "browse"),
     "list": _Command("environments, algorithms, rules, experiments, presets, keys", "listing"),

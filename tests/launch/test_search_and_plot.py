@@ -39,6 +39,22 @@ def test_a_study_is_drawn(searched: tuple[Path, subprocess.CompletedProcess[str]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_cells_and_rules_are_compared_on_the_same_days(
+    searched: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    root, _ = searched
+    done = _headway("compare", "search_toy_matrix", "--store", str(root), "--episodes", "4")
+    assert done.returncode == 0, done.stderr
+    header, *rows = [line.split("\t") for line in done.stdout.splitlines() if "\t" in line]
+    assert header[4] == "minus optimal"
+    assert {row[1].split(" (")[0] for row in rows} == {"rule random", "rule optimal", "ippo, independent"}
+    optimal = next(float(row[3]) for row in rows if row[1] == "rule optimal")
+    for row in rows:
+        if row[1] != "rule optimal":
+            assert float(row[4]) == pytest.approx(float(row[3]) - optimal)
+            assert float(row[5]) <= float(row[4]) <= float(row[6])
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [

@@ -1,0 +1,154 @@
+"""`headway compare`: all cells of a study and the classical rules on the same days, with intervals."""
+
+import argparse
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from headway.config import StoreConfig
+from headway.configuration import suggestion
+from headway.contracts.errors import HeadwayError
+from headway_launch.commands.runs import existing_store
+
+if TYPE_CHECKING:
+    from headway.events import Row
+    from headway.stats import Interval
+    from headway_launch.stored import StoredRun
+    from headway_launch.tables import Cell
+
+EXAMPLES = """\
+examples:
+  headway compare bus --episodes 200
+  headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
+
+Every finished seed's newest policy plays the same days, and so does every rule. The differences are
+controller minus reference, paired day by day, with 95% intervals: by Student's t over days for a rule,
+by the bootstrap over training seeds and days for a cell. Without --against the reference is the rule
+with the highest mean return on these days.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study, the days and the reference."""
+    parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
+    parser.add_argument("--episodes", type=int, default=100, help="days (default: 100)")
+    parser.add_argument("--seed", type=int, default=2_000_003, help="root of the days' seeds")
+    parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
+    parser.add_argument("--against", help="a rule: the reference (default: the best one)")
+    parser.add_argument(
+        "--metrics", default="return", help="columns to compare, with commas (default: return)"
+    )
+    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Play and print the table."""
+    from headway_launch.threads import limit_threads
+
+    limit_threads()
+    from headway_launch.comparison import rule_episodes
+    from headway_launch.tables import print_table
+    from headway_launch.trained import newest_policy, policy_episodes
+
+    if arguments.episodes < 2 or arguments.seed < 0:
+        raise HeadwayError("--episodes must be at least 2 and --seed at least 0")
+    cells = _cells(existing_store(arguments.store), arguments.study)
+    experiment = next(iter(cells.values()))[0].experiment
+    prepared, spec = experiment.prepare()
+    names = tuple(experiment.env.rules)
+    if arguments.against is not None and arguments.against not in names:
+        raise HeadwayError(
+            f"--against: {arguments.against!r} is no rule; {suggestion(arguments.against, names)}"
+        )
+    rules = rule_episodes(experiment, prepared, names, arguments.seed, arguments.episodes)
+    metrics = _metrics(arguments.metrics, rules)
+    reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
+    played = {
+        label: [
+            policy_episodes(
+                newest_policy(run, prepared, spec),
+                arguments.seed,
+                arguments.episodes,
+                arguments.mode == "greedy",
+            )
+            for run in members
+        ]
+        for label, members in cells.items()
+    }
+    rows: list[tuple[Cell, ...]] = []
+    for metric in metrics:
+        for rule, episodes in rules.items():
+            difference = None if rule == reference else _of_rule(episodes, rules[reference], metric)
+            rows.append(_row(metric, f"rule {rule}", 0, _mean(episodes, metric), difference))
+        for label, by_seed in played.items():
+            mean = sum(_mean(episodes, metric) for episodes in by_seed) / len(by_seed)
+            rows.append(_row(metric, label, len(by_seed), mean, _of_cell(by_seed, rules[reference], metric)))
+    columns = ("metric", "controller", "seeds", "mean", f"minus {reference}", "95% from", "95% to")
+    print_table(columns, rows, title=f"{arguments.study}: {arguments.episodes} days, {arguments.mode}")
+    return 0
+
+
+def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
+    """The finished runs of a study by label. Raises HeadwayError if there are none or environments differ."""
+    from headway.store import RunIndex
+    from headway_launch.stored import StoredRun
+
+    rows = RunIndex(root).rows()
+    studies = sorted({row.study for row in rows})
+    if study not in studies:
+        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
+    cells: dict[str, list[StoredRun]] = defaultdict(list)
+    for row in rows:
+        if row.study == study and row.status == "FINISHED":
+            run = StoredRun.find(root, row.run_id)
+            digest = run.record.cell.rsplit("-", 1)[1]
+            cells[f"{row.algorithm}, {row.policies} ({digest})"].append(run)
+    if not cells:
+        raise HeadwayError(f"study {study!r} has no finished run; see headway runs --study {study}")
+    environments = {str(run.mapping["env"]) for members in cells.values() for run in members}
+    if len(environments) > 1:
+        raise HeadwayError(f"study {study!r} holds several environments; compare a study that holds one")
+    return cells
+
+
+def _metrics(names: str, rules: Mapping[str, Sequence["Row"]]) -> tuple[str, ...]:
+    known = next(iter(rules.values()))[0]
+    wanted = tuple(name.strip() for name in names.split(",") if name.strip())
+    for name in wanted:
+        if name not in known:
+            raise HeadwayError(f"--metrics: {name!r} is no metric here; {suggestion(name, tuple(known))}")
+    return wanted
+
+
+def _values(episodes: Sequence["Row"], metric: str) -> list[float]:
+    return [float(row[metric]) for row in episodes]
+
+
+def _mean(episodes: Sequence["Row"], metric: str) -> float:
+    values = _values(episodes, metric)
+    return sum(values) / len(values)
+
+
+def _of_rule(episodes: Sequence["Row"], reference: Sequence["Row"], metric: str) -> "Interval":
+    from headway.stats import paired_difference
+
+    return paired_difference(_values(episodes, metric), _values(reference, metric))
+
+
+def _of_cell(by_seed: Sequence[Sequence["Row"]], reference: Sequence["Row"], metric: str) -> "Interval":
+    from headway.stats import paired_bootstrap, paired_difference
+
+    ours, theirs = [_values(episodes, metric) for episodes in by_seed], _values(reference, metric)
+    if len(ours) == 1:
+        return paired_difference(ours[0], theirs)
+    return paired_bootstrap(ours, [theirs] * len(ours))
+
+
+def _row(
+    metric: str, controller: str, seeds: int, mean: float, difference: "Interval | None"
+) -> tuple["Cell", ...]:
+    interval = (
+        (None, None, None) if difference is None else (difference.estimate, difference.low, difference.high)
+    )
+    return (metric, controller, seeds or None, mean, *interval)
