@@ -91,14 +91,9 @@ def seed_result(
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     """(final reward, AUC) of the evaluation curve in the log; None where it has no point yet."""
     from headway.stats import auc, final_reward
-    from headway.store.log import read_rows
+    from headway.store.log import read_curve
 
-    metric = f"evaluation_{mode}/return"
-    points = {
-        int(row["env_steps"]): float(row[metric])
-        for row in read_rows(run.directory, "curve")
-        if metric in row
-    }
+    points = read_curve(run.directory, f"evaluation_{mode}/return")
     if not points:
         return None, None
     steps, values = list(points), list(points.values())

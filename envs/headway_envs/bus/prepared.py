@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.bus.config import BusConfig
+from headway_envs.bus.config import SCENARIOS, BusConfig
 from headway_envs.bus.kernel.layout import SETTINGS, Network
 
 
@@ -127,7 +127,7 @@ def prepare(config: BusConfig) -> Prepared:
     from headway_envs.bus.scenario.synthetic import generate
     from headway_envs.bus.scenario.tables import read_tables
 
-    if config.scenario in ("line", "corridor"):
+    if config.scenario in SCENARIOS:
         tables = generate(config.scenario, config.scenario_seed)
     else:
         tables = read_tables(config.scenario)

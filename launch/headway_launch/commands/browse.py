@@ -10,9 +10,8 @@ import sys
 import time
 from tempfile import TemporaryFile
 
-from headway.config import StoreConfig
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import existing_store
+from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.session import StopRequests
 
 EXAMPLES = """\
@@ -29,7 +28,7 @@ _END_S = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Port and store."""
     parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (default: 5000)")
-    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+    add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

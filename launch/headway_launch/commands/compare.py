@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.config import StoreConfig
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import existing_store
+from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway.events import Row
@@ -39,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics", default="return", help="columns to compare, with commas (default: return)"
     )
-    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+    add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

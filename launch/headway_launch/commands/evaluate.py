@@ -3,10 +3,9 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from headway.config import StoreConfig
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import existing_store
+from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway_launch.composing import Experiment
@@ -30,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, help="root of the days' seeds (default: the run's evaluation.seed)"
     )
     parser.add_argument("--rules", help="rules to play beside it, with commas (default: all there are)")
-    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+    add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -3,19 +3,16 @@
 import argparse
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.config import StoreConfig
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import existing_store
+from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
-    import numpy as np
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
 
     from headway.store import RunRow
 
@@ -25,8 +22,9 @@ examples:
   headway plot bus --output curves.png --metric evaluation_sampled/return
   headway plot bus --low 0                         cut the vertical axis below 0
 
-One line a cell (algorithm, policies and other settings that differ): the mean over its finished seeds
-with the 95% interval of that mean (Student's t); dashed lines are the rules on the same days.
+One line a cell (algorithm, policies, environment and the settings that tell cells apart): the mean
+over its finished seeds with the 95% interval of that mean (Student's t); dashed lines are the rules on
+the same days.
 """
 
 
@@ -36,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", default=None, help="picture to write (default: STUDY.png)")
     parser.add_argument("--metric", default="evaluation_greedy/return", help="column of the curve")
     parser.add_argument("--low", type=float, default=None, help="lower end of the vertical axis")
-    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+    add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -46,15 +44,15 @@ def execute(arguments: argparse.Namespace) -> int:
     output = Path(arguments.output or f"{arguments.study}.png")
     cells: dict[str, list[RunRow]] = defaultdict(list)
     for run in runs:
-        cells[_cell(run)].append(run)
+        cells[run.cell].append(run)
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(8, 4.5), dpi=150, layout="constrained")
-    for name, members in sorted(cells.items(), key=lambda item: _label(item[1])):
-        _draw_cell(axes, _label(members), members, arguments.metric, name)
+    for label, members in sorted(_labelled(cells.values()), key=lambda cell: cell[0]):
+        _draw_cell(axes, label, members, arguments.metric)
     _draw_rules(axes, root, arguments.study, arguments.metric)
     if arguments.low is not None:
         axes.set_ylim(bottom=arguments.low)
@@ -85,50 +83,58 @@ def _finished(root: Path, study: str) -> list["RunRow"]:
     return finished
 
 
-def _cell(run: "RunRow") -> str:
-    return run.run_id.rsplit("-s", 1)[0]
+def _labelled(cells: Iterable[Sequence["RunRow"]]) -> list[tuple[str, Sequence["RunRow"]]]:
+    """Cells with what they are called: what they are and, where that is the same, how they were set."""
+    alike: dict[str, list[Sequence[RunRow]]] = defaultdict(list)
+    for members in cells:
+        first = members[0]
+        alike[f"{first.algorithm}, {first.policies}, {first.environment}"].append(members)
+    return [
+        (", ".join((name, *settings)), members)
+        for name, group in alike.items()
+        for settings, members in zip(_differing([_parameters(cell[0]) for cell in group]), group, strict=True)
+    ]
 
 
-def _label(members: Sequence["RunRow"]) -> str:
-    first = members[0]
-    return f"{first.algorithm}, {first.policies}, {first.environment}"
+def _parameters(run: "RunRow") -> Mapping[str, str]:
+    from headway.store import RunRecord
+
+    return RunRecord.read(Path(run.directory)).parameters
+
+
+def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
+    """Of each cell, `name value` of the parameters that are not the same in all."""
+    names = list(dict.fromkeys(name for cell in cells for name in cell))
+    differing = [name for name in names if len({cell.get(name) for cell in cells}) > 1]
+    return [[f"{name} {cell.get(name)}" for name in differing] for cell in cells]
 
 
 def _curve(run: "RunRow", metric: str) -> Mapping[int, float]:
-    from headway.store.log import read_rows
+    from headway.store.log import read_curve, read_rows
 
-    rows = read_rows(Path(run.directory), "curve")
-    points = {int(row["env_steps"]): float(row[metric]) for row in rows if metric in row}
+    points = read_curve(Path(run.directory), metric)
     if not points:
+        rows = read_rows(Path(run.directory), "curve")
         known = sorted({name for row in rows for name in row if "/" in name})
         raise HeadwayError(f"--metric: {run.run_id} has no {metric!r}; {suggestion(metric, known)}")
     return points
 
 
-def _draw_cell(axes: "Axes", label: str, members: Sequence["RunRow"], metric: str, name: str) -> None:
+def _draw_cell(axes: "Axes", label: str, members: Sequence["RunRow"], metric: str) -> None:
     import numpy as np
+
+    from headway.stats import mean_and_half_width
 
     curves = [_curve(run, metric) for run in members]
     steps = sorted(set.intersection(*(set(curve) for curve in curves)))
     if not steps:
-        raise HeadwayError(f"the runs of {name} share no evaluation points")
+        raise HeadwayError(f"the runs of {members[0].cell} share no evaluation points")
     values = np.array([[curve[step] for step in steps] for curve in curves])
-    mean, half = _interval(values)
+    # A single seed has no interval.
+    mean, half = mean_and_half_width(values) if len(values) > 1 else (values[0], np.zeros(len(steps)))
     seeds = f"{len(members)} seeds" if len(members) > 1 else "1 seed"
     (line,) = axes.plot(steps, mean, label=f"{label} ({seeds})")
     axes.fill_between(steps, mean - half, mean + half, color=line.get_color(), alpha=0.2, linewidth=0)
-
-
-def _interval(values: "NDArray[np.float64]") -> tuple["NDArray[np.float64]", "NDArray[np.float64]"]:
-    """Mean and half width of its 95% interval over axis 0; no width for a single seed."""
-    import numpy as np
-    from scipy import stats
-
-    count = len(values)
-    mean = values.mean(axis=0)
-    if count < 2:
-        return mean, np.zeros_like(mean)
-    return mean, stats.t.ppf(0.975, count - 1) * values.std(axis=0, ddof=1) / np.sqrt(count)
 
 
 def _draw_rules(axes: "Axes", root: Path, study: str, metric: str) -> None:

@@ -2,9 +2,8 @@
 
 import argparse
 
-from headway.config import StoreConfig
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import existing_store
+from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
 examples:
@@ -18,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Runs or a study, and the store."""
     parser.add_argument("runs", metavar="RUN", nargs="*", help="identities as `headway runs` shows them")
     parser.add_argument("--study", help="all KILLED and FAILED runs of this study")
-    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+    add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from headway.config import StoreConfig
 from headway.configuration import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
+from headway.store.folder import STATUSES
 from headway_launch.tables import Cell, print_table
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ examples:
   headway runs --format json | jq '.[].final_reward'
 """
 
-_STATUSES = ("RUNNING", "FINISHED", "KILLED", "FAILED")
 _SHOWN = (
     "study",
     "environment",
@@ -50,9 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env", help="only runs on this environment")
     parser.add_argument("--algo", help="only runs of this algorithm")
     parser.add_argument("--seed", help="only these seeds: 7, 0,1,2 or 0..49")
-    parser.add_argument("--status", help="only runs with this status: " + ", ".join(_STATUSES))
+    parser.add_argument("--status", help="only runs with this status: " + ", ".join(STATUSES))
     parser.add_argument("--format", choices=("table", "json", "csv"), default="table")
-    parser.add_argument("--store", default=StoreConfig().root, help="folder of the store (default: runs)")
+    add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -67,7 +67,7 @@ def execute(arguments: argparse.Namespace) -> int:
     _require_known("env", arguments.env, {row.environment for row in everything})
     _require_known("algo", arguments.algo, {row.algorithm for row in everything})
     status = arguments.status.upper() if arguments.status else None
-    _require_known("status", status, set(_STATUSES))
+    _require_known("status", status, set(STATUSES))
     seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
     rows = [
         row
@@ -80,6 +80,12 @@ def execute(arguments: argparse.Namespace) -> int:
     ]
     _print(rows, arguments.format)
     return 0
+
+
+def add_store_argument(parser: argparse.ArgumentParser) -> None:
+    """`--store`, of every command that reads the store."""
+    root = StoreConfig.root
+    parser.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
 
 
 def existing_store(folder: str) -> Path:

@@ -16,7 +16,7 @@ from hashlib import sha256
 from json import dumps
 from pathlib import Path
 from platform import node
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import psutil
 
@@ -24,6 +24,7 @@ from headway.contracts import HeadwayError
 from headway.store.durable import make_folder, read_json, write_json
 
 Status = Literal["RUNNING", "FINISHED", "KILLED", "FAILED"]
+STATUSES: tuple[Status, ...] = get_args(Status)
 RECORD = "run.json"
 SUMMARY = "summary.json"
 CHECKPOINTS = "checkpoints"
@@ -51,6 +52,11 @@ class Process:
             return abs(psutil.Process(self.pid).create_time() - self.created) < 1.0
         except psutil.NoSuchProcess:
             return False
+
+
+def settled(status: Status, session: Process) -> Status:
+    """The status of a run, KILLED if it is RUNNING by a session that is gone."""
+    return "KILLED" if status == "RUNNING" and not session.may_live() else status
 
 
 @dataclass(frozen=True)
@@ -85,8 +91,8 @@ class RunRecord:
 
     @property
     def settled_status(self) -> Status:
-        """Its status, KILLED if it is RUNNING by a session that is gone."""
-        return "KILLED" if self.status == "RUNNING" and not self.session.may_live() else self.status
+        """Its status as `settled` has it."""
+        return settled(self.status, self.session)
 
     def write(self, directory: Path) -> None:
         """Write `run.json` durably. Raises HeadwayError if that fails."""

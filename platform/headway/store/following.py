@@ -5,17 +5,17 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from headway.config import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
 from headway.store.checkpoint import latest_iteration
 from headway.store.curve import ThinnedCurve
 from headway.store.durable import read_json, write_json
 from headway.store.folder import CHECKPOINTS, RunRecord, now, read_summary, run_folders
-from headway.store.log import Table, read_rows
+from headway.store.log import read_rows
 from headway.store.tracking import Tracker
 
 _STATE = "tracking.json"
-_TABLES: tuple[Table, ...] = ("curve", "evaluation")
 _FILES = ("config.yaml", "plan.json", "run.json", "summary.json", "*.parquet", "*.png", "*.svg", "*.html")
 
 
@@ -39,10 +39,10 @@ class RunFollower:
         state = {"uri": tracker.uri, "experiment": experiment, "parent": parent, "run": self._child}
         write_json(self.directory / _STATE, state | {"complete": False})
         iteration = _durable_iteration(self.directory, record)
-        tables = (read_rows(self.directory, table) for table in _TABLES)
-        rows = [row for table in tables for row in table if int(row.get("iteration", 0)) <= iteration]
+        curve = read_rows(self.directory, "curve")
+        rows = [row for row in curve if int(row.get("iteration", 0)) <= iteration]
         if rows:
-            self._curve.add(sorted(rows, key=lambda row: int(row.get("iteration", 0))))
+            self._curve.add(rows)
             sent = tracker.sent_steps(self._child)
             tracker.points(self._child, record.started, self._curve.durable(iteration, sent))
 
@@ -60,7 +60,9 @@ class RunFollower:
         write_json(self.directory / _STATE, read_json(self.directory / _STATE) | {"complete": True})
 
 
-def sync(root: Path, tracking_uri: str | None = None, curve_points: int = 200) -> tuple[str, ...]:
+def sync(
+    root: Path, tracking_uri: str | None = None, curve_points: int = StoreConfig.curve_points
+) -> tuple[str, ...]:
     """Bring MLflow up to date with every run folder under `root`, but those whose session still runs.
 
     Safe to repeat: nothing is sent twice. Returns one line for each run brought up to date or unreadable.

@@ -14,10 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from headway.contracts import HeadwayError
-from headway.store.folder import RECORD, SUMMARY, Process, RunRecord, read_summary, run_folders
+from headway.store.folder import (
+    RECORD,
+    SUMMARY,
+    Process,
+    RunRecord,
+    Status,
+    read_summary,
+    run_folders,
+    settled,
+)
 
 _NAME = "index.sqlite"
-_VERSION = 1
+_VERSION = 2
 _WAIT_SECONDS = 5.0
 
 
@@ -29,8 +38,10 @@ class RunRow:
     environment: str
     algorithm: str
     policies: str
+    cell: str
+    """The same for all seeds of one environment, algorithm and parameters."""
     seed: int
-    status: str
+    status: Status
     iterations: int
     """Iterations done, as far as durable."""
     env_steps: int
@@ -73,8 +84,8 @@ class RunIndex:
             for suffix in ("", "-journal"):
                 (self.root / f"{_NAME}{suffix}").unlink(missing_ok=True)
             rows = self._query(self.root / _NAME)
-        settled = (_settled(row) for row in rows)
-        return [row for row in settled if study is None or row.study == study]
+        now = (_settled(row) for row in rows)
+        return [row for row in now if study is None or row.study == study]
 
     def _query(self, path: Path) -> list[RunRow]:
         with closing(sqlite3.connect(path, timeout=_WAIT_SECONDS, isolation_level=None)) as database:
@@ -132,6 +143,7 @@ def _row(folder: Path) -> RunRow:
         environment=record.environment,
         algorithm=record.algorithm,
         policies=record.policies,
+        cell=record.cell,
         seed=record.seed,
         status=record.status,
         iterations=record.durable_iteration,
@@ -156,6 +168,4 @@ def _figure(summary: Mapping[str, Any], name: str) -> float | None:
 
 
 def _settled(row: RunRow) -> RunRow:
-    if row.status != "RUNNING" or Process(row.host, row.pid, row.created).may_live():
-        return row
-    return replace(row, status="KILLED")
+    return replace(row, status=settled(row.status, Process(row.host, row.pid, row.created)))

@@ -104,6 +104,12 @@ def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, 
     return sorted(rows, key=lambda row: row.get("iteration", 0))
 
 
+def read_curve(directory: Path, metric: str) -> dict[int, float]:
+    """Environment steps -> value, of the rows of a run's curve that have a metric."""
+    rows = read_rows(directory, "curve")
+    return {int(row["env_steps"]): float(row[metric]) for row in rows if metric in row}
+
+
 def _tables(directory: Path, table: Table, after: int) -> "list[pa.Table]":
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -31,7 +31,7 @@ from headway.store.tracking import Tracker
 
 _LOCK_SECONDS = 30.0
 _CLOSE_SECONDS = 120.0
-_BEHIND = "the runs' folders hold everything, and `headway.store.sync` brings MLflow up to date"
+_BEHIND = "the runs' folders hold everything, and the next `headway browse` brings MLflow up to date"
 
 
 class SessionStore:
