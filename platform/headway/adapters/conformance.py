@@ -83,7 +83,7 @@ def check_masks(make: Make, recording: Recording) -> None:
 
 
 def check_shared_reward(make: Make, recording: Recording) -> None:
-    """Where the spec says that the reward is shared, all agents get the same."""
+    """Where the spec says that the reward is shared, every slot has it, absent agents' too."""
     rewards = recording.trajectory.rewards
     if recording.spec.shared_reward:
         assert (rewards == rewards[..., :1]).all(), "shared_reward is true, and rewards differ"

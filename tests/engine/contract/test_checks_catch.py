@@ -64,6 +64,10 @@ def pay_by_neighbour(outcome: Outcome, observed: Observed, call: int) -> None:
     outcome.rewards[:] += outcome.rewards[-1].sum()
 
 
+def pay_the_team_where_it_acted(outcome: Outcome, observed: Observed, call: int) -> None:
+    outcome.rewards[:] = outcome.acting
+
+
 def spoil_metrics(outcome: Outcome, observed: Observed, call: int) -> None:
     outcome.metrics.fill(np.nan)
 
@@ -78,6 +82,7 @@ def spoil_metrics(outcome: Outcome, observed: Observed, call: int) -> None:
         ("ends", spoil_metrics, {}),
         ("masks", allow_nothing, {}),
         ("shared reward", keep, {"shared_reward": True}),
+        ("shared reward", pay_the_team_where_it_acted, {"shared_reward": True}),
         ("determinism", pay_by_call, {}),
         ("copies", pay_by_neighbour, {}),
         ("snapshots", pay_by_call, {}),
