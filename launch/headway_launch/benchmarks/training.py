@@ -5,9 +5,11 @@ reward, 200 steps), MLP 64-64 tanh, PPO with 5 epochs, 4,000 environment steps a
 one thread. The peers step a dict-based PettingZoo environment, so the row to compare them with is `dict`.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from statistics import median
 
-from headway_launch.benchmarks.measuring import Task, measure
+from headway_launch.benchmarks.measuring import Measurement, Task, measure
 
 PEERS = (
     ("RLlib 2.60", 1163, 614),
@@ -32,48 +34,71 @@ BASE = Task(
 )
 
 
+ROUNDS = 3
+"""Every row is measured this often, in turn with the others, because machines' speed drifts; the table
+gives medians."""
+
+
 def report() -> None:
     """Print the table."""
     print("\n## Training: environment steps a second (10 agents, 4,000 steps a batch, PPO with 5 epochs)\n")
+    print(f"Headway's rows are medians of {ROUNDS} runs, taken in turn.\n")
     print("| program | environment | policies | steps/s | steps/CPU s | rollouts alone, steps/s |")
     print("|---|---|---|---:|---:|---:|")
     for name, per_second, per_cpu_second in PEERS:
         print(f"| {name}, measured earlier | dict | independent | {per_second:,} | {per_cpu_second:,} | |")
-    for dict_based in (True, False):
-        for algo in ("ippo", "mappo"):
-            for policies in ("independent", "shared"):
-                task = replace(
-                    BASE, algo=algo, dict_based=dict_based, algo_args={**BASE.algo_args, "policies": policies}
-                )
-                result = measure([task])[0]
-                face = "dict" if dict_based else "batched"
-                print(
-                    f"| Headway {algo} | {face} | {policies} | {result.per_second:,.0f} "
-                    f"| {result.per_cpu_second:,.0f} | {result.collected_per_second:,.0f} |",
-                    flush=True,
-                )
+    rows = [
+        (dict_based, algo, policies)
+        for dict_based in (True, False)
+        for algo in ("ippo", "mappo")
+        for policies in ("independent", "shared")
+    ]
+    tasks = [
+        replace(BASE, algo=algo, dict_based=dict_based, algo_args={**BASE.algo_args, "policies": policies})
+        for dict_based, algo, policies in rows
+    ]
+    for (dict_based, algo, policies), results in zip(rows, _in_turn(tasks), strict=True):
+        face = "dict" if dict_based else "batched"
+        print(
+            f"| Headway {algo} | {face} | {policies} | {median(r.per_second for r in results):,.0f} "
+            f"| {median(r.per_cpu_second for r in results):,.0f} "
+            f"| {median(r.collected_per_second for r in results):,.0f} |",
+            flush=True,
+        )
     _report_two_seeds()
     _report_workers()
 
 
+def _in_turn(tasks: Sequence[Task]) -> list[list[Measurement]]:
+    """`ROUNDS` measurements of each task, A B C A B C ..."""
+    rounds = [[measure([task])[0] for task in tasks] for _ in range(ROUNDS)]
+    return [list(results) for results in zip(*rounds, strict=True)]
+
+
 def _report_two_seeds() -> None:
-    alone = measure([BASE])[0]
-    pair = measure([replace(BASE, seed=seed) for seed in (0, 1)])
-    together = sum(result.per_second for result in pair)
+    ratios, totals = [], []
+    for _ in range(ROUNDS):
+        alone = measure([BASE])[0]
+        pair = measure([replace(BASE, seed=seed) for seed in (0, 1)])
+        totals.append(sum(result.per_second for result in pair))
+        ratios.append(totals[-1] / alone.per_second)
     print("\nTwo seeds in two processes (ippo, batched, independent):", end=" ")
-    print(f"{together:,.0f} steps/s, {together / alone.per_second:.2f} times one alone.", flush=True)
+    print(f"{median(totals):,.0f} steps/s, {median(ratios):.2f} times one alone.", flush=True)
 
 
 def _report_workers() -> None:
     """Rollout workers pay where the environment does: the dict-based one, and the bus line."""
     for label, task in (
-        ("dict-based trivial", replace(BASE, dict_based=True, block=10)),
-        ("bus line", replace(BASE, env="bus", copies=8, steps=285, block=4, iterations=8)),
+        ("dict-based trivial, 20 copies", replace(BASE, dict_based=True, block=10)),
+        ("bus line, 8 copies", replace(BASE, env="bus", copies=8, steps=285, block=4, iterations=8)),
+        ("bus line, 32 copies", replace(BASE, env="bus", copies=32, steps=143, block=4, iterations=8)),
     ):
-        one, two = (measure([replace(task, backend="process", workers=workers)])[0] for workers in (1, 2))
-        ratio = two.collected_per_second / one.collected_per_second
+        pairs = [replace(task, backend="process", workers=workers) for workers in (1, 2)]
+        one, two = _in_turn(pairs)
+        ratio = median(b.collected_per_second / a.collected_per_second for a, b in zip(one, two, strict=True))
         print(
-            f"Rollouts with two workers against one ({label}): {one.collected_per_second:,.0f} and "
-            f"{two.collected_per_second:,.0f} steps/s, {ratio:.2f} times.",
+            f"Rollouts with two workers against one ({label}): "
+            f"{median(r.collected_per_second for r in one):,.0f} and "
+            f"{median(r.collected_per_second for r in two):,.0f} steps/s, {ratio:.2f} times.",
             flush=True,
         )
