@@ -73,7 +73,9 @@ def run(arguments: Sequence[str]) -> int:
     words = [word for word in arguments if word != "--debug"]
     debug = len(words) < len(arguments)
     try:
-        return _dispatch(words, debug)
+        code = _dispatch(words, debug)
+        sys.stdout.flush()  # here, where a reader that has gone, or a full disk, can still be answered
+        return code
     except HeadwayError as error:
         if debug:
             raise
@@ -92,6 +94,8 @@ def run(arguments: Sequence[str]) -> int:
         if debug:
             raise
         text = " ".join(str(error).split())
+        if isinstance(error, OSError):
+            silence(sys.stdout)
         tell(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)")
         return 2
 

@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING
 
 from headway.events import LABELS, Row
 from headway_launch.tables import Cell, print_table
+from headway_launch.telling import tell
 
 if TYPE_CHECKING:
     from headway.stats import Interval
     from headway_launch.composing import Experiment
 
 _NOT_METRICS = LABELS | {"length", "return"}
+SEEDS_FOR_A_CLAIM = 10
+"""Training seeds from which a difference with an interval that excludes 0 is worth a claim."""
 _COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to")
 
 
@@ -51,6 +54,12 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
         print_table(("", *(str(cells[0]).removeprefix("rule ") for cells in table)), list(rows_by_column))
     else:
         print_table(columns, table)
+    if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
+        seeds = "1 seed" if len(learned) == 1 else f"{len(learned)} seeds"
+        tell(
+            f"{seeds}: the intervals cannot know how seeds differ and are too narrow; "
+            f"train at least {SEEDS_FOR_A_CLAIM} before saying which is better"
+        )
 
 
 def _difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":

@@ -73,6 +73,8 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     config = build(ExperimentConfig, values)
     if not _DEVICE.fullmatch(config.device):
         raise HeadwayError(f"device={config.device} is none; write auto, cpu, cuda or cuda:NUMBER")
+    if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
+        raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
     env = env_entry(config.env.id)
     hyper_parameters = dict(config.algo)
     name = hyper_parameters.pop("name", None)

@@ -29,7 +29,7 @@ from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
 from headway_launch.results import SeedResult, print_results, seed_result
 from headway_launch.session import Session
-from headway_launch.telling import tell, to_a_reader
+from headway_launch.telling import own_name, tell, to_a_reader
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _NAMED_RUNS = 3
@@ -214,7 +214,7 @@ class Conductor:
         folders = sorted({str(Path(result.directory).parent) for result in self._results})
         where = ", ".join(_from_here(folder) for folder in folders)
         option = "" if root == type(self._config.store)().root else f" --store {root}"
-        tell(f"{seconds:.0f} s; run folders in {where}; look at them with: headway browse{option}")
+        tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
         for result in self._results:
             if result.status == "FAILED":
                 tell(f"headway: seed {result.seed}: see {_from_here(result.directory)}/{TRACEBACK}")
@@ -223,7 +223,7 @@ class Conductor:
             named = (
                 " ".join(unfinished) if len(unfinished) <= _NAMED_RUNS else f"--study {self._config.study}"
             )
-            tell(f"headway: to go on: headway resume {named}{option}")
+            tell(f"headway: to go on: {own_name()} resume {named}{option}")
 
 
 def _session_figures(report: EnergyReport) -> dict[str, float]:

@@ -15,7 +15,17 @@ if TYPE_CHECKING:
     from headway_launch.recording import JobRecording
 
 _USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
-_COLUMNS = ("seed", "status", "final reward", "AUC", "env steps", "steps/s", "CPU s", "kWh", "kg CO2eq")
+_COLUMNS = (
+    "seed",
+    "status",
+    "final reward",
+    "AUC (own range)",
+    "env steps",
+    "steps/s",
+    "CPU s",
+    "kWh",
+    "kg CO2eq",
+)
 
 
 @dataclass(frozen=True)
@@ -111,7 +121,9 @@ def print_results(
     finished = [result.cells for result in results if result.status == "FINISHED"]
     if len(finished) > 1:
         rows += [_over_seeds("mean", finished), _over_seeds("std", finished)]
-    print_table(_COLUMNS, rows, title=f"{config.algo.get('name')} on {config.env.id}")
+    estimated = any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
+    columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _COLUMNS)
+    print_table(columns, rows, title=f"{config.algo.get('name')} on {config.env.id}")
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)

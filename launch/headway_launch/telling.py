@@ -1,9 +1,11 @@
 """Words for a reader who may have gone: `headway run 2>&1 | head`."""
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TextIO
 
 
@@ -13,6 +15,14 @@ def tell(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
     except OSError:
         silence(sys.stderr)
+
+
+def own_name() -> str:
+    """What to type for this command here: `headway` where the shell finds it, else its path."""
+    if shutil.which("headway"):
+        return "headway"
+    script = Path(sys.executable).with_name("headway")
+    return str(script.relative_to(Path.cwd())) if script.is_relative_to(Path.cwd()) else str(script)
 
 
 @contextmanager

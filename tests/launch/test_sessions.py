@@ -103,7 +103,7 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     table = [line.split("\t") for line in done.stdout.splitlines()]
-    assert table[0][:4] == ["seed", "status", "final reward", "AUC"]
+    assert table[0][:4] == ["seed", "status", "final reward", "AUC (own range)"]
     assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
     assert [row[0] for row in table[3:5]] == ["mean", "std"]
     assert any(row[0] == "rule optimal" and float(row[2]) == 20.0 for row in table)

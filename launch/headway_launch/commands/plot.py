@@ -50,10 +50,10 @@ def execute(arguments: argparse.Namespace) -> int:
     mpl.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(8, 4.5), dpi=150, layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(10, 4.5), dpi=150, layout="constrained")
     for label, members in sorted(_labelled(cells.values()), key=lambda cell: cell[0]):
         _draw_cell(axes, label, members, arguments.metric)
-    _draw_rules(axes, root, arguments.study, arguments.metric)
+    _draw_rules(axes, root, arguments.study, arguments.metric, _days(runs[0]))
     if arguments.low is not None:
         axes.set_ylim(bottom=arguments.low)
     axes.set_xlabel("environment steps")
@@ -61,7 +61,7 @@ def execute(arguments: argparse.Namespace) -> int:
     axes.set_title(f"{arguments.study}: mean over seeds with 95% interval")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="lower right")
+    figure.legend(fontsize="small", loc="outside right upper")
     try:
         figure.savefig(output)
     except (OSError, ValueError) as error:
@@ -137,16 +137,25 @@ def _draw_cell(axes: "Axes", label: str, members: Sequence["RunRow"], metric: st
     axes.fill_between(steps, mean - half, mean + half, color=line.get_color(), alpha=0.2, linewidth=0)
 
 
-def _draw_rules(axes: "Axes", root: Path, study: str, metric: str) -> None:
-    """A dashed line a rule, where the metric is one of an episode's columns."""
+def _days(run: "RunRow") -> int:
+    """Evaluation days of a curve's points: the last evaluation, and the rules, may have more."""
+    import yaml
+
+    config = yaml.safe_load((Path(run.directory) / "config.yaml").read_text(encoding="utf-8"))
+    return int(config["evaluation"]["episodes"])
+
+
+def _draw_rules(axes: "Axes", root: Path, study: str, metric: str, days: int) -> None:
+    """A dashed line a rule, over the days of the curves, where the metric is one of an episode's columns."""
     from headway.store.folder import rules_files
 
     column = metric.rsplit("/", 1)[-1]
     drawn: dict[str, float] = {}
     for path in rules_files(root, study):
         for rule, rows in json.loads(path.read_text()).items():
-            if rows and column in rows[0]:
-                drawn[rule] = sum(row[column] for row in rows) / len(rows)
+            same = [row[column] for row in rows if column in row and row["episode_seed"] < days]
+            if same:
+                drawn[rule] = sum(same) / len(same)
     for place, (rule, value) in enumerate(sorted(drawn.items())):
         axes.axhline(value, linestyle=("--", ":", "-.")[place % 3], color=f"{0.2 + 0.1 * place:.2f}",
                      linewidth=1, label=f"rule {rule}")  # fmt: skip

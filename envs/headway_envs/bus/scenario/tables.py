@@ -113,9 +113,15 @@ def read_tables(folder: str | Path) -> Tables:
             ) from error
     meta_path = folder / "meta.json"
     try:
-        meta = json.loads(meta_path.read_text()) if meta_path.is_file() else {}
+        meta = json.loads(meta_path.read_text())
+    except FileNotFoundError as error:
+        raise HeadwayError(
+            f"{meta_path} is missing; it says where the tables come from: write one, {{}} at least"
+        ) from error
     except ValueError as error:
         raise HeadwayError(f"{meta_path} is not valid JSON: {error}; mend or remove it") from error
+    if not isinstance(meta, dict):
+        raise HeadwayError(f"{meta_path} holds no JSON object; write one, {{}} at least")
     tables = Tables(**frames, meta=meta)
     check_tables(tables)
     return tables
