@@ -31,6 +31,8 @@ TINY = (
 )
 LONG = ("env_steps=1e8",)
 PATIENCE_S = 60.0
+BEGUN = "(training| left)"
+"""In a progress line once training has begun: `training`, or the time left where it is known already."""
 
 
 @dataclass
@@ -119,7 +121,7 @@ def test_ctrl_c_keeps_everything_and_resume_goes_on(tmp_path: Path) -> None:
     with headway(
         "run", *TINY, *LONG, "seed=0,1", "backend.parallel=1", "backend.workers=1", folder=tmp_path
     ) as running:
-        running.wait_for(lambda: running.has_said("training"))
+        running.wait_for(lambda: running.has_said(BEGUN))
         time.sleep(0.5)
         running.process.send_signal(signal.SIGINT)
         assert running.process.wait(PATIENCE_S) == 130
@@ -130,7 +132,7 @@ def test_ctrl_c_keeps_everything_and_resume_goes_on(tmp_path: Path) -> None:
     assert first[0].iterations > 0
 
     with headway("resume", "--study", "default", folder=tmp_path) as running:
-        running.wait_for(lambda: running.has_said(r"seed 0 .*training"))
+        running.wait_for(lambda: running.has_said(f"seed 0 .*{BEGUN}"))
         time.sleep(0.5)
         running.process.send_signal(signal.SIGTERM)
         assert running.process.wait(PATIENCE_S) == 130
@@ -141,7 +143,7 @@ def test_ctrl_c_keeps_everything_and_resume_goes_on(tmp_path: Path) -> None:
 
 def test_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
     with headway("run", *TINY, *LONG, "backend.workers=2", "rollout.block=2", folder=tmp_path) as running:
-        running.wait_for(lambda: running.has_said("training"))
+        running.wait_for(lambda: running.has_said(BEGUN))
         children = running.training()
         assert len(children) >= 2
         running.process.kill()
@@ -155,7 +157,7 @@ def test_a_training_process_that_dies_is_one_line_and_the_others_go_on(tmp_path:
     with headway(
         "run", *TINY, "env_steps=4e4", "backend=serial", "seed=0,1", "backend.parallel=2", folder=tmp_path
     ) as running:
-        running.wait_for(lambda: running.has_said("seed 0 .*training"))
+        running.wait_for(lambda: running.has_said(f"seed 0 .*{BEGUN}"))
         first = min(running.training(), key=lambda child: child.create_time())
         first.kill()
         assert running.process.wait(PATIENCE_S) == 2
@@ -173,7 +175,7 @@ def test_bad_input_starts_nothing(tmp_path: Path, override: str) -> None:
 
 def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> None:
     with headway("run", *TINY, *LONG, "rollout.steps=20000", "backend=serial", folder=tmp_path) as running:
-        running.wait_for(lambda: running.has_said("training"))
+        running.wait_for(lambda: running.has_said(BEGUN))
         children = running.training()
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
