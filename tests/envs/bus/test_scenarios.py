@@ -158,3 +158,14 @@ def test_workers_import_neither_pandas_nor_torch(tmp_path: Path) -> None:
 
     (tmp_path / "prepared").write_bytes(pickle.dumps(prepare(BusConfig())))
     subprocess.run([sys.executable, "-c", script], check=True, timeout=120)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"), [(None, "is missing"), ("[]", "no JSON object"), ("{", "not valid")]
+)
+def test_meta_that_says_nothing_is_one_line(tmp_path: Path, content: str | None, line: str) -> None:
+    write_tables(generate("line", 0), tmp_path)
+    meta = tmp_path / "meta.json"
+    meta.unlink() if content is None else meta.write_text(content)
+    with pytest.raises(HeadwayError, match=f"meta.json.* {line}"):
+        read_tables(tmp_path)
