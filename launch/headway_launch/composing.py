@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from contextlib import closing
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,26 @@ _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
 @dataclass(frozen=True)
+class PreparedEnv:
+    """An experiment's environment, ready to be made."""
+
+    prepared: Any
+    """What all copies share of the one that is reported on."""
+    training: Any
+    """The same of the one that is learned from."""
+    spec: EnvSpec
+    """What is learned from."""
+
+
+@dataclass(frozen=True)
 class Experiment:
     """A valid configuration with the objects that its names stand for."""
 
     config: ExperimentConfig
     env: EnvEntry
     env_config: Any
+    training_env_config: Any
+    """With `env.training_args` over `env.args`."""
     algo: AlgoEntry
     algo_config: Any
 
@@ -32,11 +47,11 @@ class Experiment:
         """The algorithm's name in the registry."""
         return str(self.config.algo["name"])
 
-    def prepare(self) -> tuple[Any, EnvSpec]:
+    def prepare(self) -> PreparedEnv:
         """What all environment copies share, and what the environment is.
 
-        Raises HeadwayError for data that cannot be used, an unknown rule, and an algorithm that cannot
-        run on this environment.
+        Raises HeadwayError for data that cannot be used, an unknown rule, training arguments that change what
+        agents observe or do, and an algorithm that cannot run on this environment.
         """
         for rule in self.config.evaluation.rules:
             if rule not in self.env.rules:
@@ -44,13 +59,23 @@ class Experiment:
                     f"evaluation.rules: {rule!r} is no rule of {self.config.env.id}; "
                     f"{suggestion(rule, self.env.rules)}"
                 )
-        prepared = self.env.prepare(self.env_config)
-        env = self.env.make(prepared, 1)
-        spec = env.spec
-        env.close()
+        prepared = training = self.env.prepare(self.env_config)
+        spec = self._spec(prepared)
+        if self.training_env_config != self.env_config:
+            training = self.env.prepare(self.training_env_config)
+            reported, spec = spec, self._spec(training)
+            if replace(reported, shared_reward=spec.shared_reward) != spec:
+                raise HeadwayError(
+                    "env.training_args may change rewards and dynamics, not what agents observe, do or are "
+                    "measured by; set such arguments by env.args"
+                )
         if reason := self.algo.refuses(self.algo_config, spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
-        return prepared, spec
+        return PreparedEnv(prepared, training, spec)
+
+    def _spec(self, prepared: object) -> EnvSpec:
+        with closing(self.env.make(prepared, 1)) as env:
+            return env.spec
 
 
 def compose(overrides: Sequence[str]) -> Experiment:
@@ -83,10 +108,12 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     algo = algo_entry(name)
     if any(field.name == "name" for field in fields(algo.config)):
         hyper_parameters["name"] = name
+    training_args = _merged(config.env.args, config.env.training_args)
     return Experiment(
         config=config,
         env=env,
         env_config=build(env.config, config.env.args, "env.args", config.env.id),
+        training_env_config=build(env.config, training_args, "env.training_args", config.env.id),
         algo=algo,
         algo_config=build(algo.config, hyper_parameters, "algo", name),
     )

@@ -119,6 +119,7 @@ class Conductor:
             workers=workers_of(planned, self._shares),
             directories=tuple(str(run.directory) for run in runs),
             resume=bool(planned.resumed) and with_checkpoint,
+            training_prepared=planned.training_prepared,
         )
 
     def _runs(self, planned: PlannedJob) -> list[Run]:

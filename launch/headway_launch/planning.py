@@ -23,7 +23,10 @@ class PlannedJob:
     experiment: Experiment
     prepared: Any
     """What `EnvEntry.prepare` gave; shared by all jobs of an experiment."""
+    training_prepared: Any
+    """The same for the environment that is learned from."""
     spec: EnvSpec
+    """What is learned from."""
     seeds: tuple[int, ...]
     resumed: tuple[str, ...] = ()
     """Identities of the runs to go on with, one a seed; empty: new ones."""
@@ -43,10 +46,10 @@ class Shares:
 
 def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
     """The jobs of a new experiment. Raises HeadwayError for what cannot run."""
-    prepared, spec = experiment.prepare()
+    found = experiment.prepare()
     seeds, stack = experiment.config.seed, experiment.config.backend.stack
     return tuple(
-        PlannedJob(experiment, prepared, spec, seeds[first : first + stack])
+        PlannedJob(experiment, found.prepared, found.training, found.spec, seeds[first : first + stack])
         for first in range(0, len(seeds), stack)
     )
 
@@ -85,7 +88,11 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
     return {
         **plain(config),
         "seed": list(seeds),
-        "env": {"id": config.env.id, "args": plain(experiment.env_config)},
+        "env": {
+            "id": config.env.id,
+            "args": plain(experiment.env_config),
+            "training_args": plain(config.env.training_args),
+        },
         "algo": {**plain(experiment.algo_config), "name": experiment.algo_name},
     }
 

@@ -80,7 +80,7 @@ def _batch_jobs(runs: Sequence[StoredRun]) -> tuple[PlannedJob, ...]:
     first = runs[0]
     seeds = [run.record.seed for run in runs]
     experiment = resolve({**first.mapping, "seed": seeds})
-    prepared, spec = experiment.prepare()
+    found = experiment.prepare()
     by_seed = {run.record.seed: run for run in runs}
     stacks = list(dict.fromkeys(run.stack for run in runs))
     jobs = []
@@ -92,5 +92,8 @@ def _batch_jobs(runs: Sequence[StoredRun]) -> tuple[PlannedJob, ...]:
                 f"name the runs of seed {', '.join(map(str, missing))} too"
             )
         run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
-        jobs.append(PlannedJob(experiment, prepared, spec, stack, run_ids, by_seed[stack[0]].workers))
+        workers = by_seed[stack[0]].workers
+        jobs.append(
+            PlannedJob(experiment, found.prepared, found.training, found.spec, stack, run_ids, workers)
+        )
     return tuple(jobs)

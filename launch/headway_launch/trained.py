@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.environment import EnvSpec
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
 from headway.store.folder import CHECKPOINTS
+from headway_launch.composing import PreparedEnv
 from headway_launch.stored import StoredRun
 
 
@@ -28,15 +28,17 @@ class TrainedPolicy:
     iteration: int
 
 
-def newest_policy(run: StoredRun, prepared: object, spec: EnvSpec) -> TrainedPolicy:
+def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
     """The policies in the newest whole checkpoint of a run. Raises HeadwayError if it has none."""
     iteration, state, notices = load_latest(run.directory / CHECKPOINTS)
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)
     experiment, rollout = run.experiment, run.experiment.config.rollout
-    policy = experiment.algo.acting_policy(experiment.algo_config, spec)
+    policy = experiment.algo.acting_policy(experiment.algo_config, environment.spec)
     env, seeds = experiment.env, (run.record.seed,)
-    plan = RolloutPlan.of(rollout, env.make, env.preload, prepared, spec, policy, seeds)
+    plan = RolloutPlan.of(
+        rollout, env.make, env.preload, environment.prepared, environment.spec, policy, seeds
+    )
     replica, replicas = run.stack.index(run.record.seed), len(run.stack)
     parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}
     return TrainedPolicy(plan, parameters, iteration)

@@ -18,6 +18,9 @@ class EnvConfig:
     """Name in the registry: see `headway list envs`."""
     args: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of that environment; its own record validates them."""
+    training_args: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments laid over `args` while learning only: a reward that is easier to learn from, say.
+    Evaluation, rules and every figure reported are of `args`."""
 
 
 @dataclass(frozen=True)

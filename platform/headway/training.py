@@ -45,6 +45,7 @@ class TrainingJob:
     prepared: Any
     """What the environment entry's `prepare` gave for the experiment's arguments."""
     spec: EnvSpec
+    """What is learned from: the training environment's."""
     make_policy: Callable[[Any, EnvSpec], ActingPolicy]
     """The algorithm entry's `acting_policy`."""
     make_learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
@@ -56,6 +57,8 @@ class TrainingJob:
     directories: tuple[str, ...]
     """Run folders, one a seed."""
     resume: bool = False
+    training_prepared: Any = None
+    """What `prepare` gave for the training arguments; None: the same."""
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
@@ -66,8 +69,9 @@ class TrainingJob:
         """What decides this job's draws."""
         policy = self.make_policy(self.algo_config, self.spec)
         return RolloutPlan.of(
-            self.config.rollout, self.make_env, self.preload, self.prepared, self.spec, policy, self.seeds
-        )
+            self.config.rollout, self.make_env, self.preload, self.prepared, self.spec, policy, self.seeds,
+            self.training_prepared,
+        )  # fmt: skip
 
 
 def train(job: TrainingJob, report: Callable[[Event], None], should_stop: Callable[[], bool]) -> None:

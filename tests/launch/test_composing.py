@@ -66,6 +66,8 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
         ("algo.model.hidden=[32", ["the configuration cannot be composed"]),
         ("algo.lr=${nowhere}", ["the configuration cannot be composed", "nowhere"]),
         ("env.args._target_=os.system", ["_target_ is not allowed"]),
+        ("env.training_args.stpes=3", ["env.training_args.stpes is not a key", "did you mean"]),
+        ("env.training_args.steps=0", ["env.training_args.steps must be at least 1"]),
         ("device=gpu", ["device", "cuda"]),
     ],
 )
@@ -84,11 +86,28 @@ def test_a_rule_that_is_not_there_is_refused_before_anything_starts() -> None:
         experiment.prepare()
 
 
+def test_training_arguments_lie_over_those_that_are_reported_on() -> None:
+    found = compose(["env=bus", "env.args.capacity=50", "env.training_args.reward.shared=false"]).prepare()
+    assert found.prepared.config.reward.shared
+    assert not found.training.config.reward.shared
+    assert found.prepared.config.capacity == found.training.config.capacity == 50
+    assert not found.spec.shared_reward
+    same = compose(["env=trivial"]).prepare()
+    assert same.training is same.prepared
+
+
+def test_training_arguments_cannot_change_what_agents_observe() -> None:
+    experiment = compose(["env=trivial", "env.training_args.agents=3"])
+    with pytest.raises(HeadwayError, match=r"env\.training_args may change rewards and dynamics, not what"):
+        experiment.prepare()
+
+
 def test_a_stored_configuration_gives_the_same_experiment() -> None:
-    experiment = compose(["env=trivial", "preset=paper", "seed=0..3"])
+    experiment = compose(["env=trivial", "preset=paper", "seed=0..3", "env.training_args.steps=9"])
     again = resolve(full_mapping(experiment, [2]))
     assert again.algo_config == experiment.algo_config
     assert again.env_config == experiment.env_config
+    assert again.training_env_config == experiment.training_env_config != experiment.env_config
     assert again.config.seed == (2,)
     assert cell_parameters(again) == cell_parameters(experiment)
 

@@ -42,6 +42,14 @@ class RewardConfig:
     shared: bool = True
     """True: every slot, at the depot too, is paid the team mean, so that the return of a day cannot be raised
     by staying out longer. False: each its own, 0 at the depot."""
+    follower_share: float = 0.0
+    """Without `shared`: share of the bus behind in a bus's own c, since holding moves both spacings; 0: a bus
+    answers for the spacing ahead of it alone."""
+    foresee_upkeep: bool = False
+    """True: what low fuel and wear are still to cost until the next time at the depot is charged as it
+    becomes due and refunded by service: a potential (Ng, Harada and Russell 1999, undiscounted), which adds
+    the same constant to every day, whatever is done. What lies hours ahead, beyond the usual discount
+    factors, is so felt at once. For learning; `team_reward` never holds it."""
     preset: Literal["default", "paper"] = "default"
     """`default`: e punishes occupancy above 0.9 only; `paper`: also below 0.6, as the
     released code."""
@@ -55,6 +63,7 @@ class RewardConfig:
             maintenance=self.maintenance,
             regularity=self.regularity,
         )
+        _share(follower_share=self.follower_share)
         total = self.service + self.efficiency + self.maintenance + self.regularity
         _require(total > 0, "at least one of the weights must be above 0")
 

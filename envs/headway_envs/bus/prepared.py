@@ -111,12 +111,21 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "weight_efficiency": reward.efficiency,
         "weight_maintenance": reward.maintenance,
         "weight_regularity": reward.regularity,
+        "follower_share": reward.follower_share,
+        "breakdown_cost": _breakdown_cost(config),
+        "foresee_upkeep": float(reward.foresee_upkeep),
         "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
         "shared": float(reward.shared),
         "weekday": float(config.day_type == "weekday"),
         "observation": float(("paper", "published", "control").index(config.observation)),
         "full_state": float(prepared.full_state),
     }
+
+
+def _breakdown_cost(config: BusConfig) -> float:
+    """Reward lost by a bus that stands broken and is then repaired: m and, against a regular service, c."""
+    intervals = (config.upkeep.broken_s + config.upkeep.service_s) / config.tick_s
+    return intervals * (config.reward.maintenance + 2.0 * config.reward.regularity)
 
 
 def prepare(config: BusConfig) -> Prepared:

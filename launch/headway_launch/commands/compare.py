@@ -54,19 +54,19 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError("--episodes must be at least 2 and --seed at least 0")
     cells = _cells(existing_store(arguments.store), arguments.study)
     experiment = next(iter(cells.values()))[0].experiment
-    prepared, spec = experiment.prepare()
+    found = experiment.prepare()
     names = tuple(experiment.env.rules)
     if arguments.against is not None and arguments.against not in names:
         raise HeadwayError(
             f"--against: {arguments.against!r} is no rule; {suggestion(arguments.against, names)}"
         )
-    rules = rule_episodes(experiment, prepared, names, arguments.seed, arguments.episodes)
+    rules = rule_episodes(experiment, found.prepared, names, arguments.seed, arguments.episodes)
     metrics = _metrics(arguments.metrics, rules)
     reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
     played = {
         label: [
             policy_episodes(
-                newest_policy(run, prepared, spec),
+                newest_policy(run, found),
                 arguments.seed,
                 arguments.episodes,
                 arguments.mode == "greedy",

@@ -49,10 +49,10 @@ def execute(arguments: argparse.Namespace) -> int:
     if episodes < 1 or root < 0:
         raise HeadwayError("--episodes must be at least 1 and --seed at least 0")
     rules = _rules(arguments.rules, experiment)
-    prepared, spec = experiment.prepare()
-    policy = newest_policy(run, prepared, spec)
+    found = experiment.prepare()
+    policy = newest_policy(run, found)
     learned = policy_episodes(policy, root, episodes, greedy=arguments.mode == "greedy")
-    played = rule_episodes(experiment, prepared, rules, root, episodes)
+    played = rule_episodes(experiment, found.prepared, rules, root, episodes)
     print_comparison(f"{experiment.algo_name} {arguments.mode}", [learned], played)
     return 0
 

@@ -27,8 +27,9 @@ class RolloutPlan:
     """The environment entry's `make`."""
     preload: tuple[str, ...]
     prepared: Any
-    """What the entry's `prepare` gave."""
+    """What the entry's `prepare` gave for the environment that is reported on."""
     spec: EnvSpec
+    """What is learned from: the training environment's."""
     policy: ActingPolicy
     seeds: tuple[int, ...]
     """Seeds of the R replicas."""
@@ -38,6 +39,8 @@ class RolloutPlan:
     """T"""
     block: int
     """Copies of each replica whose actions are computed in one piece."""
+    training_prepared: Any = None
+    """What `prepare` gave for the environment that is learned from; None: the same."""
 
     @classmethod
     def of(
@@ -49,10 +52,13 @@ class RolloutPlan:
         spec: EnvSpec,
         policy: ActingPolicy,
         seeds: tuple[int, ...],
+        training_prepared: object = None,
     ) -> Self:
         """The plan with the numbers of a configuration."""
         numbers = {"copies": rollout.copies, "steps": rollout.steps, "block": rollout.block}
-        return cls(make_env, preload, prepared, spec, policy, seeds, **numbers)
+        return cls(
+            make_env, preload, prepared, spec, policy, seeds, training_prepared=training_prepared, **numbers
+        )
 
     @property
     def replicas(self) -> int:
@@ -66,8 +72,13 @@ class RolloutPlan:
         return replace(self, copies=block, block=block, steps=1)
 
     def make(self, copies: int) -> BatchedEnv:
-        """An environment of `copies` copies of each replica."""
+        """The environment that is reported on, `copies` copies of each replica."""
         return self.make_env(self.prepared, self.replicas * copies)
+
+    def make_for_training(self, copies: int) -> BatchedEnv:
+        """The environment that is learned from, `copies` copies of each replica."""
+        prepared = self.prepared if self.training_prepared is None else self.training_prepared
+        return self.make_env(prepared, self.replicas * copies)
 
     def shards(self, workers: int) -> list[tuple[int, int]]:
         """(first, count) copies of each worker: whole blocks, as equal as can be, none empty.

@@ -101,7 +101,7 @@ class Sampler:
 
     def __init__(self, plan: RolloutPlan, first: int, count: int, trajectory: Trajectory) -> None:
         self.plan, self.first, self.count = plan, first, count
-        self.env = plan.make(count)
+        self.env = plan.make_for_training(count)
         self.acting = BlockwiseActing(plan, count, plan.block)
         self.views = _part_of(trajectory, plan, first, count)
         self.observed: Observed | None = None

@@ -236,6 +236,22 @@ def test_evaluation_is_split_into_the_same_blocks_everywhere(episodes: int, coun
     assert [request.first for request in requests] == [sum(counts[:i]) for i in range(len(counts))]
 
 
+def test_training_arguments_are_learned_from_and_never_reported_on() -> None:
+    made: list[object] = []
+
+    def make(prepared: object, copies: int) -> BatchedEnv:
+        made.append(prepared)
+        return Clock(prepared, copies)
+
+    plan = RolloutPlan(make, (), "reported", Clock(None, 1).spec, StepPolicy([]), (5,), 3, 4, 1)
+    plan = replace(plan, training_prepared="learned from")
+    Sampler(plan, 0, 3)
+    evaluate_policy(plan, {}, EvaluationRequest(77, 0, 2, greedy=True))
+    assert made == ["learned from", "reported"]
+    Sampler(replace(plan, training_prepared=None), 0, 3)
+    assert made[2] == "reported"
+
+
 def test_sampled_evaluation_depends_on_the_seed_and_greedy_does_not_draw() -> None:
     # Both replicas have the same parameters, so only their noise can tell them apart.
     plan = plan_of_toy("visitors", seeds=(5, 6))

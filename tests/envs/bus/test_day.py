@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from headway.contracts import Discrete, HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel.layout import DEPOT, MOVE, SERVICE_CENTER
+from headway_envs.bus.kernel.layout import AWAY, DEPOT, MOVE, SERVICE_CENTER, WAIT
+from headway_envs.bus.kernel.spacing import COUNTED
 from headway_envs.bus.prepared import Prepared, prepare
 
 
@@ -168,7 +169,7 @@ def test_a_day_ends_terminated_and_the_next_begins(line: Prepared) -> None:
     assert observed.observations.shape == (2, 14, env.spec.observation_size)
 
 
-@pytest.mark.parametrize(("observation", "size"), [("paper", 4), ("published", 8), ("control", 26)])
+@pytest.mark.parametrize(("observation", "size"), [("paper", 4), ("published", 8), ("control", 27)])
 @pytest.mark.parametrize("state", ["auto", "full", "aggregate"])
 def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, state: str) -> None:
     config = replace(line.config, observation=observation, state=state)
@@ -197,6 +198,71 @@ def test_own_rewards_differ_and_are_nothing_at_the_depot(line: Prepared) -> None
     depot = env.world.slots["phase"] == DEPOT
     assert not outcome.rewards[depot].any()
     assert len(np.unique(outcome.rewards[~depot])) > 1
+
+
+def _with_reward(line: Prepared, **changes: object) -> Prepared:
+    return replace(line, config=replace(line.config, reward=replace(line.config.reward, **changes)))
+
+
+def _day_of_rewards(env: BusBatchedEnv, seed: int) -> NDArray[np.float64]:
+    """(N,): each slot's rewards summed over a day of MOVE and WAIT at random, with service now and then."""
+    random, total = np.random.default_rng(seed), np.zeros(14)
+    for _ in range(env.prepared.config.ticks):
+        actions = random.choice([WAIT, MOVE, SERVICE_CENTER], size=(1, 14), p=[0.2, 0.79, 0.01])
+        outcome, _ = env.step(actions)
+        total += outcome.rewards[0]
+    return total
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_foreseen_upkeep_adds_the_same_to_every_day(line: Prepared, shared: bool) -> None:
+    """Whatever is done, a slot's day differs by minus its potential at the start, so policies rank as before;
+    single intervals differ, or it would be of no use."""
+    plain, foreseeing = (
+        _with_reward(line, shared=shared, foresee_upkeep=foresee) for foresee in (False, True)
+    )
+    env = _begun(foreseeing, 1)
+    owed = -env.world.slots["upkeep_ahead"][0]
+    assert owed.max() > 10
+    expected = np.full(14, owed.mean()) if shared else owed
+    for seed in range(3):
+        difference = _day_of_rewards(_begun(foreseeing, 1), seed) - _day_of_rewards(_begun(plain, 1), seed)
+        assert difference == pytest.approx(expected, abs=0.01)
+
+
+def test_foreseen_upkeep_is_refunded_when_a_worn_bus_goes_to_service(line: Prepared) -> None:
+    env = _begun(_with_reward(line, shared=False, foresee_upkeep=True), 1)
+    actions = np.full((1, 14), MOVE)
+    for _ in range(60 * 8):
+        env.step(actions)
+    owed = -env.world.slots["upkeep_ahead"][0]
+    n = int(owed.argmax())
+    assert owed[n] > 10
+    actions[0, n] = SERVICE_CENTER
+    for _ in range(10):
+        outcome, _ = env.step(actions)
+        if env.world.slots["phase"][0, n] == AWAY:
+            break
+    assert outcome.rewards[0, n] > 0.5 * owed[n]
+
+
+def test_a_follower_share_pays_a_bus_for_the_spacing_behind_it(line: Prepared) -> None:
+    """The bus ahead's reward rises by weight x share x (the follower's c - its own); the others' stays."""
+    own, mixed = (_begun(_with_reward(line, shared=False, follower_share=s), 1) for s in (0.0, 0.25))
+    actions, moved = np.full((1, 14), MOVE), 0
+    for _ in range(400):
+        before, _ = own.step(actions)
+        after, _ = mixed.step(actions)
+        slots = own.world.slots[0]
+        expected = before.rewards[0].astype(np.float64)
+        for n in range(14):
+            leader = slots["leader"][n]
+            if slots["counted"][n] == COUNTED and leader >= 0:
+                more = slots["regularity"][n] - slots["regularity"][leader]
+                expected[leader] += line.config.reward.regularity * 0.25 * more
+                moved += more != 0
+        assert after.rewards[0] == pytest.approx(expected, abs=1e-5)
+    assert moved > 1000
 
 
 def test_always_moving_does_not_depend_on_the_control_interval() -> None:

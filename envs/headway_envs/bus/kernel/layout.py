@@ -47,6 +47,9 @@ class Network(NamedTuple):
     """(J,) scheduled, s"""
     trip_deadhead: NDArray[np.float64]
     """(J,) s to drive from the end of the slot's trip before"""
+    trip_work_left: NDArray[np.float64]
+    """(J,) planned driving time of this trip and the slot's following ones, up to its next time at the depot,
+    s"""
     slot_trips: NDArray[np.int64]
     """(J,) trips of slot 0 in order, of slot 1, ..."""
     slot_first: NDArray[np.int64]
@@ -113,15 +116,20 @@ SETTINGS = np.dtype(
             "weight_efficiency",
             "weight_maintenance",
             "weight_regularity",
+            "follower_share",
+            "breakdown_cost",
             "low_occupancy",
         ]
     ]
-    + [(name, np.int64) for name in ("capacity", "shared", "weekday", "observation", "full_state")],
+    + [
+        (name, np.int64)
+        for name in ("capacity", "shared", "foresee_upkeep", "weekday", "observation", "full_state")
+    ],
     align=True,
 )
 """The configuration's numbers as the kernel reads them. `captive_arrivals`: share of captives among those who
-arrive; `low_occupancy`: occupancy under which e punishes, 0 for none; `observation`: 0 paper, 1 published,
-2 control."""
+arrive; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy under
+which e punishes, 0 for none; `observation`: 0 paper, 1 published, 2 control."""
 
 SLOT = np.dtype(
     [
@@ -146,8 +154,10 @@ SLOT = np.dtype(
         ("place", np.float64),  # nominal seconds along the pattern
         ("ahead", np.float64),  # spacing over target headway, NaN without a neighbour
         ("behind", np.float64),
+        ("leader", np.int64),  # slot of the bus ahead on the way, -1 without one
         ("counted", np.int64),  # 1: scheduled in service, counts for c; 2: away or broken
         ("regularity", np.float64),
+        ("upkeep_ahead", np.float64),  # potential of `foresee_upkeep`
     ],
     align=True,
 )
@@ -277,7 +287,7 @@ class Outputs(NamedTuple):
     metrics: NDArray[np.float64]
 
 
-OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 26}
+OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 27}
 LINE_STATE = 10
 """State features of one line."""
 DAY_STATE = 3

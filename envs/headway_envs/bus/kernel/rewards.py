@@ -7,7 +7,7 @@ from headway_envs.bus.kernel.compiled import compiled
 from headway_envs.bus.kernel.curves import bin_of
 from headway_envs.bus.kernel.layout import BROKEN, DEPOT, DRIVING, STANDING, Network, Record, World
 from headway_envs.bus.kernel.passengers import catch_up
-from headway_envs.bus.kernel.spacing import LEFT_OUT
+from headway_envs.bus.kernel.spacing import COUNTED, LEFT_OUT
 
 
 @compiled
@@ -74,9 +74,13 @@ def _score_line(net: Network, k: Record, world: World, c: int, line: int) -> Non
 
 @compiled
 def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Each bus its own components and its line's service; nothing at the depot."""
+    """Each bus its own components and its line's service; nothing at the depot.
+
+    Holding a bus moves two spacings, its own and that of the bus behind it, of which its c takes
+    `follower_share`."""
     for line in range(net.line_slots.shape[0] - 1):
-        for n in range(net.line_slots[line], net.line_slots[line + 1]):
+        first, last = net.line_slots[line], net.line_slots[line + 1]
+        for n in range(first, last):
             slot = world.slots[c, n]
             if slot.phase == DEPOT:
                 rewards[n] = 0.0
@@ -89,6 +93,13 @@ def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.
                 + k.weight_maintenance * maintenance(k, slot)
                 + k.weight_regularity * slot.regularity
             )
+        if k.follower_share > 0.0:
+            for n in range(first, last):
+                behind = world.slots[c, n]
+                if behind.leader >= 0 and behind.counted == COUNTED:
+                    ahead = world.slots[c, behind.leader]
+                    more = k.follower_share * (behind.regularity - ahead.regularity)
+                    rewards[behind.leader] += k.weight_regularity * more
 
 
 @compiled

@@ -59,6 +59,7 @@ def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: flo
     slot = world.slots[c, n]
     on_route = slot.phase == DRIVING or slot.phase == STANDING
     ahead, behind = np.inf, np.inf
+    slot.leader = -1
     for m in range(net.line_slots[line], net.line_slots[line + 1]):
         other = world.slots[c, m]
         if m == n or other.pattern != slot.pattern:
@@ -67,7 +68,8 @@ def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: flo
             continue
         gap = other.place - slot.place
         if gap > 0.0 or (gap == 0.0 and (m < n or not on_route)):
-            ahead = min(ahead, gap)
+            if gap < ahead:
+                ahead, slot.leader = gap, m
         else:
             behind = min(behind, -gap)
     finish = world.patterns[c, slot.pattern].last_finish
@@ -92,6 +94,7 @@ def space_line(net: Network, k: Record, world: World, c: int, line: int) -> None
     for n in range(first, last):
         slot = world.slots[c, n]
         slot.regularity = 0.0
+        slot.leader = -1
         slot.ahead = np.nan
         slot.behind = np.nan
         if slot.phase == DEPOT:

@@ -12,6 +12,7 @@ from headway_envs.bus.kernel.motion import advance
 from headway_envs.bus.kernel.observe import observe, observe_state
 from headway_envs.bus.kernel.rewards import pay
 from headway_envs.bus.kernel.spacing import space_line
+from headway_envs.bus.kernel.upkeep import foresee, upkeep_ahead
 
 
 @compiled
@@ -35,6 +36,8 @@ def _begin(
     begin_day(net, k, world, c, seed, episode)
     world.lines[c] = np.zeros(1, world.lines.dtype)[0]
     _space(net, k, world, c)
+    for n in range(world.slots.shape[1]):
+        world.slots[c, n].upkeep_ahead = upkeep_ahead(net, k, world, c, n)
     _look(net, k, world, outputs, c)
 
 
@@ -64,6 +67,8 @@ def step(
         advance(net, k, world, c, actions[c], outputs.acting[c])
         _space(net, k, world, c)
         pay(net, k, world, c, outputs.rewards[c])
+        if k.foresee_upkeep:
+            foresee(net, k, world, c, outputs.rewards[c])
         _look(net, k, world, outputs, c)
         outputs.ended[c] = world.days[c].now >= k.end_s
         ended = ended or outputs.ended[c]

@@ -22,6 +22,7 @@ def tiny_network() -> Network:
         trip_pattern=_whole(0),
         trip_departure=np.array([18600.0]),
         trip_deadhead=np.zeros(1),
+        trip_work_left=np.array([100.0]),
         slot_trips=_whole(0),
         slot_first=_whole(0, 1),
         slot_line=_whole(0),

@@ -14,7 +14,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Network
 from headway_envs.bus.prepared import arrivals_per_boarding
 from headway_envs.bus.scenario.tables import Tables
-from headway_envs.bus.scenario.timetable import Departures, Trip, chain, smooth
+from headway_envs.bus.scenario.timetable import Departures, Trip, chain, smooth, work_until_depot
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -64,6 +64,7 @@ def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
         trip_pattern=timetable["trip_pattern"].astype(np.int64),
         trip_departure=timetable["trip_departure"].astype(np.float64),
         trip_deadhead=timetable["trip_deadhead"].astype(np.float64),
+        trip_work_left=timetable["trip_work_left"].astype(np.float64),
         slot_trips=timetable["slot_trips"].astype(np.int64),
         slot_first=timetable["slot_first"].astype(np.int64),
         slot_line=timetable["slot_line"].astype(np.int64),
@@ -257,7 +258,7 @@ def _timetable(
         trips += [Trip(p, t, t + d) for t, d in zip(departing.times, duration, strict=True)]
     slots: list[list[int]] = []
     slot_line: list[int] = []
-    before = np.zeros(len(trips))
+    before, work_left = np.zeros(len(trips)), np.zeros(len(trips))
     for line, (begin, end) in enumerate(pairwise(line_patterns)):
         mine = [i for i, trip in enumerate(trips) if begin <= trip.pattern < end]
         for driven in chain([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
@@ -266,6 +267,7 @@ def _timetable(
                 before[following] = deadhead[line][
                     trips[last].pattern - begin, trips[following].pattern - begin
                 ]
+            work_left[block] = work_until_depot([trips[i] for i in block], config)
             slots.append(block)
             slot_line.append(line)
     return {
@@ -274,6 +276,7 @@ def _timetable(
         "trip_pattern": np.array([trip.pattern for trip in trips]),
         "trip_departure": np.array([trip.departure for trip in trips]),
         "trip_deadhead": before,
+        "trip_work_left": work_left,
         "slot_trips": np.array([i for block in slots for i in block]),
         "slot_first": _offsets(np.array([len(block) for block in slots])),
         "slot_line": np.array(slot_line),

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from headway_envs.bus.config import BusConfig
+
 LEAST_HEADWAY_S, MOST_HEADWAY_S = 150.0, 5400.0
 
 
@@ -85,3 +87,15 @@ def chain(
         else:
             slots[chosen].append(i)
     return slots
+
+
+def work_until_depot(block: list[Trip], config: BusConfig) -> NDArray[np.float64]:
+    """Planned driving time, s, of each trip of a slot's block and those after it up to the next gap that is
+    spent at the depot."""
+    left = np.zeros(len(block))
+    for i in range(len(block) - 1, -1, -1):
+        left[i] = block[i].arrival - block[i].departure
+        if i + 1 < len(block):
+            gap = block[i + 1].departure - config.dispatch_window_s - block[i].arrival
+            left[i] += left[i + 1] if gap <= config.upkeep.depot_gap_s else 0.0
+    return left

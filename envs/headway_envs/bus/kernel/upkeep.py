@@ -1,0 +1,60 @@
+"""What upkeep is still to cost: the potential that `reward.foresee_upkeep` adds to rewards.
+
+A potential-based change of the reward leaves the ranking of policies as it is (Ng, Harada and Russell 1999,
+"Policy invariance under reward transformations"); taken undiscounted, its sum over a day is a constant.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, Network, Record, World
+
+
+@compiled
+def _low_until(start: float, end: float, level: float, fall: float) -> float:
+    """Integral of a level that falls by `fall` a second from `level` now, and stays at 0, from `start` to
+    `end` seconds ahead."""
+    empty = level / fall
+    first, last = min(start, empty), min(end, empty)
+    return (last - first) * (level - 0.5 * fall * (first + last))
+
+
+@compiled
+def upkeep_ahead(net: Network, k: Record, world: World, c: int, n: int) -> float:
+    """Minus the reward that the slot is to lose by low fuel and wear, and by a breakdown without fuel, if it
+    drives all its planned work until it is next at the depot without going to service; 0 or less."""
+    slot = world.slots[c, n]
+    if slot.phase == DEPOT and slot.block == net.slot_first[n + 1]:
+        return 0.0
+    renewed = slot.phase == DEPOT or slot.phase == AWAY or slot.phase == BROKEN
+    fuel = 1.0 if renewed else slot.fuel / k.fuel_capacity
+    uptime = 1.0 if renewed else slot.uptime
+    burn, wear = k.fuel_per_s / k.fuel_capacity, k.uptime_per_s
+    work = max(net.trip_work_left[net.slot_trips[slot.block]] - slot.place, 0.0)
+    end = min(work, fuel / burn)
+    low = max(min((fuel - k.warning) / burn, (uptime - k.warning) / wear), 0.0)
+    cost = k.breakdown_cost if work > fuel / burn else 0.0
+    if end > low:
+        level = _low_until(low, end, fuel, burn) + _low_until(low, end, uptime, wear)
+        cost += k.weight_maintenance * (end - low - 0.5 * level) / k.tick_s
+    return -cost
+
+
+@compiled
+def foresee(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+    """Add the change of each slot's potential to rewards (N,): its own, or the team's mean. At the end of the
+    day all potentials are 0."""
+    over, total = world.days[c].now >= k.end_s, 0.0
+    slots = world.slots.shape[1]
+    for n in range(slots):
+        slot = world.slots[c, n]
+        potential = 0.0 if over else upkeep_ahead(net, k, world, c, n)
+        change = potential - slot.upkeep_ahead
+        slot.upkeep_ahead = potential
+        total += change
+        if not k.shared:
+            rewards[n] += change
+    if k.shared:
+        for n in range(slots):
+            rewards[n] += total / slots
