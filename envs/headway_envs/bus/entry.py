@@ -33,6 +33,12 @@ def _always_move(prepared: "Prepared") -> Rule:
     return AlwaysMove()
 
 
+def _move_with_service(prepared: "Prepared") -> Rule:
+    from headway_envs.bus.rules import MoveWithService
+
+    return MoveWithService()
+
+
 def _holding_07(prepared: "Prepared") -> Rule:
     from headway_envs.bus.rules import HeadwayHolding
 
@@ -71,6 +77,7 @@ ENTRY = EnvEntry(
     parallel_env=_parallel_env,
     rules={
         "always_move": _always_move,
+        "move_with_service": _move_with_service,
         "headway_holding_0.7": _holding_07,
         "headway_holding_0.9": _holding_09,
         "even_headway": _even_headway,

@@ -1,8 +1,9 @@
-"""Classical controllers. All but `random` and `always_move` send a bus that is low on fuel or worn to the
-service centre when it decides at a terminal; they read the environment's arrays, the estimated arrival
-of the bus included."""
+"""Classical controllers. All but `random` and `always_move` also send buses to the service centre in time, as
+a dispatcher would (see `_due_for_service`); they read the environment's arrays, the estimated arrival of the
+bus included."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,8 @@ from headway_envs.bus.kernel.layout import (
 )
 
 Floats = NDArray[np.float64]
-FUEL_FOR_A_TRIP = 0.3
-"""Share of fuel under which a bus goes to service at a terminal: enough for the longest trips."""
-UPTIME_FOR_A_TRIP = 0.2
+FUEL_MARGIN = 1.25
+"""A bus is refuelled while it can still drive this many times what it is needed for."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Scene:
     ahead: Floats
     """Spacing over target headway; NaN without a neighbour."""
     behind: Floats
-    worn: NDArray[np.bool_]
+    due_for_service: NDArray[np.bool_]
 
 
 def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
@@ -78,15 +78,37 @@ def look(env: BatchedEnv) -> Scene:
         planned=departure + _at(net.nominal, call, departure),
         ahead=slots["ahead"],
         behind=slots["behind"],
-        worn=(slots["fuel"] < FUEL_FOR_A_TRIP * config.upkeep.fuel_capacity)
-        | (slots["uptime"] < UPTIME_FOR_A_TRIP),
+        due_for_service=_due_for_service(env),
     )
+
+
+def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
+    """Buses that, at a terminal, should go to service now, (C, N).
+
+    A dispatcher knows what a bus has still to drive before it is back at the depot, and which terminal of its
+    line has the shortest way to a service centre. There it goes when its fuel does not last to the depot
+    nor, with a margin, until it comes by again (its longest trips there and back), or when its uptime would
+    fall below the warning meanwhile; at other terminals only if the fuel does not last for one more trip."""
+    net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
+    ends = net.pattern_calls[1:] - 1
+    longest, way = np.zeros(len(net.line_slots) - 1), np.zeros(len(net.line_slots) - 1)
+    for line, (begin, end) in enumerate(pairwise(net.line_patterns)):
+        longest[line] = net.nominal[ends[begin:end]].max()
+        way[line] = net.detour[net.pattern_calls[begin:end]].min()
+    trip, line_way = longest[net.slot_line], way[net.slot_line]
+    to_drive = net.trip_work_left[slots["trip"]]
+    fuel_range = slots["fuel"] * upkeep.seconds_per_fuel_unit / FUEL_MARGIN
+    wear_range = (slots["uptime"] - upkeep.warning) * upkeep.uptime_hours * 3600.0
+    near = net.detour[slots["call"]] <= line_way + 60.0
+    soon = fuel_range < np.minimum(np.where(near, 2.0, 1.0) * trip, to_drive)
+    worn = near & (wear_range < np.minimum(2.0 * trip, 0.5 * to_drive))
+    return np.asarray(soon | worn)
 
 
 def _actions(scene: Scene, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
     """WAIT where `hold`, else MOVE; service first, at terminals."""
     actions = np.where(hold, WAIT, MOVE).astype(np.int64)
-    actions[scene.terminal & scene.worn] = SERVICE_CENTER
+    actions[scene.terminal & scene.due_for_service] = SERVICE_CENTER
     return actions
 
 
@@ -107,6 +129,13 @@ class AlwaysMove:
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, MOVE, np.int64)
+
+
+class MoveWithService:
+    """As `AlwaysMove`, but served in time like the holding rules: what these gain over it is by holding."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        return _actions(look(env), np.zeros(observed.alive.shape, np.bool_))
 
 
 @dataclass(frozen=True)

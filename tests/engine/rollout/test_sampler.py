@@ -245,10 +245,11 @@ def test_training_arguments_are_learned_from_and_never_reported_on() -> None:
 
     plan = RolloutPlan(make, (), "reported", Clock(None, 1).spec, StepPolicy([]), (5,), 3, 4, 1)
     plan = replace(plan, training_prepared="learned from")
-    Sampler(plan, 0, 3)
+    trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, 4, 3))
+    Sampler(plan, 0, 3, trajectory)
     evaluate_policy(plan, {}, EvaluationRequest(77, 0, 2, greedy=True))
     assert made == ["learned from", "reported"]
-    Sampler(replace(plan, training_prepared=None), 0, 3)
+    Sampler(replace(plan, training_prepared=None), 0, 3, trajectory)
     assert made[2] == "reported"
 
 

@@ -169,7 +169,7 @@ def test_a_day_ends_terminated_and_the_next_begins(line: Prepared) -> None:
     assert observed.observations.shape == (2, 14, env.spec.observation_size)
 
 
-@pytest.mark.parametrize(("observation", "size"), [("paper", 4), ("published", 8), ("control", 27)])
+@pytest.mark.parametrize(("observation", "size"), [("paper", 4), ("published", 8), ("control", 29)])
 @pytest.mark.parametrize("state", ["auto", "full", "aggregate"])
 def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, state: str) -> None:
     config = replace(line.config, observation=observation, state=state)

@@ -8,6 +8,7 @@ import pytest
 from headway.contracts import child_seeds
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
+from headway_envs.bus.kernel.layout import SERVICE_CENTER, TERMINAL
 
 DAYS = 20
 LINE1 = Path(__file__).parents[4] / "shared" / "data" / "sunt" / "line1"
@@ -22,16 +23,40 @@ def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
     return dict(zip(env.spec.metrics, outcome.metrics.T.copy(), strict=True))
 
 
+@pytest.mark.parametrize("mover", ["always_move", "move_with_service"])
 @pytest.mark.parametrize("scenario", ["line", str(LINE1)])
-def test_the_best_holding_rule_beats_always_moving(scenario: str) -> None:
-    """On wait, headway variation and team reward, by a paired 95% interval over days that excludes 0."""
+def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) -> None:
+    """On wait, headway variation and team reward, by a paired 95% interval over days that excludes 0; also
+    where both go to service alike, so that it is the holding that matters."""
     if scenario != "line" and not LINE1.is_dir():
         pytest.skip("the SUNT extract ../shared/data/sunt/line1 is not there")
-    moving, holding = _metrics(scenario, "always_move"), _metrics(scenario, "even_headway")
+    moving, holding = _metrics(scenario, mover), _metrics(scenario, "even_headway")
     for name, sign in (("mean_wait_min", -1), ("headway_cv", -1), ("team_reward", 1)):
         better = sign * (holding[name] - moving[name])
         margin = 2.09 * better.std(ddof=1) / np.sqrt(DAYS)
         assert better.mean() > margin, name
+
+
+def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_must() -> None:
+    """Hardly any runs out of fuel, and none of those that will be at the depot soon enough goes."""
+    prepared = ENTRY.prepare(BusConfig())
+    env, rule = ENTRY.make(prepared, 5), ENTRY.rules["move_with_service"](prepared)
+    observed, net, visits = env.reset(child_seeds(17, "days", 0, 5)), env.network, 0
+    nearest = net.detour[net.pattern_calls[:-1]].min()
+    for _ in range(prepared.config.ticks):
+        actions = rule.act(env, observed)
+        slots = env.world.slots
+        going = (actions == SERVICE_CENTER) & (slots["phase"] == TERMINAL)
+        lasts_s = slots["fuel"] * prepared.config.upkeep.seconds_per_fuel_unit
+        worn = slots["uptime"] < 0.5
+        assert (going <= ((lasts_s < 1.3 * net.trip_work_left[slots["trip"]]) | worn)).all()
+        far = net.detour[slots["call"]] > nearest + 60
+        assert (going & far).sum() == 0
+        visits += going.sum()
+        outcome, observed = env.step(actions)
+    metrics = dict(zip(env.spec.metrics, outcome.metrics.T, strict=True))
+    assert visits > 10
+    assert metrics["breakdowns"].mean() < 1
 
 
 @pytest.mark.parametrize("name", sorted(ENTRY.rules))

@@ -287,7 +287,7 @@ class Outputs(NamedTuple):
     metrics: NDArray[np.float64]
 
 
-OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 27}
+OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 29}
 LINE_STATE = 10
 """State features of one line."""
 DAY_STATE = 3

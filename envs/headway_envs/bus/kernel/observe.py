@@ -95,6 +95,8 @@ def _observe_control(net: Network, k: Record, world: World, c: int, n: int, out:
     out[24] = _clip((departure - now) / 600.0, -2.0, 2.0) if slot.phase == TERMINAL else 0.0
     out[25] = slot.pattern - net.line_patterns[net.slot_line[n]]
     out[26] = max(net.trip_work_left[slot.trip] - slot.place, 0.0) / 43200.0
+    line = world.lines[c, net.slot_line[n]]
+    out[27], out[28] = line.service, line.regularity
 
 
 @compiled
