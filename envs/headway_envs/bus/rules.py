@@ -61,7 +61,7 @@ def look(env: BatchedEnv) -> Scene:
     """The scene of a bus environment; raises TypeError for any other."""
     if not isinstance(env, BusBatchedEnv):
         raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
-    net, world, config = env.network, env.world, env.prepared.config
+    net, world = env.network, env.world
     slots = world.slots
     phase, pattern = slots["phase"], slots["pattern"]
     call = slots["call"] + (phase == DRIVING)
