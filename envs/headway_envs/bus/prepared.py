@@ -112,7 +112,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "weight_maintenance": reward.maintenance,
         "weight_regularity": reward.regularity,
         "follower_share": reward.follower_share,
-        "breakdown_cost": _breakdown_cost(config),
+        "breakdown_cost": _breakdown_cost(prepared),
         "foresee_upkeep": float(reward.foresee_upkeep),
         "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
         "shared": float(reward.shared),
@@ -122,10 +122,15 @@ def _settings(prepared: Prepared) -> dict[str, float]:
     }
 
 
-def _breakdown_cost(config: BusConfig) -> float:
-    """Reward lost by a bus that stands broken and is then repaired: m and, against a regular service, c."""
+def _breakdown_cost(prepared: Prepared) -> float:
+    """Reward that a bus, or its share of the team, loses while it stands broken and is repaired.
+
+    An estimate: for that long m is -1 and c -1 instead of 1; of two intervals between buses one of twice the
+    length remains, which leaves twice as many waiting there, so that the line's q falls by 2 / buses."""
+    config, reward = prepared.config, prepared.config.reward
     intervals = (config.upkeep.broken_s + config.upkeep.service_s) / config.tick_s
-    return intervals * (config.reward.maintenance + 2.0 * config.reward.regularity)
+    buses = 1.0 if reward.shared else len(prepared.network.slot_line) / len(prepared.lines)
+    return intervals * (reward.maintenance + 2.0 * reward.regularity + 2.0 * reward.service / buses)
 
 
 def prepare(config: BusConfig) -> Prepared:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, Network, Record, World
+from headway_envs.bus.kernel.layout import AWAY, DEPOT, Network, Record, World
 
 
 @compiled
@@ -27,7 +27,7 @@ def upkeep_ahead(net: Network, k: Record, world: World, c: int, n: int) -> float
     slot = world.slots[c, n]
     if slot.phase == DEPOT and slot.block == net.slot_first[n + 1]:
         return 0.0
-    renewed = slot.phase == DEPOT or slot.phase == AWAY or slot.phase == BROKEN
+    renewed = slot.phase == DEPOT or slot.phase == AWAY
     fuel = 1.0 if renewed else slot.fuel / k.fuel_capacity
     uptime = 1.0 if renewed else slot.uptime
     burn, wear = k.fuel_per_s / k.fuel_capacity, k.uptime_per_s
