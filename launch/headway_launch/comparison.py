@@ -1,7 +1,7 @@
 """Trained policies beside the classical rules, on the same days."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from headway.events import LABELS, Row
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
 """Training seeds from which a difference with an interval that excludes 0 is worth a claim."""
-_COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to")
+_COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to", "interval")
 
 
 def rule_episodes(
@@ -32,8 +32,7 @@ def rule_episodes(
 
 def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping[str, Sequence[Row]]) -> None:
     """Mean return and metrics of `learned` (seeds x days) and of the rules (days each) on the same days, and
-    the learner's return minus each rule's with its 95% interval: over days by Student's t for one seed,
-    over seeds and days by the bootstrap for more.
+    the learner's return minus each rule's with the 95% interval of `difference`.
     """
     label = name if len(learned) == 1 else f"{name}, {len(learned)} seeds"
     everything = [(label, [row for rows in learned for row in rows])] if learned else []
@@ -42,39 +41,68 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
         dict.fromkeys(name for _, rows in everything for name in rows[0] if name not in _NOT_METRICS)
     )
     table: list[tuple[Cell, ...]] = []
+    methods: set[str] = set()
     for controller, rows in everything:
-        against = _difference(learned, rows) if controller != label else None
-        interval = (against.estimate, against.low, against.high) if against else (None, None, None)
+        against = _of_returns(learned, rows) if controller != label else None
+        interval = (against.estimate, against.low, against.high, against.method) if against else (None,) * 4
+        methods |= {against.method} if against else set()
         days = len(rows) // len(learned) if controller == label else len(rows)
         means = [_mean(rows, metric) for metric in metrics]
         table.append((controller, days, _mean(rows, "return"), *interval, *means))
     columns = (*_COLUMNS, *metrics)
-    if sys.stdout.isatty():  # few controllers and many metrics: easier to read, and narrower, the other way
-        rows_by_column = zip(columns[1:], *(cells[1:] for cells in table), strict=True)
-        print_table(("", *(str(cells[0]).removeprefix("rule ") for cells in table)), list(rows_by_column))
+    if sys.stdout.isatty():
+        _print_upright(columns, table, methods)
     else:
         print_table(columns, table)
     if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
-        seeds = "1 seed" if len(learned) == 1 else f"{len(learned)} seeds"
-        tell(
-            f"{seeds}: the intervals cannot know how seeds differ and are too narrow; "
-            f"train at least {SEEDS_FOR_A_CLAIM} before saying which is better"
+        tell(few_seeds(len(learned)))
+
+
+def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "Interval":
+    """A figure of a learner (seeds x days) minus a rule's (days) on the same days, with its 95% interval: by
+    Student's t over days for one seed, over seeds and days for more. Raises ValueError below two days."""
+    from headway.stats import paired_difference, paired_difference_over_seeds
+
+    if len(learned) == 1:
+        return paired_difference(learned[0], rule)
+    return paired_difference_over_seeds(learned, [rule] * len(learned))
+
+
+def few_seeds(seeds: int) -> str:
+    """What so few training seeds cannot tell."""
+    if seeds == 1:
+        known = "1 seed: the interval is over days for this one policy; how seeds differ cannot be known"
+    else:
+        known = (
+            f"{seeds} seeds: the interval is wide for so few, and holds if seeds differ as a normal law says"
         )
+    return f"{known}; train at least {SEEDS_FOR_A_CLAIM} before saying which is better"
 
 
-def _difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":
+def _print_upright(columns: Sequence[str], table: Sequence[Sequence[Cell]], methods: Iterable[str]) -> None:
+    """A column a controller: with few of them and many metrics easier to read, and narrower. On a narrow
+    terminal the worst rules go first."""
+    method = columns.index("interval")
+    rows = [
+        (name, *(row[place] for row in table))
+        for place, name in enumerate(columns)
+        if place not in (0, method)
+    ]
+    names = [str(row[0]).removeprefix("rule ") for row in table]
+    rules = sorted((row for row in table if str(row[0]).startswith("rule ")), key=lambda row: row[2] or 0)
+    spare = [str(row[0]).removeprefix("rule ") for row in rules[:-1]]
+    title = f"95% intervals: {', '.join(methods)}" if methods else ""
+    print_table(("", *names), rows, title, spare=spare)
+
+
+def _of_returns(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":
     """None where the days do not pair."""
-    from headway.stats import paired_bootstrap, paired_difference
-
     days = [int(row["episode_seed"]) for row in rule]
     if len(days) < 2 or not learned:
         return None
     if any([int(row["episode_seed"]) for row in rows] != days for rows in learned):
         return None
-    ours = [_returns(rows) for rows in learned]
-    if len(ours) == 1:
-        return paired_difference(ours[0], _returns(rule))
-    return paired_bootstrap(ours, [_returns(rule)] * len(ours))
+    return difference([_returns(rows) for rows in learned], _returns(rule))
 
 
 def _returns(rows: Sequence[Row]) -> list[float]:

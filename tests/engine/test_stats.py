@@ -12,8 +12,8 @@ from headway.stats import (
     final_reward,
     interquartile_mean,
     mean_std,
-    paired_bootstrap,
     paired_difference,
+    paired_difference_over_seeds,
     stratified_bootstrap_interval,
 )
 
@@ -77,28 +77,44 @@ def test_paired_difference_is_the_t_interval() -> None:
     assert paired_difference([1, 2, 3], [0, 1, 2.1]).excludes_zero
 
 
-def test_paired_intervals_cover_the_truth_as_often_as_they_say() -> None:
+@pytest.mark.parametrize("days", [10, 200])
+@pytest.mark.parametrize("seeds", [2, 3, 5, 10])
+@pytest.mark.parametrize("effects", [(1, 0), (1, 1), (1, 3), (0, 1)], ids="seed {0[0]}, day {0[1]}".format)
+def test_intervals_over_seeds_and_days_cover_the_truth(
+    effects: tuple[float, float], seeds: int, days: int
+) -> None:
+    of_seed, of_day = effects
     generator = np.random.default_rng(3)
     covered = 0
-    for trial in range(200):
-        seeds, days = generator.normal(0, 1, (20, 1)), generator.normal(0, 1, (1, 20))
-        difference = 0.5 + seeds + days + generator.normal(0, 1, (20, 20))
-        interval = paired_bootstrap(difference, np.zeros((20, 20)), resamples=500, seed=trial)
+    for _ in range(600):
+        difference = 0.5 + of_seed * generator.normal(size=(seeds, 1)) + of_day * generator.normal(size=days)
+        difference += generator.normal(size=(seeds, days))
+        interval = paired_difference_over_seeds(difference, np.zeros((seeds, days)))
         covered += interval.low <= 0.5 <= interval.high
-    assert covered >= 180  # of 200; drawing entries alone covers less than half
+    assert covered / 600 >= 0.93  # two standard errors of 600 trials below 0.95
+    if not of_day and days == 200:  # nothing is left but Student's t over seeds: no wider than that
+        assert covered / 600 <= 0.97
 
 
-def test_paired_bootstrap_of_a_constant_difference_is_that() -> None:
-    a = np.arange(12.0).reshape(3, 4)
-    result = paired_bootstrap(a + 2, a)
-    assert (result.estimate, result.low, result.high) == pytest.approx((2, 2, 2))
+def test_without_a_day_effect_it_is_the_t_interval_over_seeds() -> None:
+    learned = np.array([[3.0], [5.0], [10.0]]) + np.zeros((3, 4))
+    result = paired_difference_over_seeds(learned, np.ones((3, 4)))
+    expected = scipy_stats.ttest_1samp([2.0, 4.0, 9.0], 0).confidence_interval(0.95)
+    assert (result.estimate, result.low, result.high) == pytest.approx((5, expected.low, expected.high))
+    assert result.method == "t over seeds and days"
+    over_days = paired_difference_over_seeds(learned.T, np.ones((4, 3)))
+    assert (over_days.low, over_days.high) == pytest.approx((expected.low, expected.high))
 
 
 def test_pairs_must_match() -> None:
     with pytest.raises(ValueError, match="same shape"):
         paired_difference([1, 2], [1, 2, 3])
-    with pytest.raises(ValueError, match="two pairs"):
+    with pytest.raises(ValueError, match="two days"):
         paired_difference([1], [2])
+    with pytest.raises(ValueError, match="two seeds and two days"):
+        paired_difference_over_seeds([[1, 2]], [[1, 2]])
+    with pytest.raises(ValueError, match="two seeds and two days"):
+        paired_difference_over_seeds([[1], [2]], [[1], [2]])
     with pytest.raises(ValueError, match="confidence"):
         paired_difference([1, 2], [2, 3], confidence=95)
 

@@ -46,13 +46,15 @@ def test_cells_and_rules_are_compared_on_the_same_days(
     done = _headway("compare", "search_toy_matrix", "--store", str(root), "--episodes", "4")
     assert done.returncode == 0, done.stderr
     header, *rows = [line.split("\t") for line in done.stdout.splitlines() if "\t" in line]
-    assert header[4] == "minus optimal"
+    assert (header[4], header[7]) == ("minus optimal", "interval")
     assert {row[1].split(" (")[0] for row in rows} == {"rule random", "rule optimal", "ippo, independent"}
     optimal = next(float(row[3]) for row in rows if row[1] == "rule optimal")
     for row in rows:
         if row[1] != "rule optimal":
-            assert float(row[4]) == pytest.approx(float(row[3]) - optimal)
+            assert float(row[4]) == pytest.approx(float(row[3]) - optimal, abs=1e-3)
             assert float(row[5]) <= float(row[4]) <= float(row[6])
+            assert row[7] == "t over days"
+    assert "1 seed: the interval is over days" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,9 @@ examples:
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
 
 Every finished seed's newest policy plays the same days, and so does every rule. The differences are
-controller minus reference, paired day by day, with 95% intervals: by Student's t over days for a rule,
-by the bootstrap over training seeds and days for a cell. Without --against the reference is the rule
-with the highest mean return on these days.
+controller minus reference, paired day by day, with 95% intervals by Student's t: over days for a rule and
+for a cell of one seed, over training seeds and days for a cell of more. Without --against the reference is
+the rule with the highest mean return on these days.
 """
 
 
@@ -46,8 +46,9 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway_launch.comparison import rule_episodes
+    from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference, few_seeds, rule_episodes
     from headway_launch.tables import print_table
+    from headway_launch.telling import tell
     from headway_launch.trained import newest_policy, policy_episodes
 
     if arguments.episodes < 2 or arguments.seed < 0:
@@ -75,36 +76,46 @@ def execute(arguments: argparse.Namespace) -> int:
         ]
         for label, members in cells.items()
     }
+
+    def minus_reference(by_seed: Sequence[Sequence["Row"]], metric: str) -> "Interval":
+        return difference(
+            [_values(episodes, metric) for episodes in by_seed], _values(rules[reference], metric)
+        )
+
     rows: list[tuple[Cell, ...]] = []
     for metric in metrics:
         for rule, episodes in rules.items():
-            difference = None if rule == reference else _of_rule(episodes, rules[reference], metric)
-            rows.append(_row(metric, f"rule {rule}", 0, _mean(episodes, metric), difference))
+            against = None if rule == reference else minus_reference([episodes], metric)
+            rows.append(_row(metric, f"rule {rule}", 0, _mean(episodes, metric), against))
         for label, by_seed in played.items():
             mean = sum(_mean(episodes, metric) for episodes in by_seed) / len(by_seed)
-            rows.append(_row(metric, label, len(by_seed), mean, _of_cell(by_seed, rules[reference], metric)))
-    columns = ("metric", "controller", "seeds", "mean", f"minus {reference}", "95% from", "95% to")
+            rows.append(_row(metric, label, len(by_seed), mean, minus_reference(by_seed, metric)))
+    columns = (
+        "metric",
+        "controller",
+        "seeds",
+        "mean",
+        f"minus {reference}",
+        "95% from",
+        "95% to",
+        "interval",
+    )
     print_table(columns, rows, title=f"{arguments.study}: {arguments.episodes} days, {arguments.mode}")
+    fewest = min(map(len, cells.values()))
+    if fewest < SEEDS_FOR_A_CLAIM:
+        tell(few_seeds(fewest))
     return 0
 
 
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
     """The finished runs of a study by label. Raises HeadwayError if there are none or environments differ."""
-    from headway.store import RunIndex
     from headway_launch.stored import StoredRun
+    from headway_launch.study import finished_runs
 
-    rows = RunIndex(root).rows()
-    studies = sorted({row.study for row in rows})
-    if study not in studies:
-        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
     cells: dict[str, list[StoredRun]] = defaultdict(list)
-    for row in rows:
-        if row.study == study and row.status == "FINISHED":
-            run = StoredRun.find(root, row.run_id)
-            digest = run.record.cell.rsplit("-", 1)[1]
-            cells[f"{row.algorithm}, {row.policies} ({digest})"].append(run)
-    if not cells:
-        raise HeadwayError(f"study {study!r} has no finished run; see headway runs --study {study}")
+    for row in finished_runs(root, study):
+        digest = row.cell.rsplit("-", 1)[1]
+        cells[f"{row.algorithm}, {row.policies} ({digest})"].append(StoredRun.find(root, row.run_id))
     environments = {str(run.mapping["env"]) for members in cells.values() for run in members}
     if len(environments) > 1:
         raise HeadwayError(f"study {study!r} holds several environments; compare a study that holds one")
@@ -117,6 +128,8 @@ def _metrics(names: str, rules: Mapping[str, Sequence["Row"]]) -> tuple[str, ...
     for name in wanted:
         if name not in known:
             raise HeadwayError(f"--metrics: {name!r} is no metric here; {suggestion(name, tuple(known))}")
+    if not wanted:
+        raise HeadwayError("--metrics names none; give one at least, such as --metrics return")
     return wanted
 
 
@@ -129,25 +142,10 @@ def _mean(episodes: Sequence["Row"], metric: str) -> float:
     return sum(values) / len(values)
 
 
-def _of_rule(episodes: Sequence["Row"], reference: Sequence["Row"], metric: str) -> "Interval":
-    from headway.stats import paired_difference
-
-    return paired_difference(_values(episodes, metric), _values(reference, metric))
-
-
-def _of_cell(by_seed: Sequence[Sequence["Row"]], reference: Sequence["Row"], metric: str) -> "Interval":
-    from headway.stats import paired_bootstrap, paired_difference
-
-    ours, theirs = [_values(episodes, metric) for episodes in by_seed], _values(reference, metric)
-    if len(ours) == 1:
-        return paired_difference(ours[0], theirs)
-    return paired_bootstrap(ours, [theirs] * len(ours))
-
-
 def _row(
-    metric: str, controller: str, seeds: int, mean: float, difference: "Interval | None"
+    metric: str, controller: str, seeds: int, mean: float, against: "Interval | None"
 ) -> tuple["Cell", ...]:
-    interval = (
-        (None, None, None) if difference is None else (difference.estimate, difference.low, difference.high)
-    )
+    interval: tuple[Cell, ...] = (None,) * 4
+    if against is not None:
+        interval = (against.estimate, against.low, against.high, against.method)
     return (metric, controller, seeds or None, mean, *interval)

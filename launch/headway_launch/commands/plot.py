@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.study import finished_runs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Draw the picture and say where it is."""
     root = existing_store(arguments.store)
-    runs = _finished(root, arguments.study)
+    runs = finished_runs(root, arguments.study)
     output = Path(arguments.output or f"{arguments.study}.png")
     cells: dict[str, list[RunRow]] = defaultdict(list)
     for run in runs:
@@ -68,19 +69,6 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
     print(output)
     return 0
-
-
-def _finished(root: Path, study: str) -> list["RunRow"]:
-    from headway.store import RunIndex
-
-    rows = RunIndex(root).rows()
-    studies = sorted({row.study for row in rows})
-    if study not in studies:
-        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
-    finished = [row for row in rows if row.study == study and row.status == "FINISHED"]
-    if not finished:
-        raise HeadwayError(f"study {study!r} has no finished run to plot; see headway runs --study {study}")
-    return finished
 
 
 def _labelled(cells: Iterable[Sequence["RunRow"]]) -> list[tuple[str, Sequence["RunRow"]]]:

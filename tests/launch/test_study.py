@@ -1,0 +1,56 @@
+"""Which runs of a study count, and what is told of the others."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from headway.contracts.errors import HeadwayError
+from headway.store import RunRecord, Status
+from headway.store.folder import Process, create_run_folder, now
+from headway_launch.study import finished_runs
+
+
+def keep_run(root: Path, seed: int, status: Status, started: str = "", **parameters: str) -> str:
+    run_id, directory = create_run_folder(root, "bus", "cell", seed)
+    elsewhere = replace(Process.current(), host="elsewhere")  # it may live
+    record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started or now(), elsewhere, status)
+    replace(record, parameters=parameters).write(directory)
+    return run_id
+
+
+def test_runs_left_out_are_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    statuses: tuple[Status, ...] = ("FINISHED", "KILLED", "FINISHED", "RUNNING", "KILLED")
+    for seed, status in enumerate(statuses):
+        keep_run(tmp_path, seed, status)
+    assert [run.seed for run in finished_runs(tmp_path, "bus")] == [0, 2]
+    assert capsys.readouterr().err == (
+        "headway: runs of bus left out: 3 not finished (2 KILLED, 1 RUNNING)\n"
+    )
+
+
+def test_a_seed_that_was_trained_twice_is_one_seed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep_run(tmp_path, 3, "FINISHED", "2026-01-01T00:00:00.000+00:00")
+    newest = keep_run(tmp_path, 3, "FINISHED", "2026-01-03T00:00:00.000+00:00")
+    keep_run(tmp_path, 3, "FINISHED", "2026-01-02T00:00:00.000+00:00")
+    other = keep_run(tmp_path, 3, "FINISHED", "2026-01-04T00:00:00.000+00:00", lr="0.1")
+    assert [run.run_id for run in finished_runs(tmp_path, "bus")] == [newest, other]
+    assert "2 of a seed that a newer one trained again" in capsys.readouterr().err
+
+
+def test_nothing_is_told_where_nothing_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep_run(tmp_path, 0, "FINISHED")
+    finished_runs(tmp_path, "bus")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_study_without_finished_runs_says_what_it_has(tmp_path: Path) -> None:
+    keep_run(tmp_path, 0, "FAILED")
+    with pytest.raises(HeadwayError, match=r"no finished run \(1 FAILED\)"):
+        finished_runs(tmp_path, "bus")
+    with pytest.raises(HeadwayError, match=r"no study 'bsu' .*did you mean bus\?"):
+        finished_runs(tmp_path, "bsu")
