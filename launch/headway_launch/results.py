@@ -15,17 +15,20 @@ if TYPE_CHECKING:
     from headway_launch.recording import JobRecording
 
 _USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
+AUC_HEADING = "AUC (own range)"
 _COLUMNS = (
     "seed",
     "status",
     "final reward",
-    "AUC (own range)",
+    AUC_HEADING,
     "env steps",
     "steps/s",
     "CPU s",
     "kWh",
     "kg CO2eq",
 )
+_SPARE = ("CPU s", "steps/s", "kg CO2eq")
+"""Left out first on a narrow terminal."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class SeedResult:
     auc: float | None
     """Area under the evaluation curve, normalised by its own extremes."""
     env_steps: int
+    """Those that are kept: up to the last checkpoint."""
     steps_per_second: float | None
     use: Mapping[str, float | None]
     """CPU seconds, energy and CO2: its equal share of its stack's, over all sessions that trained it."""
@@ -91,7 +95,7 @@ def seed_result(
         directory=str(run.directory),
         final_reward=final,
         auc=area,
-        env_steps=max(recording.env_steps, run.record.durable_env_steps),
+        env_steps=run.record.durable_env_steps,
         steps_per_second=recording.steps_per_second,
         use={name: float(used[name]) if name in used else None for name in _USE},
         energy_modes=energy_modes,
@@ -99,11 +103,13 @@ def seed_result(
 
 
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
-    """(final reward, AUC) of the evaluation curve in the log; None where it has no point yet."""
+    """(final reward, AUC) of the evaluation curve as far as a checkpoint knows it; None where that has no
+    point yet. What the log holds beyond is dropped when the run goes on."""
     from headway.stats import auc, final_reward
     from headway.store.log import read_curve
 
-    points = read_curve(run.directory, f"evaluation_{mode}/return")
+    curve = read_curve(run.directory, f"evaluation_{mode}/return")
+    points = {steps: value for steps, value in curve.items() if steps <= run.record.durable_env_steps}
     if not points:
         return None, None
     steps, values = list(points), list(points.values())
@@ -123,7 +129,7 @@ def print_results(
         rows += [_over_seeds("mean", finished), _over_seeds("std", finished)]
     estimated = any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
     columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _COLUMNS)
-    print_table(columns, rows, title=f"{config.algo.get('name')} on {config.env.id}")
+    print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)

@@ -1,36 +1,53 @@
-"""Tables on stdout: drawn on a terminal, tab-separated in full precision when piped."""
+"""Tables on stdout: drawn on a terminal, as wide as it is; tab-separated when piped."""
 
 import sys
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 Cell = str | int | float | None
 
+_PADDING = 3
+"""Characters that a column takes beside its contents: two spaces and a line."""
+_UNBROKEN_TEXT, _UNBROKEN_HEADING = 12, 8
+"""Longer words of text, and of the headings of numbers, may be broken where the terminal is narrow."""
+
 
 def print_table(
-    columns: Sequence[str], rows: Sequence[Sequence[Cell]], title: str = "", whole: Collection[str] = ()
+    columns: Sequence[str],
+    rows: Sequence[Sequence[Cell]],
+    title: str = "",
+    whole: Collection[str] = (),
+    spare: Sequence[str] = (),
 ) -> None:
-    """Print rows under a line of column names; a None is an empty cell. Columns in `whole` never break.
+    """Print rows under a line of column names; a None is an empty cell.
 
-    When stdout is no terminal: no title, one row a line, cells separated by tabs, numbers unrounded.
+    Numbers, and the columns in `whole`, never break. Where they do not fit on the terminal, the columns in
+    `spare` are left out, the first one first, and a line says so; where that is not enough, each row is
+    printed as a list. When stdout is no terminal: no title, one row a line, all columns, cells separated by
+    tabs, numbers of six significant digits.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
         for row in rows:
-            print("\t".join("" if cell is None else _one_line(cell) for cell in row))
+            print("\t".join(_piped(cell) for cell in row))
         return
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
-    table = Table(title=title or None, title_justify="left")
-    for index, column in enumerate(columns):
-        numeric = all(isinstance(row[index], int | float | None) for row in rows)
-        table.add_column(
-            column, justify="right" if numeric else "left", overflow="fold", no_wrap=column in whole
+    console = Console()
+    layout = _Layout(columns, rows, whole)
+    left_out = layout.leave_out(spare, console.width)
+    if layout.least_width > console.width:
+        _print_as_lists(console, layout, title)
+    else:
+        console.print(layout.drawn(console.width, title))
+    if left_out:
+        console.print(
+            f"left out, the terminal is narrow: {', '.join(left_out)}", highlight=False, soft_wrap=True
         )
-    for row in rows:
-        table.add_row(*(Text(shown(cell)) for cell in row))
-    Console().print(table)
 
 
 def shown(cell: Cell) -> str:
@@ -44,5 +61,84 @@ def shown(cell: Cell) -> str:
     return cell
 
 
-def _one_line(cell: Cell) -> str:
+class _Layout:
+    """Columns of a table as they are read, and the room that they need."""
+
+    def __init__(
+        self, columns: Sequence[str], rows: Sequence[Sequence[Cell]], whole: Collection[str]
+    ) -> None:
+        self.columns = [
+            _Column(name, [row[index] for row in rows], name in whole) for index, name in enumerate(columns)
+        ]
+
+    def leave_out(self, spare: Sequence[str], width: int) -> list[str]:
+        """Leave out spare columns until the others fit; returns those left out."""
+        left_out: list[str] = []
+        for name in spare:
+            if self.least_width <= width:
+                break
+            self.columns = [column for column in self.columns if column.name != name]
+            left_out.append(name)
+        return left_out
+
+    @property
+    def least_width(self) -> int:
+        """Of the drawn table, with headings and text broken as far as they may be."""
+        return 1 + sum(_PADDING + column.least for column in self.columns)
+
+    def drawn(self, width: int, title: str) -> "Table":
+        """The table, at most `width` wide: the widest columns give first."""
+        from rich.table import Table
+        from rich.text import Text
+
+        widths = [column.longest for column in self.columns]
+        for _ in range(1 + sum(_PADDING + own for own in widths) - width):
+            giving = [index for index, column in enumerate(self.columns) if widths[index] > column.least]
+            widths[max(giving, key=lambda index: widths[index])] -= 1
+        table = Table(title=title or None, title_justify="left")
+        for column, own in zip(self.columns, widths, strict=True):
+            justify: Literal["left", "right"] = "right" if column.numeric else "left"
+            table.add_column(Text(column.name), justify=justify, overflow="fold", width=own)
+        for cells in zip(*(column.texts for column in self.columns), strict=True):
+            table.add_row(*(Text(cell) for cell in cells))
+        return table
+
+
+class _Column:
+    def __init__(self, name: str, cells: Sequence[Cell], whole: bool) -> None:
+        self.name = name
+        self.texts = [shown(cell) for cell in cells]
+        self.numeric = all(isinstance(cell, int | float | None) for cell in cells)
+        self._firm = self.numeric or whole
+
+    @property
+    def longest(self) -> int:
+        """Room without a break."""
+        return max([1, len(self.name), *map(len, self.texts)])
+
+    @property
+    def least(self) -> int:
+        """Room with all breaks that are allowed."""
+        heading = max([1, *map(len, self.name.split())])
+        if self._firm:
+            return max([min(heading, _UNBROKEN_HEADING), *map(len, self.texts)])
+        words = (len(word) for text in self.texts for word in text.split())
+        return min(max([heading, *words]), _UNBROKEN_TEXT)
+
+
+def _print_as_lists(console: "Console", layout: _Layout, title: str) -> None:
+    lines = [title] if title else []
+    name_width = max(len(column.name) for column in layout.columns)
+    for cells in zip(*(column.texts for column in layout.columns), strict=True):
+        for column, cell in zip(layout.columns, cells, strict=True):
+            lines.append(f"{column.name:<{name_width}}  {cell}")
+        lines.append("")
+    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+
+
+def _piped(cell: Cell) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, float):
+        return f"{cell:.0f}" if 1e5 <= abs(cell) < 1e15 else f"{cell:.6g}"
     return " ".join(str(cell).split())

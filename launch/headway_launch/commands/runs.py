@@ -11,6 +11,7 @@ from headway.config import StoreConfig
 from headway.configuration import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.folder import STATUSES
+from headway_launch.results import AUC_HEADING
 from headway_launch.tables import Cell, print_table
 
 if TYPE_CHECKING:
@@ -22,9 +23,12 @@ examples:
   headway runs --study bus --algo mappo --status FINISHED
   headway runs --seed 0..4 --format csv > runs.csv
   headway runs --format json | jq '.[].final_reward'
+
+The table is for reading, and numbers in it are rounded; csv and json have the fields' names and all digits.
+AUC is normalised by the range of each run's own curve: it says how early a run learns, not how well.
 """
 
-_SHOWN = (
+_FIELDS = (
     "study",
     "environment",
     "algorithm",
@@ -41,7 +45,18 @@ _SHOWN = (
     "run_id",
 )
 # The identity names environment, algorithm and seed already.
-_SHOWN_ON_TERMINAL = ("run_id", "study", "status", "env_steps", "final_reward", "auc", "kwh", "kg_co2")
+_ON_TERMINAL = ("run_id", "study", "status", "env_steps", "final_reward", "auc", "kwh", "kg_co2")
+_SPARE_ON_TERMINAL = ("kg_co2", "kwh", "study", "env_steps", "auc")
+_HEADINGS = {
+    "env_steps": "env steps",
+    "final_reward": "final reward",
+    "auc": AUC_HEADING,
+    "kwh": "kWh",
+    "kg_co2": "kg CO2eq",
+    "duration_s": "seconds",
+    "run_id": "run",
+}
+"""What columns are called for a reader, where that is not the field's name; as at the end of a run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,12 +124,21 @@ def _print(rows: Sequence["RunRow"], style: str) -> None:
         import csv
 
         writer = csv.writer(sys.stdout)
-        writer.writerow(_SHOWN)
-        writer.writerows(_cells(row, _SHOWN) for row in rows)
+        writer.writerow(_FIELDS)
+        writer.writerows(_cells(row, _FIELDS) for row in rows)
     else:
-        columns = _SHOWN_ON_TERMINAL if sys.stdout.isatty() else _SHOWN
-        print_table(columns, [_cells(row, columns) for row in rows], whole=("run_id", "status"))
+        fields = _ON_TERMINAL if sys.stdout.isatty() else _FIELDS
+        print_table(
+            _headings(fields),
+            [_cells(row, fields) for row in rows],
+            whole=_headings(("run_id", "status")),
+            spare=_headings(_SPARE_ON_TERMINAL),
+        )
 
 
-def _cells(row: "RunRow", columns: Sequence[str]) -> list[Cell]:
-    return [getattr(row, name) for name in columns]
+def _headings(fields: Sequence[str]) -> list[str]:
+    return [_HEADINGS.get(name, name) for name in fields]
+
+
+def _cells(row: "RunRow", fields: Sequence[str]) -> list[Cell]:
+    return [getattr(row, name) for name in fields]
