@@ -16,7 +16,9 @@ from headway.events import (
     Started,
     Usage,
 )
+from headway.store.checkpoint import latest_iteration
 from headway.store.durable import write_text
+from headway.store.folder import CHECKPOINTS
 from headway_launch.telling import tell
 
 if TYPE_CHECKING:
@@ -66,8 +68,10 @@ class JobRecording:
             case Finished(stopped=stopped, usage=usage):
                 self.used = usage or self.used
                 self.status = "KILLED" if stopped else "FINISHED"
+                self._find_checkpoint()
             case Failed():
                 self.status, self.failure = "FAILED", event
+                self._find_checkpoint()
                 self._keep_traceback(event)
 
     @property
@@ -106,6 +110,13 @@ class JobRecording:
     def _points(self, curve: Sequence[Row]) -> None:
         for run, row in zip(self.runs, curve, strict=True):
             run.points([row])
+
+    def _find_checkpoint(self) -> None:
+        """A process killed at once may not have told of its last checkpoint; any seed's is the stack's."""
+        saved = max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in self.runs)
+        for run in self.runs:
+            if saved > run.record.durable_iteration:
+                run.durable(saved)
 
     def _keep_traceback(self, failure: Failed) -> None:
         for run in self.runs:

@@ -1,6 +1,8 @@
 """A session: training processes side by side, heard until the last of them has ended."""
 
+import math
 import signal
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
@@ -19,11 +21,16 @@ _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
+_SAME_REQUEST_S = 1.0
+
+
 class StopRequests:
-    """Counts Ctrl-C, SIGTERM and SIGHUP instead of dying of them, while it is entered."""
+    """Counts Ctrl-C, SIGTERM and SIGHUP instead of dying of them, while it is entered. Signals within a
+    second of one that counted are the same request: a key pressed twice, a parent that passes on its own."""
 
     def __init__(self) -> None:
         self.count = 0
+        self._counted_at = -math.inf
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -41,7 +48,10 @@ class StopRequests:
             signal.signal(number, handler)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        self.count += 1
+        moment = time.monotonic()
+        if moment - self._counted_at >= _SAME_REQUEST_S:
+            self.count += 1
+            self._counted_at = moment
 
 
 class Session:
@@ -135,7 +145,9 @@ class Session:
             for process in self._running.values():
                 process.ask_to_stop()
             shown.note("stopping after this iteration, with a checkpoint; Ctrl-C again kills at once")
-        if requests > 1:
+        if requests > 1 and self._running:
+            if not self._killed:
+                shown.note("killed; what came after the last checkpoint is lost")
             self._killed = True
             for process in self._running.values():
                 process.kill()

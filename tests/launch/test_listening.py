@@ -70,7 +70,7 @@ def test_a_process_killed_in_the_middle_of_an_event_is_at_its_end(word: bytes) -
 def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = SimpleNamespace(directory=tmp_path / "absent")
+    run = SimpleNamespace(directory=tmp_path / "absent", record=SimpleNamespace(durable_iteration=0))
     recording = JobRecording([cast(Run, run)])
     recording.take(Failed("it broke", "Traceback"))
     assert recording.status == "FAILED"

@@ -15,6 +15,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from headway.store import CHECKPOINTS
+from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
 
 TINY = (
@@ -55,6 +57,12 @@ class Running:
 
     def has_said(self, pattern: str) -> bool:
         return any(re.search(pattern, line) for line in list(self.lines))
+
+    def table(self) -> list[dict[str, str]]:
+        """The table of seeds, once it has ended."""
+        assert self.process.stdout is not None
+        header, *rows = [line.split("\t") for line in self.process.stdout.read().splitlines()]
+        return [dict(zip(header, row, strict=True)) for row in rows]
 
     def training(self) -> list[psutil.Process]:
         """Its training processes and their workers."""
@@ -179,7 +187,44 @@ def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> 
         children = running.training()
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
+        time.sleep(1.1)  # sooner it would be the same request
         running.process.send_signal(signal.SIGINT)
         assert running.process.wait(PATIENCE_S) == 130
         assert not psutil.wait_procs(children, timeout=5)[1]
-    assert [row.status for row in runs(tmp_path)] == ["KILLED"]
+    assert running.has_said("what came after the last checkpoint is lost")
+    [run] = runs(tmp_path)
+    assert run.status == "KILLED"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_doubled_signal_is_one_request_and_the_checkpoint_is_kept(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with headway("run", *TINY, *LONG, "rollout.steps=4000", "backend=serial", folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        time.sleep(0.5)
+        running.process.send_signal(signal.SIGINT)
+        running.wait_for(lambda: running.has_said("Ctrl-C again"))
+        running.process.send_signal(number)
+        assert running.process.wait(PATIENCE_S) == 130
+        shown = running.table()
+    [run] = runs(tmp_path)
+    assert (run.status, run.env_steps) == ("KILLED", run.iterations * 4 * 4000)
+    assert run.iterations > 0
+    assert latest_iteration(Path(run.directory, CHECKPOINTS)) == run.iterations
+    assert shown[0]["env steps"] == str(run.env_steps)
+
+
+def test_of_a_killed_run_is_shown_what_is_kept(tmp_path: Path) -> None:
+    often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
+    with headway("run", *TINY, *LONG, *often, folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        running.training()[0].send_signal(signal.SIGSTOP)  # it never comes to the promised checkpoint
+        running.process.send_signal(signal.SIGINT)
+        time.sleep(1.5)
+        running.process.send_signal(signal.SIGINT)
+        assert running.process.wait(PATIENCE_S) == 130
+        shown = running.table()
+    [run] = runs(tmp_path)
+    assert (run.status, run.env_steps, run.final_reward) == ("KILLED", 0, None)
+    assert (shown[0]["env steps"], shown[0]["final reward"]) == ("0", "")
