@@ -14,7 +14,7 @@ from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig, NoiseConfig, RewardConfig, UpkeepConfig
 from headway_envs.bus.prepared import prepare
 from headway_envs.bus.scenario.synthetic import generate
-from headway_envs.bus.scenario.tables import Tables, check_tables, read_tables, write_tables
+from headway_envs.bus.scenario.tables import COLUMNS, Tables, check_tables, read_tables, write_tables
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +71,8 @@ def test_a_timetable_is_even_and_its_blocks_can_be_driven() -> None:
         ("alighting", "p_alight", 7, 1.5, "row 7, column p_alight.*outside 0 to 1"),
         ("alighting", "pattern", 7, 55.0, "row 7, column pattern.*not in table patterns"),
         ("demand", "seq0", 7, 900.0, "column seq0.*beyond the pattern's last stop"),
+        ("link_times", "hour", 4, 7.5, "table link_times, row 4, column hour: 7.5 is not a whole number"),
+        ("demand", "seq0", 7, 0.5, "table demand, row 7, column seq0: 0.5 is not a whole number"),
         ("trips", "arr_s", 4, 1.0, "row 4, column arr_s.*not after dep_s"),
         ("trips", "pattern", 4, 55.0, "row 4, column pattern.*not in table patterns"),
     ],
@@ -86,6 +88,35 @@ def test_a_broken_value_is_named(
     with pytest.raises(HeadwayError, match=message) as error:
         check_tables(replace(tables, **{table: frame}))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "column"), [(table, column) for table, columns in COLUMNS.items() for column in columns]
+)
+def test_a_blank_in_any_named_column_is_named(tables: Tables, table: str, column: str) -> None:
+    frame = getattr(tables, table).iloc[::-1].copy()  # an index that is not the row's number in the file
+    blank = frame[column].astype(object)
+    blank.iloc[6 if len(frame) > 6 else 1] = None
+    frame[column] = blank if column in ("line", "dir", "daytype") else blank.astype(float)
+    row = int(np.flatnonzero(frame[column].isna())[0])
+    with pytest.raises(HeadwayError, match=f"^table {table}, row {row}, column {column}: .* is blank"):
+        check_tables(replace(tables, **{table: frame}))
+
+
+def test_columns_that_are_not_named_may_be_blank_and_change_nothing(tables: Tables, tmp_path: Path) -> None:
+    frames = {table: getattr(tables, table).assign(median_s=np.nan, note=None) for table in COLUMNS}
+    write_tables(replace(tables, **frames), tmp_path)
+    there, here = prepare(BusConfig(scenario=str(tmp_path))), prepare(BusConfig())
+    for mine, theirs in zip(here.network, there.network, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+        assert np.isfinite(theirs).all()
+
+
+def test_a_fault_is_named_by_its_row_in_an_unsorted_file(tables: Tables) -> None:
+    frame = tables.pattern_stops.iloc[::-1].copy()
+    frame.iloc[0, frame.columns.get_loc("seq0")] = 500
+    with pytest.raises(HeadwayError, match="table pattern_stops, row 0, column seq0: 500 breaks"):
+        check_tables(replace(tables, pattern_stops=frame))
 
 
 def test_other_faults_of_tables_are_named(tables: Tables) -> None:

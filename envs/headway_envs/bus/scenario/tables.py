@@ -1,12 +1,13 @@
 """The scenario format: eight tables and `meta.json`, read by one loader that checks everything.
 
-Times are seconds after midnight of the service day and may pass 86,400. Columns beyond those named here are
-kept and ignored.
+Times are seconds after midnight of the service day and may pass 86,400. Every value of the columns named here
+is checked, whether a given experiment reads it or not. Columns beyond those are kept, and neither read nor
+checked: they may hold blanks.
 """
 
 import difflib
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ COLUMNS = {
 of the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
 
 _TEXT = {"line", "dir", "daytype"}
+_WHOLE = {"stop", "pattern", "link", "from_stop", "to_stop", "seq0", "n_stops", "hour", "period"}
 _RANGES = {
     "lat": (-90.0, 90.0),
     "lon": (-180.0, 180.0),
@@ -138,6 +140,9 @@ def write_tables(tables: Tables, folder: str | Path) -> None:
 
 def check_tables(tables: Tables) -> None:
     """Raise HeadwayError at the first fault: columns, blanks, ranges, repeats, references, sequences."""
+    # Rows are named by their index, also after sorting: their numbers in the file.
+    numbered = {name: getattr(tables, name).reset_index(drop=True) for name in COLUMNS}
+    tables = replace(tables, **numbered)
     for name, columns in COLUMNS.items():
         frame: pd.DataFrame = getattr(tables, name)
         _check_columns(name, frame, columns)
@@ -162,9 +167,9 @@ def _refuse(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_],
     """Raise naming the first bad row, if any."""
     if not bad.any():
         return
-    row = int(np.flatnonzero(bad)[0])
-    values = [str(frame[part].iloc[row]) for part in column.split("+")]
-    raise HeadwayError(f"table {name}, row {row}, column {column}: {', '.join(values)} {what}")
+    place = int(np.flatnonzero(bad)[0])
+    values = [str(frame[part].iloc[place]) for part in column.split("+")]
+    raise HeadwayError(f"table {name}, row {frame.index[place]}, column {column}: {', '.join(values)} {what}")
 
 
 def _check_columns(name: str, frame: pd.DataFrame, columns: tuple[str, ...]) -> None:
@@ -188,6 +193,8 @@ def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
     values = frame[column].to_numpy(np.float64)
     outside = ~((values >= low) & (values <= high))
     _refuse(name, frame, column, outside, f"lies outside {low:g} to {high:g}; mend it")
+    if column in _WHOLE:
+        _refuse(name, frame, column, values % 1 != 0, "is not a whole number; mend it")
 
 
 def _check_patterns(tables: Tables) -> None:
