@@ -47,13 +47,19 @@ class Experiment:
         """The algorithm's name in the registry."""
         return str(self.config.algo["name"])
 
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Rules of the environment that are evaluated beside the learner."""
+        chosen = self.config.evaluation.rules
+        return tuple(self.env.rules) if chosen is None else chosen
+
     def prepare(self) -> PreparedEnv:
         """What all environment copies share, and what the environment is.
 
         Raises HeadwayError for data that cannot be used, an unknown rule, training arguments that change what
         agents observe or do, and an algorithm that cannot run on this environment.
         """
-        for rule in self.config.evaluation.rules:
+        for rule in self.rules:
             if rule not in self.env.rules:
                 raise HeadwayError(
                     f"evaluation.rules: {rule!r} is no rule of {self.config.env.id}; "

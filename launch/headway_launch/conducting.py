@@ -16,6 +16,7 @@ from headway.store.provenance import usable_cores
 from headway.store.session import Cell, Run, SessionStore
 from headway.training import TrainingJob
 from headway_launch.comparison import rule_episodes
+from headway_launch.kernels import compile_kernels
 from headway_launch.planning import (
     PlannedJob,
     Shares,
@@ -57,6 +58,7 @@ class Conductor:
         )
         seeds = sum(len(job.seeds) for job in jobs)
         require_free_disk(Path(self._config.store.root), seeds)
+        compile_kernels(self._experiment.env)
         self._store = SessionStore.open(self._config.store)
         self._cell: Cell = self._store.begin_cell(
             self._config.study,
@@ -203,7 +205,7 @@ class Conductor:
             return {}
         evaluation = self._config.evaluation
         days, prepared = evaluation.last_episodes, self._jobs[0].planned.prepared
-        return rule_episodes(self._experiment, prepared, evaluation.rules, evaluation.seed, days)
+        return rule_episodes(self._experiment, prepared, self._experiment.rules, evaluation.seed, days)
 
     def _exit_code(self, stopped: bool) -> int:
         if stopped:

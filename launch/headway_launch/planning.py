@@ -85,8 +85,10 @@ def require_free_disk(root: Path, seeds: int) -> None:
 def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:
     """The whole configuration with every default spelt out, so that a changed default changes no old run."""
     config: ExperimentConfig = experiment.config
+    evaluation = {**plain(config.evaluation), "rules": list(experiment.rules)}
     return {
         **plain(config),
+        "evaluation": evaluation,
         "seed": list(seeds),
         "env": {
             "id": config.env.id,

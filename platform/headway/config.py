@@ -4,10 +4,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+_STUDY_LENGTH = 100
+
 
 def _require(holds: bool, message: str) -> None:
     if not holds:
         raise ValueError(message)
+
+
+def _require_study(name: str) -> None:
+    """It names a folder of the store and, by default, a picture."""
+    forms = "write letters, digits, spaces and . _ -, such as study=bus_line"
+    shown = repr(name) if len(name) <= _STUDY_LENGTH else f"{name[:20]!r}..."
+    named = any(letter.isascii() and letter.isalnum() for letter in name)
+    _require(named, f"study {shown} has no letter or digit; {forms}")
+    wrong = "".join(letter for letter in name if letter in "/\\" or not letter.isprintable())
+    _require(not wrong, f"study {shown} has {wrong[:1]!r} in it; {forms}")
+    _require(".." not in name, f"study {shown} has '..' in it; {forms}")
+    _require(name == name.strip(), f"study {shown} begins or ends with a blank; {forms}")
+    _require(len(name) <= _STUDY_LENGTH, f"study {shown} is longer than {_STUDY_LENGTH} letters; {forms}")
 
 
 @dataclass(frozen=True)
@@ -76,8 +91,8 @@ class EvaluationConfig:
     """Episodes of the last evaluation and of the rules, for the paired comparison."""
     seed: int = 1_000_003
     """Root of the evaluation seeds, kept apart from every training seed."""
-    rules: tuple[str, ...] = ()
-    """Rules of the environment evaluated beside the learner."""
+    rules: tuple[str, ...] | None = None
+    """Rules of the environment evaluated beside the learner; null: all that it has, [] none."""
 
     def __post_init__(self) -> None:
         _require(self.episodes >= 1, "episodes must be at least 1")
@@ -150,6 +165,7 @@ class ExperimentConfig:
     energy: EnergyConfig = field(default_factory=EnergyConfig)
 
     def __post_init__(self) -> None:
+        _require_study(self.study)
         _require(len(self.seed) >= 1, "seed must name at least one seed")
         _require(all(seed >= 0 for seed in self.seed), "seeds must be at least 0")
         _require(len(set(self.seed)) == len(self.seed), "seeds must differ from each other")

@@ -69,6 +69,16 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
         ("env.training_args.stpes=3", ["env.training_args.stpes is not a key", "did you mean"]),
         ("env.training_args.steps=0", ["env.training_args.steps must be at least 1"]),
         ("device=gpu", ["device", "cuda"]),
+        ("study=''", ["study '' has no letter or digit", "such as study=bus_line"]),
+        ("study=' '", ["study ' ' has no letter or digit"]),
+        ("study=..", ["study '..' has no letter or digit"]),
+        ("study=a..b", ["study 'a..b' has '..' in it"]),
+        ("study='a '", ["study 'a ' begins or ends with a blank"]),
+        ("study=../elsewhere", ["study '../elsewhere' has '/' in it"]),
+        ("study='a\\b'", ["in it"]),
+        ("study='a\tb'", ["study 'a\\tb' has '\\t' in it"]),
+        ("study='a\x1b[1mb'", ["study 'a\\x1b[1mb' has '\\x1b' in it"]),
+        (f"study={'a' * 101}", ["study 'aaaaaaaaaaaaaaaaaaaa'... is longer than 100"]),
     ],
 )
 def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> None:
@@ -100,6 +110,20 @@ def test_training_arguments_cannot_change_what_agents_observe() -> None:
     experiment = compose(["env=trivial", "env.training_args.agents=3"])
     with pytest.raises(HeadwayError, match=r"env\.training_args may change rewards and dynamics, not what"):
         experiment.prepare()
+
+
+@pytest.mark.parametrize("study", ["bus", "bus line 2", "étude-1.0_b"])
+def test_names_of_studies_that_are_names_of_folders_are_taken(study: str) -> None:
+    assert compose(["env=trivial", f"study='{study}'"]).config.study == study
+
+
+def test_without_a_word_on_rules_all_of_the_environment_are_played() -> None:
+    experiment = compose(["env=trivial"])
+    assert experiment.rules == ("random", "optimal")
+    # As they are now: a rule added later changes no stored run.
+    assert full_mapping(experiment, ())["evaluation"]["rules"] == ["random", "optimal"]
+    assert compose(["env=trivial", "evaluation.rules=[]"]).rules == ()
+    assert compose(["env=trivial", "evaluation.rules=[optimal]"]).rules == ("optimal",)
 
 
 def test_a_stored_configuration_gives_the_same_experiment() -> None:

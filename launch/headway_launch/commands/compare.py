@@ -47,6 +47,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference, few_seeds, rule_episodes
+    from headway_launch.kernels import compile_kernels
     from headway_launch.tables import print_table
     from headway_launch.telling import tell
     from headway_launch.trained import newest_policy, policy_episodes
@@ -61,6 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(
             f"--against: {arguments.against!r} is no rule; {suggestion(arguments.against, names)}"
         )
+    compile_kernels(experiment.env)
     rules = rule_episodes(experiment, found.prepared, names, arguments.seed, arguments.episodes)
     metrics = _metrics(arguments.metrics, rules)
     reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))

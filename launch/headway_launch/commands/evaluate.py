@@ -38,6 +38,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.comparison import print_comparison, rule_episodes
+    from headway_launch.kernels import compile_kernels
     from headway_launch.stored import StoredRun
     from headway_launch.trained import newest_policy, policy_episodes
 
@@ -50,6 +51,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError("--episodes must be at least 1 and --seed at least 0")
     rules = _rules(arguments.rules, experiment)
     found = experiment.prepare()
+    compile_kernels(experiment.env)
     policy = newest_policy(run, found)
     learned = policy_episodes(policy, root, episodes, greedy=arguments.mode == "greedy")
     played = rule_episodes(experiment, found.prepared, rules, root, episodes)

@@ -48,7 +48,8 @@ class EnvEntry:
     rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
     """Name -> (prepared) -> rule."""
     preload: tuple[str, ...] = ()
-    """Modules that worker processes import once, before forking (compiled kernels)."""
+    """Modules that worker processes import once, before forking (compiled kernels). A module's `warm()`, if
+    it has one, is called before training starts, so that what it compiles is compiled once, not by each."""
 
 
 @dataclass(frozen=True)
