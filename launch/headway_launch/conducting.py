@@ -217,7 +217,8 @@ class Conductor:
         folders = sorted({str(Path(result.directory).parent) for result in self._results})
         where = ", ".join(_from_here(folder) for folder in folders)
         option = "" if root == type(self._config.store)().root else f" --store {root}"
-        tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
+        if where:
+            tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
         for result in self._results:
             if result.status == "FAILED":
                 tell(f"headway: seed {result.seed}: see {_from_here(result.directory)}/{TRACEBACK}")

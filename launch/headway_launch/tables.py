@@ -27,8 +27,8 @@ def print_table(
 
     Numbers, and the columns in `whole`, never break. Where they do not fit on the terminal, the columns in
     `spare` are left out, the first one first, and a line says so; where that is not enough, each row is
-    printed as a list. When stdout is no terminal: no title, one row a line, all columns, cells separated by
-    tabs, numbers of six significant digits.
+    printed as a list of all its cells. When stdout is no terminal: no title, one row a line, all columns,
+    cells separated by tabs, numbers of six significant digits.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
@@ -41,9 +41,9 @@ def print_table(
     layout = _Layout(columns, rows, whole)
     left_out = layout.leave_out(spare, console.width)
     if layout.least_width > console.width:
-        _print_as_lists(console, layout, title)
-    else:
-        console.print(layout.drawn(console.width, title))
+        _print_as_lists(console, _Layout(columns, rows, whole), title)
+        return
+    console.print(layout.drawn(console.width, title))
     if left_out:
         console.print(
             f"left out, the terminal is narrow: {', '.join(left_out)}", highlight=False, soft_wrap=True

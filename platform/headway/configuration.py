@@ -255,6 +255,8 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     kinds = {bool: "true or false", int: "a whole number", float: "a number", str: "text", NoneType: "null"}
     kind = kinds.get(type(value), "a mapping" if isinstance(value, Mapping) else "a list")
     hint = "; write it without quotes" if isinstance(value, str) and "number" in wanted else ""
+    if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
+        hint = f"; write it in quotes, in a shell in two kinds: \"{key}='{_show(value)}'\""
     return HeadwayError(f"{key}={_show(value)} is {kind}, where {wanted} is wanted{hint}")
 
 

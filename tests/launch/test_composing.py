@@ -69,6 +69,7 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
         ("env.training_args.stpes=3", ["env.training_args.stpes is not a key", "did you mean"]),
         ("env.training_args.steps=0", ["env.training_args.steps must be at least 1"]),
         ("device=gpu", ["device", "cuda"]),
+        ("study=2024", ["study=2024 is a whole number", "\"study='2024'\""]),
         ("study=''", ["study '' has no letter or digit", "such as study=bus_line"]),
         ("study=' '", ["study ' ' has no letter or digit"]),
         ("study=..", ["study '..' has no letter or digit"]),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from headway.store import RunIndex, RunRecord
 from headway.store.folder import Process, create_run_folder, now
-from headway_launch.commands.plot import _labelled
+from headway_launch.commands.plot import _labelled, _near
 
 
 def _run(root: Path, policies: str, **parameters: str) -> None:
@@ -24,3 +24,12 @@ def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None
         "ippo, shared, bus, algo.lr 0.001",
         "ippo, shared, bus, algo.lr 0.01",
     ]
+
+
+def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
+    rules = {"random": -1819.0, "always_move": 104.0, "even_headway": 240.0}
+    assert _near(rules, 90.0, 250.0) == {"always_move", "even_headway"}
+    assert _near(rules, -1800.0, 250.0) == set(rules)  # a curve that begins there
+    # A flat curve hides no rule: what is near is judged with the nearest rule in the picture.
+    assert _near({"random": -0.5, "optimal": 11.0}, 3.9, 4.1) == {"random", "optimal"}
+    assert _near({"random": -0.5}, 4.0, 4.0) == {"random"}

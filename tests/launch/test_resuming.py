@@ -121,6 +121,16 @@ def test_runs_of_one_cell_keep_the_configuration_of_each(tmp_path: Path) -> None
     assert [jobs[0].experiment.config.evaluation.episodes for jobs in batches] == [1, 7]
 
 
+def test_a_finished_run_is_refused_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _end_as_killed(str(_stored(tmp_path / "runs", 0, 0).directory), "FINISHED")
+    assert run(["resume", "run-0-s0"]) == 2
+    told = capsys.readouterr()
+    assert told.err == "headway: run run-0-s0 has finished: there is nothing to resume\n"
+    assert told.out == ""
+
+
 def test_a_study_goes_on_with_what_failed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for number, status in enumerate(("KILLED", "FAILED", "FINISHED")):
         _end_as_killed(str(_stored(tmp_path / "runs", number, number).directory), status)

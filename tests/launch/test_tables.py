@@ -56,10 +56,11 @@ def test_what_cannot_fit_is_printed_as_lists(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     at_terminal(monkeypatch, 24)
-    print_table(COLUMNS, ROWS, title="things")
+    print_table(COLUMNS, ROWS, title="things", spare=("second figure",))
     lines = shown_lines(capsys)
     assert lines[:2] == ["things", "name           alpha"]
-    assert "second figure  0.0001234" in lines
+    assert "second figure  0.0001234" in lines  # lists have room for all
+    assert not any("left out" in line for line in lines)
 
 
 def test_a_pipe_gets_every_column_and_six_digits(capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,11 +125,13 @@ def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
 
 
 def _metrics(names: str, rules: Mapping[str, Sequence["Row"]]) -> tuple[str, ...]:
-    known = next(iter(rules.values()))[0]
+    from headway.events import LABELS
+
+    known = [name for name in next(iter(rules.values()))[0] if name not in LABELS]
     wanted = tuple(name.strip() for name in names.split(",") if name.strip())
     for name in wanted:
         if name not in known:
-            raise HeadwayError(f"--metrics: {name!r} is no metric here; {suggestion(name, tuple(known))}")
+            raise HeadwayError(f"--metrics: {name!r} is no metric here; {suggestion(name, known)}")
     if not wanted:
         raise HeadwayError("--metrics names none; give one at least, such as --metrics return")
     return wanted

@@ -5,17 +5,21 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.study import finished_runs
+from headway_launch.tables import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from headway.store import RunRow
+
+_FAR = 5.0
+"""Times the range of all else: farther away a rule is not drawn, only named."""
 
 EXAMPLES = """\
 examples:
@@ -25,7 +29,7 @@ examples:
 
 One line a cell (algorithm, policies, environment and the settings that tell cells apart): the mean
 over its finished seeds with the 95% interval of that mean (Student's t); dashed lines are the rules on
-the same days.
+the same days, but for one so far away that nothing else could be seen.
 """
 
 
@@ -144,6 +148,30 @@ def _draw_rules(axes: "Axes", root: Path, study: str, metric: str, days: int) ->
             same = [row[column] for row in rows if column in row and row["episode_seed"] < days]
             if same:
                 drawn[rule] = sum(same) / len(same)
+    near = _near(drawn, *axes.get_ylim())
     for place, (rule, value) in enumerate(sorted(drawn.items())):
-        axes.axhline(value, linestyle=("--", ":", "-.")[place % 3], color=f"{0.2 + 0.1 * place:.2f}",
-                     linewidth=1, label=f"rule {rule}")  # fmt: skip
+        style: dict[str, Any] = {
+            "linestyle": ("--", ":", "-.")[place % 3],
+            "color": f"{0.2 + 0.1 * place:.2f}",
+            "linewidth": 1,
+        }
+        if rule in near:
+            axes.axhline(value, label=f"rule {rule}", **style)
+        else:
+            axes.plot([], [], label=f"rule {rule} (off, at {shown(value)})", **style)
+
+
+def _near(rules: Mapping[str, float], low: float, high: float) -> set[str]:
+    """The rules that may stretch an axis from `low` to `high`: the nearest, and each next one that is not
+    farther off than some times the range so far. One that fails (buses at random) would flatten the rest."""
+
+    def distance(rule: str) -> float:
+        return max(low - rules[rule], rules[rule] - high, 0.0)
+
+    near: set[str] = set()
+    for rule in sorted(rules, key=distance):
+        if near and distance(rule) > _FAR * (high - low):
+            break
+        near.add(rule)
+        low, high = min(low, rules[rule]), max(high, rules[rule])
+    return near

@@ -43,6 +43,9 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"{missing}; `headway runs` shows what is KILLED or FAILED and can go on")
     found = [StoredRun.find(root, name) for name in names]
     runs = list({run.directory: run for run in found}.values())
+    for run in runs:
+        if run.record.status == "FINISHED":
+            raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
     worst = 0
     for jobs in jobs_to_resume(runs):
         worst = max(worst, Conductor(jobs, arguments.debug).conduct())
