@@ -1,9 +1,9 @@
 """`headway list`: what names there are, and what keys they take."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
-from headway.configuration import describe, suggestion
+from headway.configuration import FieldDescription, describe, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries, algo_entry, env_entries, env_entry
 from headway_launch.composing import configs_folder, groups, summary_of
@@ -70,7 +70,7 @@ def _list_keys(name: str | None) -> None:
     if not rows:
         keys = [row.key for row in describe(ExperimentConfig)]
         raise HeadwayError(f"{name!r} is no key; {suggestion(name, keys)}")
-    print_table(("key", "type", "default", "meaning"), [(r.key, r.type, r.default, r.doc) for r in rows])
+    _print_descriptions(rows)
 
 
 def _list_group(group: str) -> Callable[[str | None], None]:
@@ -87,8 +87,12 @@ def _list_group(group: str) -> Callable[[str | None], None]:
 
 
 def _print_keys(record: type, path: str) -> None:
-    rows = [(row.key, row.type, row.default, row.doc) for row in describe(record, path)]
-    print_table(("key", "type", "default", "meaning"), rows)
+    _print_descriptions(describe(record, path))
+
+
+def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
+    rows = [(key.key, key.type, key.default, key.doc) for key in keys]
+    print_table(("key", "type", "default", "meaning"), rows, whole=("key",))
 
 
 _KINDS: Mapping[str, Callable[[str | None], None]] = {
