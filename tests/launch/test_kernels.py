@@ -1,6 +1,7 @@
 """Kernels are compiled before training starts, and the user is told when that happens."""
 
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from headway.contracts.entries import EnvEntry
 from headway.registry import env_entry
+from headway_launch.command_line import run as run_command
 from headway_launch.kernels import compile_kernels
 
 
@@ -47,3 +49,18 @@ def test_what_was_compiled_before_is_all_that_training_needs(arguments: dict[str
         ended = bool(outcome.episode_ended.any())
     assert [list(function.signatures) for function in functions] == before
     assert all(before)
+
+
+def test_a_session_compiles_before_anything_is_in_the_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled: list[EnvEntry] = []
+
+    def stop(env: EnvEntry) -> None:
+        compiled.append(env)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("headway_launch.conducting.compile_kernels", stop)
+    assert run_command(["run", "env=trivial", f"store.root={tmp_path}", "energy=off"]) == 130
+    assert compiled == [env_entry("trivial")]
+    assert not list(tmp_path.iterdir())

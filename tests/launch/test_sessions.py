@@ -219,6 +219,7 @@ def test_of_a_killed_run_is_shown_what_is_kept(tmp_path: Path) -> None:
     often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
     with headway("run", *TINY, *LONG, *often, folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
+        time.sleep(1.0)  # some hundred iterations
         running.training()[0].send_signal(signal.SIGSTOP)  # it never comes to the promised checkpoint
         running.process.send_signal(signal.SIGINT)
         time.sleep(1.5)

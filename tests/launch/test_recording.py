@@ -1,0 +1,59 @@
+"""What a killed training process leaves: only what a checkpoint knows counts, told of or not."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from headway.config import StoreConfig
+from headway.events import Event, Failed, Finished, IterationFinished, Usage
+from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, SessionStore, save_checkpoint
+from headway_launch.recording import JobRecording
+from headway_launch.results import seed_result
+
+STEPS = 100
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
+    """Two seeds of one stack, without MLflow."""
+    monkeypatch.setattr(SessionStore, "follow", lambda store, step: None)
+    cell = SessionStore.open(StoreConfig(root=str(tmp_path))).begin_cell("study", "bus", "ippo", {})
+    return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
+
+
+def train(recording: JobRecording, iterations: int) -> None:
+    """Iterations that are logged durably and reported, each with an evaluation of as much return."""
+    for iteration in range(1, iterations + 1):
+        row = {"iteration": iteration, "env_steps": STEPS * iteration, "wall_s": 1.0 * iteration}
+        evaluated = {**row, "evaluation_greedy/return": float(iteration)}
+        for run in recording.runs:
+            log = RunLog(run.directory)
+            log.append("curve", [evaluated])
+            log.commit(iteration)
+        recording.take(IterationFinished(iteration, STEPS * iteration, Usage(), (row,) * 2))
+
+
+@pytest.mark.parametrize("last", [Finished(8, stopped=True), Failed("it broke", "")])
+def test_a_checkpoint_that_was_not_told_of_counts_and_nothing_beyond_it(
+    runs: Sequence[Run], last: Event
+) -> None:
+    recording = JobRecording(runs)
+    train(recording, 8)
+    save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the other seed's, and a word
+    recording.take(last)
+    for run in runs:
+        result = seed_result(run, recording, "greedy", {}, {})
+        run.finish(recording.status, result.summary)
+        assert result.env_steps == 5 * STEPS
+        assert result.final_reward == 5.0  # the last fifth of five; of eight it would be 7.5
+    for row in RunIndex(runs[0].directory.parents[1]).rows():
+        assert (row.iterations, row.env_steps, row.final_reward) == (5, 5 * STEPS, 5.0)
+
+
+def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
+    recording = JobRecording(runs)
+    train(recording, 8)
+    recording.take(Finished(8, stopped=True))
+    result = seed_result(runs[0], recording, "greedy", {}, {})
+    assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
