@@ -73,9 +73,7 @@ def few_seeds(seeds: int) -> str:
     if seeds == 1:
         known = "1 seed: the interval is over days for this one policy; how seeds differ cannot be known"
     else:
-        known = (
-            f"{seeds} seeds: the interval is wide for so few, and holds if seeds differ as a normal law says"
-        )
+        known = f"{seeds} seeds: the interval takes them to differ by a normal law and may miss rare failures"
     return f"{known}; train at least {SEEDS_FOR_A_CLAIM} before saying which is better"
 
 
