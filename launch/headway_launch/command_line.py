@@ -54,7 +54,7 @@ _COMMANDS = {
     "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
     "plot": _Command("picture of a study's learning curves", "plot"),
     "browse": _Command("browse the store in MLflow's pages", "browse"),
-    "list": _Command("environments, algorithms, rules, experiments, presets, keys", "listing"),
+    "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
 
 

@@ -12,7 +12,9 @@ from headway.configuration import build, nearest, parse_seeds, refuse_targets, s
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.registry import algo_entries, algo_entry, env_entries, env_entry
+from headway.environments import chosen_env, notices_of
+from headway.registry import algo_entries, algo_entry, env_entries
+from headway_launch.telling import tell
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
@@ -36,9 +38,12 @@ class Experiment:
 
     config: ExperimentConfig
     env: EnvEntry
+    """With its wrappers."""
     env_config: Any
     training_env_config: Any
     """With `env.training_args` over `env.args`."""
+    env_mapping: Mapping[str, Any]
+    """What `env.*` has beside `id` and `args`, spelt out."""
     algo: AlgoEntry
     algo_config: Any
 
@@ -54,7 +59,8 @@ class Experiment:
         return tuple(self.env.rules) if chosen is None else chosen
 
     def prepare(self) -> PreparedEnv:
-        """What all environment copies share, and what the environment is.
+        """What all environment copies share, and what the environment is. Tells the user what its wrappers
+        cost.
 
         Raises HeadwayError for data that cannot be used, an unknown rule, training arguments that change what
         agents observe or do, and an algorithm that cannot run on this environment.
@@ -66,6 +72,8 @@ class Experiment:
                     f"{suggestion(rule, self.env.rules)}"
                 )
         prepared = training = self.env.prepare(self.env_config)
+        for line in notices_of(prepared):
+            tell(f"headway: {line}")
         spec = self._spec(prepared)
         if self.training_env_config != self.env_config:
             training = self.env.prepare(self.training_env_config)
@@ -106,7 +114,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
         raise HeadwayError(f"device={config.device} is none; write auto, cpu, cuda or cuda:NUMBER")
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
-    env = env_entry(config.env.id)
+    env = chosen_env(config.env)
     hyper_parameters = dict(config.algo)
     name = hyper_parameters.pop("name", None)
     if not isinstance(name, str):
@@ -117,9 +125,10 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     training_args = _merged(config.env.args, config.env.training_args)
     return Experiment(
         config=config,
-        env=env,
-        env_config=build(env.config, config.env.args, "env.args", config.env.id),
-        training_env_config=build(env.config, training_args, "env.training_args", config.env.id),
+        env=env.entry,
+        env_config=build(env.entry.config, config.env.args, "env.args", config.env.id),
+        training_env_config=build(env.entry.config, training_args, "env.training_args", config.env.id),
+        env_mapping=env.mapping,
         algo=algo,
         algo_config=build(algo.config, hyper_parameters, "algo", name),
     )
@@ -178,8 +187,8 @@ def _prepared(override: str) -> str:
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
-    """A registered environment or algorithm needs no file of its own."""
-    if group == "env" and option in env_entries():
+    """A registered environment or algorithm, and a module path, need no file of their own."""
+    if group == "env" and (option in env_entries() or "." in option):
         return f"++env={{id:{option}}}"
     if group == "algo" and option in algo_entries():
         return f"++algo={{name:{option}}}"

@@ -94,6 +94,7 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
             "id": config.env.id,
             "args": plain(experiment.env_config),
             "training_args": plain(config.env.training_args),
+            **experiment.env_mapping,
         },
         "algo": {**plain(experiment.algo_config), "name": experiment.algo_name},
     }

@@ -30,12 +30,28 @@ class EnvConfig:
     """Which environment, with which arguments."""
 
     id: str = "bus"
-    """Name in the registry: see `headway list envs`."""
+    """Name in the registry (see `headway list envs`), or the module of a PettingZoo environment, such as
+    `mpe2.simple_spread_v3`."""
     args: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of that environment; its own record validates them."""
     training_args: Mapping[str, Any] = field(default_factory=dict)
     """Arguments laid over `args` while learning only: a reward that is easier to learn from, say.
     Evaluation, rules and every figure reported are of `args`."""
+    wrappers: tuple[Any, ...] = ()
+    """Wrappers by name (see `headway list wrappers`), the innermost first, in training and in evaluation:
+    `[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]`."""
+    shared_reward: bool | None = None
+    """Of a PettingZoo environment by module: it pays all agents the same at every step, so that a team's
+    critic reads one. Checked against what it pays; null: no."""
+    agents_come_and_go: bool | None = None
+    """Of a PettingZoo environment by module: agents may leave before the episode ends; null: what its
+    metadata or infos say, else no."""
+    max_copies_per_process: int | None = None
+    """Of a PettingZoo environment by module: copies that one process may hold; null: any number."""
+
+    def __post_init__(self) -> None:
+        limit = self.max_copies_per_process
+        _require(limit is None or limit >= 1, "max_copies_per_process must be at least 1, or null")
 
 
 @dataclass(frozen=True)

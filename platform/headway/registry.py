@@ -1,21 +1,30 @@
-"""Environments and algorithms by name: the project's own and those that other packages add by entry point."""
+"""Environments, algorithms and wrappers by name: the project's own and those that other packages add by
+entry point."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from headway.configuration import suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.errors import HeadwayError
+from headway.contracts.random_rule import RandomRule
+from headway.contracts.wrapping import WrapperEntry
 
-Entry = TypeVar("Entry", EnvEntry, AlgoEntry)
+Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
 
 
 @cache
 def env_entries() -> Mapping[str, EnvEntry]:
-    """Every environment by name. Raises HeadwayError where a package's entry point cannot be loaded."""
-    return _load("headway.envs", EnvEntry)
+    """Every environment by name, each with the rule `random`. Raises HeadwayError where a package's entry
+    point cannot be loaded."""
+    return {
+        name: entry if "random" in entry.rules else replace(entry, rules={"random": _random, **entry.rules})
+        for name, entry in _load("headway.envs", EnvEntry).items()
+    }
 
 
 @cache
@@ -24,14 +33,52 @@ def algo_entries() -> Mapping[str, AlgoEntry]:
     return _load("headway.algos", AlgoEntry)
 
 
+@cache
+def wrapper_entries() -> Mapping[str, WrapperEntry]:
+    """Every wrapper by name: SuperSuit's, and those of other packages. Raises HeadwayError where a package's
+    entry point cannot be loaded or takes a name that there is."""
+    from headway.wrappers.supersuit import supersuit_entries
+
+    return _load("headway.wrappers", WrapperEntry, supersuit_entries())
+
+
 def env_entry(name: str) -> EnvEntry:
-    """The environment of that name. Raises HeadwayError with the nearest name if there is none."""
+    """The environment of that name, or of that module path (`mpe2.simple_spread_v3`).
+
+    Raises HeadwayError with the nearest name if there is none.
+    """
+    if "." in name and name not in env_entries():
+        from headway.adapters.modules import module_entry
+
+        return module_entry(name)
     return _named(env_entries(), name, "environment")
 
 
 def algo_entry(name: str) -> AlgoEntry:
     """The algorithm of that name. Raises HeadwayError with the nearest name if there is none."""
     return _named(algo_entries(), name, "algorithm")
+
+
+def wrapper_entry(name: str, path: str = "") -> WrapperEntry:
+    """The wrapper of that name; `path` is the key that names it.
+
+    Raises HeadwayError with the nearest name if there is none, and says why YAML cannot use it if there is
+    one that takes Python functions.
+    """
+    from headway.wrappers.supersuit import supersuit_names, why_not
+
+    reason = why_not(name) if name in supersuit_names() and name not in wrapper_entries() else None
+    before = f"{path}: " if path else ""
+    if reason is not None:
+        raise HeadwayError(f"{before}{name} cannot be used: {reason}")
+    try:
+        return wrapper_entries()[name]
+    except KeyError:
+        raise HeadwayError(f"{before}{name!r} is no wrapper; {suggestion(name, wrapper_entries())}") from None
+
+
+def _random(prepared: object) -> RandomRule:
+    return RandomRule()
 
 
 def _named(entries: Mapping[str, Entry], name: str, kind: str) -> Entry:
@@ -41,8 +88,10 @@ def _named(entries: Mapping[str, Entry], name: str, kind: str) -> Entry:
         raise HeadwayError(f"{name!r} is no {kind}; {suggestion(name, entries)}") from None
 
 
-def _load(group: str, kind: type[Entry]) -> Mapping[str, Entry]:
-    entries: dict[str, Entry] = {}
+def _load(
+    group: str, kind: type[Entry], built_in: Mapping[str, Entry] = MappingProxyType({})
+) -> Mapping[str, Entry]:
+    entries: dict[str, Entry] = dict(built_in)
     for point in entry_points(group=group):
         origin = point.dist.name if point.dist else point.value
         try:

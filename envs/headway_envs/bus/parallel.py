@@ -7,6 +7,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from headway.contracts import Observed
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import METRICS
@@ -42,6 +43,11 @@ class BusParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes wit
         self.action_spaces = {name: spaces.Discrete(3) for name in spec.agents}
         self.state_space = spaces.Box(-np.inf, np.inf, (spec.state_size,), np.float32)
         self._state = np.zeros(spec.state_size, np.float32)
+
+    @property
+    def native(self) -> tuple[BusBatchedEnv, Observed]:
+        """The batch of one copy behind it, and what that observed last: where the rules look."""
+        return self._env, self._env.observed()
 
     def observation_space(self, agent: str) -> spaces.Box:
         return self.observation_spaces[agent]

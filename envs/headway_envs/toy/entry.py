@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from headway.contracts import EnvEntry
+from headway.contracts import EnvEntry, RandomRule
 from headway_envs.toy.matrix import Matrix, MatrixConfig, OptimalMatrix
-from headway_envs.toy.random_rule import RandomRule
 from headway_envs.toy.tracking import OptimalTracking, Tracking, TrackingConfig
 from headway_envs.toy.trivial import OptimalTrivial, Trivial, TrivialConfig
 from headway_envs.toy.visitors import OptimalVisitors, Visitors, VisitorsConfig

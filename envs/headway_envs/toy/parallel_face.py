@@ -48,6 +48,13 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
         self._actions = _no_actions(spec)
         self._seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._state = np.zeros(spec.state_size, dtype=np.float32)
+        self._observed: Observed | None = None
+
+    @property
+    def native(self) -> tuple[BatchedEnv, Observed]:
+        """The batch of one copy behind it, and what that observed last: where rules look."""
+        assert self._observed is not None, "reset first"
+        return self._env, self._observed
 
     def observation_space(self, agent: str) -> spaces.Box:
         return self._observation_space
@@ -59,7 +66,7 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
         self._seed = int(child_seeds(self._seed, "face", 1, 1)[0]) if seed is None else seed
-        observed = self._env.reset(np.array([self._seed], dtype=np.uint64))
+        self._observed = observed = self._env.reset(np.array([self._seed], dtype=np.uint64))
         self.agents = list(self.possible_agents)
         self._state = observed.states[0].copy()
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
@@ -77,7 +84,8 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
     ]:
         for agent, action in actions.items():
             self._actions[0, self._index[agent]] = action
-        outcome, observed = self._env.step(self._actions)
+        outcome, self._observed = self._env.step(self._actions)
+        observed = self._observed
         stepped = self.agents
         ended = bool(outcome.episode_ended[0])
         over = outcome.terminated[0] | outcome.truncated[0]

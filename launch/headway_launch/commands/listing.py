@@ -5,7 +5,14 @@ from collections.abc import Callable, Iterable, Mapping
 
 from headway.configuration import FieldDescription, describe, suggestion
 from headway.contracts.errors import HeadwayError
-from headway.registry import algo_entries, algo_entry, env_entries, env_entry
+from headway.registry import (
+    algo_entries,
+    algo_entry,
+    env_entries,
+    env_entry,
+    wrapper_entries,
+    wrapper_entry,
+)
 from headway_launch.composing import configs_folder, groups, summary_of
 from headway_launch.tables import print_table
 
@@ -13,6 +20,8 @@ EXAMPLES = """\
 examples:
   headway list envs            all environments
   headway list envs bus        the arguments of one (env.args.KEY=VALUE)
+  headway list envs mpe2.simple_spread_v3      those of a PettingZoo environment, by its module
+  headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
   headway list algos mappo     its hyper-parameters (algo.KEY=VALUE)
   headway list experiments     what `headway run experiment=NAME` takes
   headway list keys            every other key of an experiment
@@ -50,6 +59,18 @@ def _list_algos(name: str | None) -> None:
         print_table(("algorithm", "what it is", "source"), rows)
         return
     _print_keys(algo_entry(name).config, "algo")
+
+
+def _list_wrappers(name: str | None) -> None:
+    if name is not None:
+        _print_keys(wrapper_entry(name).config, "")
+        return
+    rows = []
+    for key, entry in wrapper_entries().items():
+        keys = describe(entry.config)
+        arguments = [row.key if row.default == "required" else f"{row.key}={row.default}" for row in keys]
+        rows.append((key, ", ".join(arguments), "yes" if entry.batched else "no", entry.summary))
+    print_table(("wrapper", "arguments", "batched", "what it does"), rows)
 
 
 def _list_rules(name: str | None) -> None:
@@ -98,6 +119,7 @@ def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
 _KINDS: Mapping[str, Callable[[str | None], None]] = {
     "envs": _list_envs,
     "algos": _list_algos,
+    "wrappers": _list_wrappers,
     "rules": _list_rules,
     "experiments": _list_group("experiment"),
     "presets": _list_group("preset"),

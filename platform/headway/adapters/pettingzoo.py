@@ -8,6 +8,7 @@ was used; default: the agent was alive), `action_mask` (bool, A: allowed now) an
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,6 +48,9 @@ class ParallelEnv(Protocol):
 
     def close(self) -> None: ...
 
+    @property
+    def unwrapped(self) -> Any: ...  # noqa: ANN401 - whatever the wrappers are around
+
 
 def episode_seed(copy_seed: int, episode: int) -> int:
     """The seed that `reset` of the environment is given: 31 bits, which every library takes."""
@@ -64,8 +68,9 @@ class ParallelEnvBatch:
     that are gone are given the team's reward. NaN and infinity are passed on: whoever steps the batch looks
     for them, and knows what its copies are called.
 
-    Raises HeadwayError for spaces that differ between agents or are not supported, and for agents that leave
-    early without `agents_come_and_go`.
+    Raises HeadwayError for spaces that differ between agents or are not supported, for agents that leave
+    early without `agents_come_and_go`, for rewards that differ with `shared_reward`, and for episodes that
+    end without the metrics that were announced.
     """
 
     def __init__(
@@ -154,6 +159,11 @@ class ParallelEnvBatch:
     @property
     def num_copies(self) -> int:
         return len(self._envs)
+
+    @property
+    def parallel_envs(self) -> Sequence[ParallelEnv]:
+        """The C copies."""
+        return self._envs
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observed:
         if len(seeds) != self.num_copies:
@@ -255,8 +265,15 @@ class ParallelEnvBatch:
         agents = self._spec.agents
         if not self._spec.shared_reward:
             return [rewards.get(agent, 0.0) for agent in agents]
-        team = next((rewards[agent] for agent in present or agents if agent in rewards), 0.0)
         there = agents if present is None else present
+        paid = [float(rewards[agent]) for agent in there if agent in rewards]
+        team = paid[0] if paid else 0.0
+        if any(reward != team and isfinite(reward) for reward in paid):
+            listed = ", ".join(f"{agent} {rewards[agent]:g}" for agent in there if agent in rewards)
+            raise HeadwayError(
+                f"environment '{self._spec.name}' should pay all agents the same, and paid {listed} at step "
+                f"{self._steps}; set env.shared_reward=false"
+            )
         return [rewards.get(agent, team) if agent in there else team for agent in agents]
 
     def _note_present(self, copy: int) -> None:
@@ -307,9 +324,16 @@ class ParallelEnvBatch:
         outcome.episode_ended[copy] = True
         if self._spec.state_size:
             outcome.final_states[copy] = self._envs[copy].state().reshape(-1)
-        metrics: Mapping[str, float] = next(
-            (info["episode_metrics"] for info in infos.values() if info and "episode_metrics" in info), {}
+        metrics: Mapping[str, float] | None = next(
+            (info["episode_metrics"] for info in infos.values() if info and "episode_metrics" in info), None
         )
+        if metrics is None:
+            metrics = {}
+            if self._spec.metrics:
+                raise HeadwayError(
+                    f"environment '{self._spec.name}' announces episode_metrics, and an episode ended "
+                    "without them in any agent's info; a wrapper must pass infos on"
+                )
         outcome.metrics[copy] = [metrics.get(name, np.nan) for name in self._spec.metrics]
         self._begin(copy, self._episodes[copy] + 1)
 
@@ -336,7 +360,8 @@ class ParallelEnvBatch:
             copy, agent = np.argwhere(~alive)[0]
             raise HeadwayError(
                 f"environment '{self._spec.name}': agent '{self._spec.agents[agent]}' of copy {copy} is not "
-                f"there at step {self._steps}, before the episode's end; say agents_come_and_go: true for it"
+                f"there at step {self._steps}, before the episode's end; set env.agents_come_and_go=true, or "
+                "keep it there with the wrapper black_death_v3"
             )
         if masks is not None and (stuck := np.argwhere(alive & ~masks.any(axis=-1))).size:
             copy, agent = stuck[0]

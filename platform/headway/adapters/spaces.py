@@ -102,6 +102,5 @@ def _require_equal(
     if len(groups) > 1:
         listed = "; ".join(f"{', '.join(agents)}: {space}" for space, agents in groups)
         raise HeadwayError(
-            f"environment '{name}': agents have different {what} ({listed}); "
-            f"wrap it with SuperSuit's {wrapper}"
+            f"environment '{name}': agents have different {what} ({listed}); set env.wrappers=[{wrapper}]"
         )

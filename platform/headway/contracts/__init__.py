@@ -12,15 +12,18 @@ from headway.contracts.entries import AlgoEntry, EnvEntry, Rule
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
 from headway.contracts.errors import HeadwayError
 from headway.contracts.learning import Learner
+from headway.contracts.random_rule import RandomRule
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
 from headway.contracts.streams import child_seeds, generator
 from headway.contracts.trajectory import Trajectory, TrajectoryLayout
+from headway.contracts.wrapping import BatchedWrapper, ObservationBounds, WrapperEntry
 
 __all__ = [
     "ActingPolicy",
     "ActionSpace",
     "AlgoEntry",
     "BatchedEnv",
+    "BatchedWrapper",
     "Box",
     "Discrete",
     "EnvEntry",
@@ -28,11 +31,14 @@ __all__ = [
     "HeadwayError",
     "Learner",
     "MultiDiscrete",
+    "ObservationBounds",
     "Observed",
     "Outcome",
+    "RandomRule",
     "Rule",
     "Trajectory",
     "TrajectoryLayout",
+    "WrapperEntry",
     "child_seeds",
     "generator",
 ]

@@ -1,5 +1,5 @@
 """Registry entries: a name tied to objects. Third parties add theirs by entry point
-(`headway.envs`, `headway.algos`), each a mapping from name to entry."""
+(`headway.envs`, `headway.algos`; wrappers stand in `wrapping`), each a mapping from name to entry."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -43,8 +43,10 @@ class EnvEntry:
     """(config) -> what all copies share (tables read, networks built), once in the parent; picklable.
     Raises HeadwayError for data that cannot be used."""
     parallel_env: Callable[[Any], Any] | None = None
-    """(config) -> the same as a PettingZoo ParallelEnv: `reset(seed=s)` begins what `reset([s])` of the batch
-    does; metrics travel in info `episode_metrics`, their names in `metadata["episode_metrics"]`."""
+    """(config, or what `prepare` gave) -> the same as a PettingZoo ParallelEnv: `reset(seed=s)` begins what
+    `reset([s])` of the batch does; metrics travel in info `episode_metrics`, their names in
+    `metadata["episode_metrics"]`. Its attribute `native`, where it has one, is the batch of one copy behind
+    it and what that observed last: the environment's rules look there."""
     rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
     """Name -> (prepared) -> rule."""
     preload: tuple[str, ...] = ()

@@ -1,15 +1,20 @@
-"""Uniformly random play: the zero of a normalised score."""
+"""Uniformly random play: the zero of a normalised score, and a rule of every environment."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Box, Discrete, MultiDiscrete, Observed, generator
+from headway.contracts.environment import BatchedEnv, Observed
+from headway.contracts.spaces import Box, Discrete, MultiDiscrete
+from headway.contracts.streams import generator
+
+WIDTH = 10.0
+"""Where a Box has no bound, actions are drawn up to so far from the other bound, or from 0."""
 
 
 class RandomRule:
-    """Uniform over the allowed actions of a Discrete space, over all of a MultiDiscrete or bounded Box one.
+    """Uniform over the allowed actions of a Discrete space, over all of a MultiDiscrete or Box one.
 
     Each rule of the same `seed` makes the same draws, in the order in which it is asked.
     """
@@ -30,4 +35,6 @@ class RandomRule:
             case MultiDiscrete(nvec=nvec):
                 return draw.integers(0, nvec, (*shape, len(nvec)))
             case Box(low=low, high=high):
-                return draw.uniform(low, high, (*shape, len(low))).astype(np.float32)
+                floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - WIDTH, low)
+                ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + WIDTH, high)
+                return draw.uniform(floor, ceiling, (*shape, len(low))).astype(np.float32)

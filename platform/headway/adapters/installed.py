@@ -1,0 +1,80 @@
+"""Which modules a configuration may name: those of installed packages that depend on PettingZoo.
+
+A configuration names no Python objects, because to import one is to run it, and configurations are handed
+around. A module path of an environment is the exception, so it is kept narrow: nothing is imported unless the
+package's own metadata says that it builds on PettingZoo.
+"""
+
+import importlib.metadata
+import importlib.util
+import json
+import pkgutil
+import re
+from functools import cache
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+from headway.configuration import suggestion
+from headway.contracts import HeadwayError
+
+_PATH = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+")
+_ON_PETTINGZOO = re.compile(r"pettingzoo\b", re.IGNORECASE)
+
+
+def is_module_path(name: str) -> bool:
+    """Whether `name` looks like `package.module`; parts that begin with an underscore are private."""
+    return _PATH.fullmatch(name) is not None
+
+
+def require_environment_module(name: str) -> None:
+    """Raise HeadwayError unless `name` is a module of an installed package that depends on PettingZoo.
+
+    Nothing is imported but the packages above the module, and those only of such a package.
+    """
+    package = name.split(".")[0]
+    spec = importlib.util.find_spec(package)
+    if spec is None:
+        raise HeadwayError(
+            f"env.id={name}: there is no package {package}; install it (pip install {package}), "
+            "or use a name that `headway list envs` shows"
+        )
+    if not _depends_on_pettingzoo(package, spec.origin or ""):
+        raise HeadwayError(
+            f"env.id={name}: {package} is not an installed package that depends on PettingZoo, and no other "
+            "is imported; declare the dependency, or register the environment by entry point headway.envs"
+        )
+    above, _, last = name.rpartition(".")
+    siblings = _modules_in(above)
+    if last not in siblings:
+        raise HeadwayError(f"env.id={name}: no such module; {suggestion(last, siblings, f'{above}.')}")
+
+
+def _modules_in(package: str) -> list[str]:
+    """Public modules of a package; importing the package itself may fail."""
+    try:
+        spec = importlib.util.find_spec(package)
+    except Exception as error:  # the package's own code
+        raise HeadwayError(
+            f"env.id: package {package} cannot be imported: {type(error).__name__}: {error}"
+        ) from error
+    places = (spec.submodule_search_locations or []) if spec else []
+    return [module.name for module in pkgutil.iter_modules(places) if not module.name.startswith("_")]
+
+
+@cache
+def _depends_on_pettingzoo(package: str, origin: str) -> bool:
+    for distribution in importlib.metadata.distributions():
+        needs = any(_ON_PETTINGZOO.match(requirement) for requirement in distribution.requires or ())
+        if (needs or distribution.name.lower() == "pettingzoo") and _provides(distribution, package, origin):
+            return True
+    return False
+
+
+def _provides(distribution: importlib.metadata.Distribution, package: str, origin: str) -> bool:
+    if any(file.parts[0] in (package, f"{package}.py") for file in distribution.files or ()):
+        return True
+    # Editable: its files are not listed, its folder is.
+    direct = json.loads(distribution.read_text("direct_url.json") or "{}")
+    if not direct.get("dir_info", {}).get("editable"):
+        return False
+    return Path(origin).is_relative_to(unquote(urlparse(direct["url"]).path))

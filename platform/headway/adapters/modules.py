@@ -1,0 +1,158 @@
+"""Any PettingZoo environment by module path: `env.id=mpe2.simple_spread_v3`.
+
+The module gives `parallel_env`, or else `env` (turn by turn, AEC), which PettingZoo's own conversion makes
+parallel where the environment says that this is valid. `env.args` are the factory's arguments.
+"""
+
+import importlib
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import partial
+from types import ModuleType
+from typing import Any
+
+from headway.adapters.installed import require_environment_module
+from headway.adapters.parallel_entry import NO_OPTIONS, AdapterOptions
+from headway.contracts import BatchedEnv, EnvEntry, HeadwayError, RandomRule
+from headway.signatures import argument_record, as_tuples, free_record, takes_anything
+
+_NUMBERED = re.compile(r"(.+?)_?\d+")
+
+
+@dataclass(frozen=True)
+class ModuleEnv:
+    """An environment of a module, with its arguments. Picklable."""
+
+    module: str
+    arguments: Mapping[str, Any]
+    """Those that differ from the factory's own defaults."""
+    options: AdapterOptions
+
+    def make(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+        """One ParallelEnv. Raises HeadwayError where the module or the arguments are of no use."""
+        module = _imported(self.module)
+        factory = _factory(self.module, module)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                env = factory(**self.arguments)
+        except Exception as error:  # the environment's own code
+            given = ", ".join(f"{key}={value}" for key, value in self.arguments.items()) or "its defaults"
+            raise HeadwayError(
+                f"{self.module} cannot be made with {given}: {type(error).__name__}: {error}"
+            ) from error
+        return _parallel(self.module, env)
+
+
+def module_entry(
+    module: str, options: AdapterOptions = NO_OPTIONS, arguments: Iterable[str] = ()
+) -> EnvEntry:
+    """The entry of the environment in a module.
+
+    `arguments` are the keys that are given: all that is known of a factory that takes any. Groups are the
+    agents' names without their numbers. Raises HeadwayError where the module may not be named, cannot be
+    imported, or has no factory.
+    """
+    described = _described(_imported(module), module)
+    record = (
+        free_record("Arguments", arguments) if described is None else argument_record("Arguments", described)
+    )
+    return EnvEntry(
+        summary=f"the PettingZoo environment {module}",
+        config=record,
+        make=make_batch,
+        prepare=partial(_prepare, module, options),
+        parallel_env=partial(_make_parallel, module, options),
+        rules={"random": lambda prepared: RandomRule()},
+        preload=("headway.adapters.modules", module),
+    )
+
+
+def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:
+    """The entry's `make`."""
+    return prepared.options.adapt(prepared.make, copies, prepared.module)
+
+
+def _prepare(module: str, options: AdapterOptions, config: Any) -> ModuleEnv:  # noqa: ANN401 - its own record
+    prepared = ModuleEnv(module, _changed(config), options)
+    env = prepared.make()
+    groups = _groups(getattr(env, "possible_agents", ()))
+    env.close()
+    return replace(prepared, options=replace(options, groups=groups))
+
+
+def _make_parallel(module: str, options: AdapterOptions, given: Any) -> Any:  # noqa: ANN401 - config or prepared
+    prepared = given if isinstance(given, ModuleEnv) else ModuleEnv(module, _changed(given), options)
+    return prepared.make()
+
+
+def _imported(name: str) -> ModuleType:
+    require_environment_module(name)
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it greets on stdout, where tables go
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise HeadwayError(
+            f"env.id={name} needs the package {error.name}, which is not installed: pip install {error.name}"
+        ) from error
+    except Exception as error:  # the module's own code
+        raise HeadwayError(f"env.id={name} cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def _factory(name: str, module: ModuleType) -> Callable[..., Any]:
+    for attribute in ("parallel_env", "env"):
+        factory = vars(module).get(attribute)
+        if callable(factory):
+            found: Callable[..., Any] = factory
+            return found
+    raise HeadwayError(f"env.id={name} has neither parallel_env nor env: it is no PettingZoo environment")
+
+
+def _described(module: ModuleType, name: str) -> Callable[..., Any] | None:
+    """Whose signature tells the factory's arguments; PettingZoo's own factories pass `**kwargs` to
+    `raw_env`. None where nothing tells them."""
+    candidates = [_factory(name, module), vars(module).get("raw_env"), vars(module).get("env")]
+    return next((call for call in candidates if callable(call) and not takes_anything(call)), None)
+
+
+def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    from pettingzoo import AECEnv, ParallelEnv
+    from pettingzoo.utils.conversions import aec_to_parallel
+
+    if isinstance(env, ParallelEnv):
+        return env
+    if not isinstance(env, AECEnv):
+        raise HeadwayError(
+            f"env.id={name} makes a {type(env).__name__}, which is no ParallelEnv or AECEnv of PettingZoo's"
+        )
+    if not env.metadata.get("is_parallelizable", False):
+        raise HeadwayError(
+            f"env.id={name} is played turn by turn and its metadata does not say is_parallelizable: "
+            "all agents must act at once here; choose an environment with parallel_env"
+        )
+    return aec_to_parallel(env)
+
+
+def _changed(config: Any) -> dict[str, Any]:  # noqa: ANN401 - a record from a signature
+    """Arguments other than the defaults. Lists become tuples where the default is one."""
+    changed = {}
+    for field in fields(config):
+        value, default = getattr(config, field.name), field.default
+        if isinstance(default, tuple):
+            value = as_tuples(value)
+        if default is MISSING and field.default_factory is not MISSING:
+            default = field.default_factory()
+        if default is MISSING or value != default:
+            changed[field.name] = value
+    return changed
+
+
+def _groups(agents: Sequence[str]) -> tuple[str, ...]:
+    """`adversary` for `adversary_0`; nothing where that tells no agents apart."""
+    kinds = [match[1] if (match := _NUMBERED.fullmatch(agent)) else agent for agent in agents]
+    return tuple(kinds) if 1 < len(set(kinds)) < len(kinds) else ()

@@ -1,0 +1,81 @@
+"""The arguments of a Python callable as a configuration record, so that YAML's are checked like any other."""
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import field, make_dataclass
+from inspect import Parameter
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+_NAMED = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+_SCALARS = (bool, int, float, str, NoneType)
+
+
+def takes_anything(function: Callable[..., Any]) -> bool:
+    """Whether its signature cannot tell which arguments it takes: it ends with `**kwargs`, or has none."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return True
+    return any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters)
+
+
+def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> type:
+    """A frozen dataclass of a callable's named arguments from number `first` on, with their defaults.
+
+    Annotations made of numbers, texts, truth values, lists and mappings of them are kept; any other, and a
+    missing one, takes what comes. Arguments whose default YAML could not hold are left out.
+    """
+    fields: list[Any] = []
+    for parameter in list(_signature(function).parameters.values())[first:]:
+        if parameter.kind not in _NAMED or parameter.name.startswith("_"):
+            continue
+        hint = parameter.annotation if _is_plain_hint(parameter.annotation) else Any
+        if parameter.default is Parameter.empty:
+            fields.append((parameter.name, hint, field(kw_only=True)))
+        elif is_plain(parameter.default):
+            fields.append((parameter.name, hint, _with_default(parameter.default)))
+    return make_dataclass(name, fields, frozen=True)
+
+
+def free_record(name: str, keys: Iterable[str]) -> type:
+    """A frozen dataclass of these keys, none with a default, each of any type."""
+    return make_dataclass(name, [(key, Any) for key in keys], frozen=True)
+
+
+def is_plain(value: object) -> bool:
+    """Whether YAML can hold it: a number, text, truth value or null, or lists and mappings of these."""
+    if isinstance(value, _SCALARS):
+        return True
+    if isinstance(value, Mapping):
+        return all(isinstance(key, str) and is_plain(inner) for key, inner in value.items())
+    return isinstance(value, tuple | list) and all(is_plain(inner) for inner in value)
+
+
+def as_tuples(value: object) -> Any:  # noqa: ANN401 - whatever was given
+    """`value` with every list, which is how YAML writes a tuple, as a tuple."""
+    return tuple(as_tuples(inner) for inner in value) if isinstance(value, tuple | list) else value
+
+
+def _signature(function: Callable[..., Any]) -> inspect.Signature:
+    try:
+        return inspect.signature(function, eval_str=True)
+    except Exception:  # an annotation that names what is not there
+        return inspect.signature(function)
+
+
+def _with_default(default: object) -> Any:  # noqa: ANN401 - `dataclasses` types fields loosely
+    if isinstance(default, list | dict):
+        return field(default_factory=lambda: default, kw_only=True)
+    return field(default=default, kw_only=True)
+
+
+def _is_plain_hint(hint: Any) -> bool:  # noqa: ANN401 - any annotation
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return all(_is_plain_hint(argument) for argument in arguments)
+    if origin is Literal:
+        return all(isinstance(argument, _SCALARS) for argument in arguments)
+    if isinstance(origin, type) and issubclass(origin, Sequence | Mapping):
+        return all(argument is Ellipsis or _is_plain_hint(argument) for argument in arguments)
+    return hint is None or hint in _SCALARS

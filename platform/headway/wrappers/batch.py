@@ -1,0 +1,55 @@
+"""What batched wrappers have in common."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, EnvSpec, Observed, Outcome
+
+
+class BatchWrapper:
+    """A batch of copies around another. This one changes nothing: others change `_begin` and `_advance`.
+
+    Snapshots work where those of the inner environment do.
+    """
+
+    def __init__(self, inner: BatchedEnv, spec: EnvSpec | None = None) -> None:
+        """`spec`: the wrapped environment's; None: that of the inner one."""
+        self.inner = inner
+        self.faced: Observed | None = None
+        """What the inner environment observed last; rules look there."""
+        self._spec = spec or inner.spec
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return self.inner.num_copies
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        self.faced = self.inner.reset(seeds)
+        return self._begin(self.faced)
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        outcome, self.faced = self.inner.step(actions)
+        return self._advance(outcome, self.faced)
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
+        return self.inner.snapshot()
+
+    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+        self.faced = self.inner.restore(snapshot)
+        return self._begin(self.faced)
+
+    def close(self) -> None:
+        self.inner.close()
+
+    def _begin(self, observed: Observed) -> Observed:
+        """What is observed where all copies begin, or where an environment without memory goes on."""
+        return observed
+
+    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+        return outcome, observed

@@ -1,0 +1,86 @@
+"""The last few observations side by side: SuperSuit's frame_stack_v1 and frame_stack_v2, for batches."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observed, Outcome
+from headway.wrappers.batch import BatchWrapper
+
+
+@dataclass(frozen=True)
+class FrameStack:
+    """Arguments of frame_stack_v1 and frame_stack_v2."""
+
+    stack_size: int = 4
+    """Observations side by side, the newest last."""
+    stack_dim: int = -1
+    """Axis along which images are stacked, 0 or -1; vectors have one axis only."""
+
+    def __post_init__(self) -> None:
+        if self.stack_size < 1:
+            raise ValueError(f"stack_size must be at least 1, not {self.stack_size}")
+        if self.stack_dim not in (0, -1):
+            raise ValueError(f"stack_dim must be 0 or -1, not {self.stack_dim}")
+
+
+class FrameStackBatch(BatchWrapper):
+    """Stacks of F frames: observations (C, N, F x D).
+
+    An episode begins with frames of zeros before its first (frame_stack_v1), or with the first one repeated
+    (frame_stack_v2, `repeat_first`). So does the stream of whoever takes the slot of an agent that ended.
+    A frame in which an agent is away is zeros.
+    """
+
+    def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:
+        spec = inner.spec
+        copies, n, d = inner.num_copies, spec.num_agents, spec.observation_size
+        super().__init__(inner, replace(spec, observation_size=size * d))
+        self._repeat_first = repeat_first
+        self._frames = np.zeros((copies, n, size, d), dtype=np.float32)
+        self._finals = np.zeros_like(self._frames)
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
+        return {"inner": self.inner.snapshot(), "frames": self._frames.copy()}
+
+    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+        self.faced = self.inner.restore(snapshot["inner"])
+        self._frames[:] = snapshot["frames"]
+        return self._shown(self.faced)
+
+    def _begin(self, observed: Observed) -> Observed:
+        self._push(observed, np.ones(observed.alive.shape, dtype=np.bool_))
+        return self._shown(observed)
+
+    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+        over = outcome.terminated | outcome.truncated
+        if over.any():
+            self._finals[over, :-1] = self._frames[over, 1:]
+            self._finals[over, -1] = outcome.final_observations[over]
+        self._push(observed, over)
+        finals = self._finals.reshape(*over.shape, -1)
+        return replace(outcome, final_observations=finals), self._shown(observed)
+
+    def _push(self, observed: Observed, fresh: NDArray[np.bool_]) -> None:
+        """Take in a frame; `fresh` (C, N): what went before is forgotten."""
+        frames = self._frames
+        frames[:, :, :-1] = frames[:, :, 1:]
+        frames[:, :, -1] = 0
+        np.copyto(frames[:, :, -1], observed.observations, where=observed.alive[..., None])
+        if fresh.any():
+            frames[fresh, :-1] = frames[fresh, -1:] if self._repeat_first else 0
+
+    def _shown(self, observed: Observed) -> Observed:
+        return replace(observed, observations=self._frames.reshape(*observed.alive.shape, -1))
+
+
+def batched_frame_stack(
+    repeat_first: bool, arguments: FrameStack, bounds: ObservationBounds
+) -> BatchedWrapper:
+    """The twin of frame_stack_v1, or with `repeat_first` of frame_stack_v2."""
+    size = arguments.stack_size
+    stacked = replace(bounds, low=np.tile(bounds.low, size), high=np.tile(bounds.high, size))
+    return BatchedWrapper(partial(FrameStackBatch, size=size, repeat_first=repeat_first), stacked)

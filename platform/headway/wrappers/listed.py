@@ -1,0 +1,45 @@
+"""The list `env.wrappers` as records: `[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from headway.configuration import build, plain
+from headway.contracts import HeadwayError, WrapperEntry
+from headway.registry import wrapper_entry
+
+
+@dataclass(frozen=True)
+class ListedWrapper:
+    """One wrapper of the list."""
+
+    name: str
+    entry: WrapperEntry
+    arguments: Any
+    """A record of the entry's `config`."""
+
+    @property
+    def mapping(self) -> dict[str, Any]:
+        """As YAML has it, every default spelt out."""
+        return {"name": self.name, **plain(self.arguments)}
+
+
+def listed_wrappers(items: Sequence[Any], path: str = "env.wrappers") -> tuple[ListedWrapper, ...]:
+    """The wrappers of a list, in order: names, or mappings of `name` and arguments.
+
+    Raises HeadwayError for a name or an argument that does not exist, with the nearest that does.
+    """
+    return tuple(_listed(item, f"{path}[{index}]") for index, item in enumerate(items))
+
+
+def _listed(item: Any, path: str) -> ListedWrapper:  # noqa: ANN401 - whatever YAML holds
+    arguments = {"name": item} if isinstance(item, str) else item
+    if not isinstance(arguments, Mapping) or not isinstance(arguments.get("name"), str):
+        raise HeadwayError(
+            f"{path}={item} is no wrapper; write a name, or its arguments too, such as "
+            "{name: frame_stack_v1, stack_size: 4}"
+        )
+    name = arguments["name"]
+    entry = wrapper_entry(name, path)
+    rest = {key: value for key, value in arguments.items() if key != "name"}
+    return ListedWrapper(name, entry, build(entry.config, rest, path, name))

@@ -1,0 +1,94 @@
+"""Changes of each reward: SuperSuit's clip_reward_v0, and scale_reward_v0, which SuperSuit has only as a
+function to be written in Python."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observed, Outcome
+from headway.wrappers.batch import BatchWrapper
+
+
+@dataclass(frozen=True)
+class ClipReward:
+    """Arguments of clip_reward_v0."""
+
+    lower_bound: float = -1.0
+    """Smallest reward, at most 0."""
+    upper_bound: float = 1.0
+    """Largest reward, at least 0."""
+
+    def __post_init__(self) -> None:
+        # SuperSuit passes a reward on in as many pieces as there are agents, all but one 0, and clips each.
+        if not self.lower_bound <= 0 <= self.upper_bound:
+            raise ValueError(
+                f"lower_bound {self.lower_bound} and upper_bound {self.upper_bound} must have 0 between them"
+            )
+
+
+@dataclass(frozen=True)
+class ScaleReward:
+    """Arguments of scale_reward_v0."""
+
+    scale: float
+    """Every reward is multiplied by it."""
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.scale):
+            raise ValueError(f"scale must be finite, not {self.scale}")
+
+
+class ChangedRewards(BatchWrapper):
+    """`change`: rewards (C, N) -> rewards; what is 0 stays 0, so that whoever is away is paid as before."""
+
+    def __init__(
+        self, inner: BatchedEnv, change: Callable[[NDArray[np.float32]], NDArray[np.floating[Any]]]
+    ) -> None:
+        super().__init__(inner)
+        self._change = change
+        self._rewards = np.zeros((inner.num_copies, inner.spec.num_agents), dtype=np.float32)
+
+    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+        self._rewards[...] = self._change(outcome.rewards)
+        return replace(outcome, rewards=self._rewards), observed
+
+
+@dataclass(frozen=True)
+class _Clip:
+    low: float
+    high: float
+
+    def __call__(self, rewards: NDArray[np.float32]) -> NDArray[np.floating[Any]]:
+        return np.clip(rewards, self.low, self.high)
+
+
+@dataclass(frozen=True)
+class _Scale:
+    scale: float
+
+    def __call__(self, rewards: NDArray[np.float32]) -> NDArray[np.floating[Any]]:
+        # In float64, as a ParallelEnv's rewards are multiplied.
+        return np.multiply(rewards, self.scale, dtype=np.float64)
+
+
+def batched_clip_reward(arguments: ClipReward, bounds: ObservationBounds) -> BatchedWrapper:
+    """The twin of clip_reward_v0."""
+    clip = _Clip(arguments.lower_bound, arguments.upper_bound)
+    return BatchedWrapper(partial(ChangedRewards, change=clip), bounds)
+
+
+def batched_scale_reward(arguments: ScaleReward, bounds: ObservationBounds) -> BatchedWrapper:
+    """The twin of scale_reward_v0."""
+    return BatchedWrapper(partial(ChangedRewards, change=_Scale(arguments.scale)), bounds)
+
+
+def scale_reward(env: Any, arguments: ScaleReward) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    """A ParallelEnv with every reward multiplied."""
+    import supersuit
+
+    return supersuit.reward_lambda_v0(env, lambda reward: reward * arguments.scale)

@@ -1,0 +1,130 @@
+"""Every wrapper of SuperSuit that YAML can name, with its arguments."""
+
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from typing import Any
+
+from headway.contracts import WrapperEntry
+from headway.signatures import argument_record, as_tuples
+from headway.wrappers.frame_stack import FrameStack, batched_frame_stack
+from headway.wrappers.observations import (
+    AgentIndicator,
+    DType,
+    NoArguments,
+    NormalizeObs,
+    batched_agent_indicator,
+    batched_dtype,
+    batched_normalize_obs,
+    unchanged,
+)
+from headway.wrappers.rewards import (
+    ClipReward,
+    ScaleReward,
+    batched_clip_reward,
+    batched_scale_reward,
+    scale_reward,
+)
+
+_SUMMARIES = {
+    "agent_indicator_v0": "append to each observation which agent observes, one-hot",
+    "black_death_v3": "agents that die stay, observe zeros and are paid nothing",
+    "clip_actions_v0": "clip Box actions to their bounds",
+    "clip_reward_v0": "clip each reward to two bounds",
+    "color_reduction_v0": "images: one colour, or grey",
+    "delay_observations_v0": "observe what was so many steps ago",
+    "dtype_v0": "observations as another numpy type",
+    "flatten_v0": "observations as vectors",
+    "frame_skip_v0": "repeat each action for some steps",
+    "frame_stack_v1": "the last observations side by side, zeros before the first",
+    "frame_stack_v2": "the last observations side by side, the first one repeated",
+    "max_observation_v0": "the maximum of the last observations",
+    "nan_noop_v0": "a given action in place of NaN",
+    "nan_random_v0": "a random action in place of NaN",
+    "nan_zeros_v0": "zeros in place of a NaN action",
+    "normalize_obs_v0": "observations scaled by the bounds of their space",
+    "pad_action_space_v0": "Discrete or Box actions as many as the richest agent's",
+    "pad_observations_v0": "observations padded with zeros to the longest agent's",
+    "reshape_v0": "observations in another shape",
+    "resize_v1": "images in another size",
+    "scale_actions_v0": "Box actions multiplied",
+    "scale_reward_v0": "each reward multiplied (Headway's own)",
+    "sticky_actions_v0": "the action before is repeated with some probability",
+}
+_CHANGE_ACTIONS = ("scale_actions_v0", "pad_action_space_v0")
+Batched = tuple[type, Callable[[Any, Any], Any]]
+_BATCHED: Mapping[str, Batched] = {
+    "agent_indicator_v0": (AgentIndicator, batched_agent_indicator),
+    "clip_reward_v0": (ClipReward, batched_clip_reward),
+    "dtype_v0": (DType, batched_dtype),
+    "flatten_v0": (NoArguments, unchanged),
+    "frame_stack_v1": (FrameStack, partial(batched_frame_stack, False)),
+    "frame_stack_v2": (FrameStack, partial(batched_frame_stack, True)),
+    "normalize_obs_v0": (NormalizeObs, batched_normalize_obs),
+}
+"""Arguments, typed, and the twin for batches."""
+_NOT_FROM_YAML = ("_lambda_v", "vec_env_v", "vec_envs_v", "vectorize_")
+
+
+def supersuit_names() -> tuple[str, ...]:
+    """Every versioned name of SuperSuit, those that YAML cannot use included. SuperSuit's `__getattr__`
+    raises ImportError for unknown names, `hasattr` included, so they are looked up in its dictionary."""
+    import supersuit
+
+    return tuple(sorted(name for name in vars(supersuit) if name.rpartition("_v")[2].isdigit()))
+
+
+def why_not(name: str) -> str | None:
+    """Why YAML cannot use this wrapper of SuperSuit; None where it can."""
+    if "_lambda_v" in name:
+        return (
+            "it takes Python functions, which YAML cannot hold; register a wrapper of your own by entry "
+            "point headway.wrappers"
+        )
+    if any(part in name for part in _NOT_FROM_YAML):
+        return "it makes a vector of environments for other libraries; rollout.copies does that here"
+    return None
+
+
+@cache
+def supersuit_entries() -> Mapping[str, WrapperEntry]:
+    """SuperSuit's wrappers by name, and scale_reward_v0."""
+    entries = {name: _entry(name) for name in supersuit_names() if why_not(name) is None}
+    entries["scale_reward_v0"] = WrapperEntry(
+        _SUMMARIES["scale_reward_v0"], ScaleReward, scale_reward, batched_scale_reward
+    )
+    return dict(sorted(entries.items()))
+
+
+def _entry(name: str) -> WrapperEntry:
+    record, batched = _BATCHED.get(name, (None, None))
+    if record is None:
+        record = argument_record("Arguments", _described(name), first=1)
+    return WrapperEntry(
+        summary=_SUMMARIES.get(name, "a wrapper of SuperSuit"),
+        config=record,
+        wrap=partial(_wrap, name),
+        batched=batched,
+        changes_actions=name in _CHANGE_ACTIONS,
+    )
+
+
+def _described(name: str) -> Callable[..., Any]:
+    """Whose signature tells a wrapper's arguments: some are choosers between two classes."""
+    import supersuit
+
+    wrapper = vars(supersuit)[name]
+    found: Callable[..., Any] = (
+        getattr(wrapper, "parallel_wrapper", None) or getattr(wrapper, "aec_wrapper", None) or wrapper
+    )
+    return found
+
+
+def _wrap(name: str, env: Any, arguments: Any) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    if name == "black_death_v3":
+        from headway.wrappers.black_death import BlackDeath
+
+        return BlackDeath(env)
+    import supersuit
+
+    given = {key: as_tuples(value) for key, value in vars(arguments).items()}
+    return vars(supersuit)[name](env, **given)

@@ -1,0 +1,195 @@
+"""An environment entry with wrappers around it.
+
+Wrappers are applied in order. From the end of the list forward, those that have twins are applied to batches
+of copies; where all have, a native environment stays native. The last that has none, and all before it, are
+applied to the environment's ParallelEnv, and the adapter makes a batch of that.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.adapters.modules import ModuleEnv
+from headway.adapters.parallel_entry import AdapterOptions
+from headway.adapters.pettingzoo import ParallelEnvBatch
+from headway.contracts import (
+    BatchedEnv,
+    BatchedWrapper,
+    EnvEntry,
+    EnvSpec,
+    HeadwayError,
+    ObservationBounds,
+    Observed,
+    RandomRule,
+    Rule,
+)
+from headway.wrappers.listed import ListedWrapper
+from headway.wrappers.parallel import WrappedParallelEnv, bounds_of, wrapped_parallel_env
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """What all copies of a wrapped environment share. Picklable."""
+
+    name: str
+    prepared: Any
+    """What the environment's own `prepare` gave."""
+    make: Callable[[Any, int], BatchedEnv]
+    """The environment's own `make`."""
+    parallel: WrappedParallelEnv | None
+    """The ParallelEnv with the wrappers that have no twin; None where all have: `make` is used."""
+    options: AdapterOptions | None
+    batched: tuple[BatchedWrapper, ...]
+    """Twins, the innermost first."""
+    notices: tuple[str, ...] = ()
+    """Lines for the user."""
+
+    def batch(self, copies: int) -> BatchedEnv:
+        """The wrapped environment."""
+        if self.parallel is None or self.options is None:
+            env = self.make(self.prepared, copies)
+        else:
+            env = self.options.adapt(self.parallel, copies, self.name)
+        for wrapper in self.batched:
+            env = wrapper.wrap(env)
+        return env
+
+
+def make_wrapped(wrapped: Wrapped, copies: int) -> BatchedEnv:
+    """The wrapped entry's `make`."""
+    return wrapped.batch(copies)
+
+
+def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper]) -> EnvEntry:
+    """The entry of an environment with wrappers around it, the first of the list innermost; `entry` itself
+    where there are none.
+
+    The environment's own rules look behind the wrappers: they see the environment and the observations
+    that it gives, and play the wrapped game. Behind a wrapper that changes what actions mean only `random`
+    is left, which plays the wrapped environment.
+    """
+    if not wrappers:
+        return entry
+    rules = {"random": entry.rules["random"]} if _any_changes_actions(wrappers) else entry.rules
+    return replace(
+        entry,
+        make=make_wrapped,
+        prepare=lambda config: _prepare(name, entry, tuple(wrappers), entry.prepare(config)),
+        parallel_env=None,
+        rules={rule: _behind(rule, make) for rule, make in rules.items()},
+    )
+
+
+def _any_changes_actions(wrappers: Sequence[ListedWrapper]) -> bool:
+    return any(wrapper.entry.changes_actions for wrapper in wrappers)
+
+
+def _prepare(
+    name: str,
+    entry: EnvEntry,
+    wrappers: tuple[ListedWrapper, ...],
+    prepared: Any,  # noqa: ANN401 - the entry's
+) -> Wrapped:
+    """Raises HeadwayError where a wrapper cannot be applied."""
+    bounds = _first_bounds(name, entry, prepared)
+    parallel, culprit = None, ""
+    batched: list[BatchedWrapper] = []
+    for index, wrapper in enumerate(wrappers):
+        twin = _twin(wrapper, bounds, index)
+        if twin is not None:
+            batched.append(twin)
+            bounds = twin.bounds
+            continue
+        if entry.parallel_env is None:
+            raise HeadwayError(
+                f"env.wrappers[{index}]: {wrapper.name} has no batched form, and {name} no ParallelEnv that "
+                "SuperSuit could wrap; leave it out"
+            )
+        culprit, batched = wrapper.name, []
+        parallel = wrapped_parallel_env(name, entry.parallel_env, prepared, wrappers[: index + 1])
+        env = parallel()
+        bounds = bounds_of(env)
+        env.close()
+    if parallel is None:
+        return Wrapped(name, prepared, entry.make, None, None, tuple(batched))
+    options, notices = _adapting(name, entry, prepared, culprit)
+    return Wrapped(name, prepared, entry.make, parallel, options, tuple(batched), notices)
+
+
+def _first_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBounds | None:
+    """Of the environment itself; none are known of one that has no ParallelEnv."""
+    if entry.parallel_env is None:
+        env = entry.make(prepared, 1)
+        spec = env.spec
+        env.close()
+        unbounded = np.full(spec.observation_size, np.inf, dtype=np.float32)
+        return ObservationBounds(spec.agents, -unbounded, unbounded)
+    made = wrapped_parallel_env(name, entry.parallel_env, prepared, ())()
+    bounds = bounds_of(made)
+    made.close()
+    return bounds
+
+
+def _twin(wrapper: ListedWrapper, bounds: ObservationBounds | None, index: int) -> BatchedWrapper | None:
+    if wrapper.entry.batched is None or bounds is None:
+        return None
+    try:
+        return wrapper.entry.batched(wrapper.arguments, bounds)
+    except HeadwayError as error:
+        raise HeadwayError(f"env.wrappers[{index}]: {error}") from error
+
+
+def _adapting(
+    name: str, entry: EnvEntry, prepared: object, culprit: str
+) -> tuple[AdapterOptions, tuple[str, ...]]:
+    """How the wrapped ParallelEnv is adapted, and what the user is told."""
+    if isinstance(prepared, ModuleEnv):
+        return prepared.options, ()
+    env = entry.make(prepared, 1)
+    spec = env.spec
+    env.close()
+    lost = "; it has no snapshots: episodes start anew on resume" if spec.snapshots else ""
+    line = f"{culprit} has no batched form: {name} is played as a ParallelEnv, one copy after another{lost}"
+    return _options(spec), (line,)
+
+
+def _options(spec: EnvSpec) -> AdapterOptions:
+    return AdapterOptions(
+        shared_reward=spec.shared_reward,
+        groups=spec.groups,
+        agents_come_and_go=spec.agents_come_and_go,
+        metrics=spec.metrics,
+        max_copies_per_process=spec.max_copies_per_process,
+    )
+
+
+def _behind(name: str, make: Callable[[Any], Rule]) -> Callable[[Wrapped], Rule]:
+    return lambda wrapped: RuleBehindWrappers(name, make(wrapped.prepared))
+
+
+@dataclass(frozen=True)
+class RuleBehindWrappers:
+    """A rule of an environment that has wrappers around it."""
+
+    name: str
+    rule: Rule
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
+        """Raises HeadwayError where nothing of the environment's own can be seen."""
+        if isinstance(self.rule, RandomRule):
+            return self.rule.act(env, observed)
+        inner: Any = env
+        while hasattr(inner, "inner"):
+            observed, inner = inner.faced, inner.inner
+        if not isinstance(inner, ParallelEnvBatch):
+            return self.rule.act(inner, observed)
+        natives = [getattr(one.unwrapped, "native", None) for one in inner.parallel_envs]
+        if any(native is None for native in natives):
+            raise HeadwayError(
+                f"rule {self.name!r} of {inner.spec.name} cannot look behind these wrappers; leave out the "
+                "rule, or the wrappers without a batched form"
+            )
+        return np.concatenate([self.rule.act(*native) for native in natives if native is not None])
