@@ -28,8 +28,8 @@ class BatchedWrapper:
     """The twin of a wrapper for batches of copies: what it gives is equal to the last bit."""
 
     wrap: Callable[[BatchedEnv], BatchedEnv]
-    """Picklable. The result has attributes `inner`, the environment given, and `faced`, what that one
-    observed last: rules look there."""
+    """Picklable. Rows of absent agents are zeros in what it is given. The result has attributes `inner`, the
+    environment given, and `faced`, what that one observed last: rules look there."""
     bounds: ObservationBounds
     """Of the wrapped environment's observations."""
 

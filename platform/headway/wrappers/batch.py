@@ -1,5 +1,6 @@
 """What batched wrappers have in common."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,3 +54,21 @@ class BatchWrapper:
 
     def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
         return outcome, observed
+
+
+class AbsentObserveZeros(BatchWrapper):
+    """Rows of absent agents are zeros, as an absent agent of a ParallelEnv observes, instead of anything."""
+
+    def __init__(self, inner: BatchedEnv) -> None:
+        super().__init__(inner)
+        spec = inner.spec
+        shape = (inner.num_copies, spec.num_agents, spec.observation_size)
+        self._observations = np.zeros(shape, dtype=np.float32)
+
+    def _begin(self, observed: Observed) -> Observed:
+        self._observations.fill(0)
+        np.copyto(self._observations, observed.observations, where=observed.alive[..., None])
+        return replace(observed, observations=self._observations)
+
+    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+        return outcome, self._begin(observed)

@@ -32,7 +32,7 @@ class FrameStackBatch(BatchWrapper):
 
     An episode begins with frames of zeros before its first (frame_stack_v1), or with the first one repeated
     (frame_stack_v2, `repeat_first`). So does the stream of whoever takes the slot of an agent that ended.
-    A frame in which an agent is away is zeros.
+    Rows of absent agents go in as they are: they must be finite if those agents come back.
     """
 
     def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:
@@ -68,8 +68,7 @@ class FrameStackBatch(BatchWrapper):
         """Take in a frame; `fresh` (C, N): what went before is forgotten."""
         frames = self._frames
         frames[:, :, :-1] = frames[:, :, 1:]
-        frames[:, :, -1] = 0
-        np.copyto(frames[:, :, -1], observed.observations, where=observed.alive[..., None])
+        frames[:, :, -1] = observed.observations
         if fresh.any():
             frames[fresh, :-1] = frames[fresh, -1:] if self._repeat_first else 0
 

@@ -88,7 +88,7 @@ def batched_scale_reward(arguments: ScaleReward, bounds: ObservationBounds) -> B
 
 
 def scale_reward(env: Any, arguments: ScaleReward) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-    """A ParallelEnv with every reward multiplied."""
+    """A ParallelEnv with every reward, as float32 like those of batches, multiplied."""
     import supersuit
 
-    return supersuit.reward_lambda_v0(env, lambda reward: reward * arguments.scale)
+    return supersuit.reward_lambda_v0(env, lambda reward: float(np.float32(reward)) * arguments.scale)

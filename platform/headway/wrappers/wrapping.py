@@ -26,6 +26,7 @@ from headway.contracts import (
     RandomRule,
     Rule,
 )
+from headway.wrappers.batch import AbsentObserveZeros
 from headway.wrappers.listed import ListedWrapper
 from headway.wrappers.parallel import WrappedParallelEnv, bounds_of, wrapped_parallel_env
 
@@ -53,6 +54,8 @@ class Wrapped:
             env = self.make(self.prepared, copies)
         else:
             env = self.options.adapt(self.parallel, copies, self.name)
+        if self.batched and env.spec.agents_come_and_go:
+            env = AbsentObserveZeros(env)
         for wrapper in self.batched:
             env = wrapper.wrap(env)
         return env
