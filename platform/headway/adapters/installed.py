@@ -21,16 +21,15 @@ _PATH = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+")
 _ON_PETTINGZOO = re.compile(r"pettingzoo\b", re.IGNORECASE)
 
 
-def is_module_path(name: str) -> bool:
-    """Whether `name` looks like `package.module`; parts that begin with an underscore are private."""
-    return _PATH.fullmatch(name) is not None
-
-
 def require_environment_module(name: str) -> None:
     """Raise HeadwayError unless `name` is a module of an installed package that depends on PettingZoo.
 
     Nothing is imported but the packages above the module, and those only of such a package.
     """
+    if not _PATH.fullmatch(name):
+        raise HeadwayError(
+            f"env.id={name} is no public module; write package.module, such as mpe2.simple_spread_v3"
+        )
     package = name.split(".")[0]
     spec = importlib.util.find_spec(package)
     if spec is None:

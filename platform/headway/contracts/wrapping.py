@@ -28,8 +28,9 @@ class BatchedWrapper:
     """The twin of a wrapper for batches of copies: what it gives is equal to the last bit."""
 
     wrap: Callable[[BatchedEnv], BatchedEnv]
-    """Picklable. Rows of absent agents are zeros in what it is given. The result has attributes `inner`, the
-    environment given, and `faced`, what that one observed last: rules look there."""
+    """Picklable. In what it is given, rows of absent agents are what a ParallelEnv shows them: zeros, where
+    the environment is native. The result has attributes `inner`, the environment given, and `faced`, what
+    that one observed last: rules look there."""
     bounds: ObservationBounds
     """Of the wrapped environment's observations."""
 

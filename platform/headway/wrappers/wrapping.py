@@ -54,7 +54,7 @@ class Wrapped:
             env = self.make(self.prepared, copies)
         else:
             env = self.options.adapt(self.parallel, copies, self.name)
-        if self.batched and env.spec.agents_come_and_go:
+        if env.spec.agents_come_and_go and not isinstance(env, ParallelEnvBatch):
             env = AbsentObserveZeros(env)
         for wrapper in self.batched:
             env = wrapper.wrap(env)

@@ -1,4 +1,4 @@
-"""A native environment behind twins, and its ParallelEnv behind SuperSuit's own wrappers, played side by side."""
+"""A native environment behind twins, and its ParallelEnv behind SuperSuit's own wrappers."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -45,8 +45,8 @@ def through_supersuit(wrapped: Wrapped, entry: EnvEntry, wrappers: Sequence[Any]
 
 
 def assert_same_game(env: BatchedEnv, through: Recording) -> None:
-    """`env`, of one copy, gives what `through` holds for the same seeds and actions, to the last bit; episode i
-    of an adapted environment is episode 0 of the seed that the adapter derives for i."""
+    """`env`, of one copy, gives what `through` holds for the same seeds and actions, to the last bit; episode
+    i of an adapted environment is episode 0 of the seed that the adapter derives for i."""
     track, spec, start, episodes = through.trajectory, env.spec, 0, 0
     assert {**vars_of(spec), "snapshots": 0} == {**vars_of(through.spec), "snapshots": 0}
     while start < through.steps and through.episode_ended[start:].any():

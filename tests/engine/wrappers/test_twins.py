@@ -32,7 +32,14 @@ CASES: dict[str, tuple[str, list[Any]]] = {
     "indicator between bounds": ("trivial", [NORMALISE, "agent_indicator_v0", STACK]),
     "all bus": (
         "bus",
-        [NORMALISE, STACK, "agent_indicator_v0", "flatten_v0", {"name": "dtype_v0", "dtype": "float32"}, CLIP],
+        [
+            NORMALISE,
+            STACK,
+            "agent_indicator_v0",
+            "flatten_v0",
+            {"name": "dtype_v0", "dtype": "float32"},
+            CLIP,
+        ],
     ),
     "stack of normalised bus": ("bus", [NORMALISE, STACK]),
     "all visitors": ("visitors", [STACK, STACK_REPEATING, "agent_indicator_v0", SCALE, CLIP]),
