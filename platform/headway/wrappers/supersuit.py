@@ -124,6 +124,10 @@ def _wrap(name: str, env: Any, arguments: Any) -> Any:  # noqa: ANN401 - Petting
         from headway.wrappers.black_death import BlackDeath
 
         return BlackDeath(env)
+    if name == "delay_observations_v0":
+        from headway.wrappers.kept_observations import KeptObservations
+
+        env = KeptObservations(env)
     import supersuit
 
     given = {key: as_tuples(value) for key, value in vars(arguments).items()}

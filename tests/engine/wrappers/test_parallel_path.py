@@ -13,6 +13,7 @@ from pettingzoo import ParallelEnv
 from same_game import prepared
 
 from headway.adapters.conformance import play
+from headway.adapters.parallel_entry import parallel_entry
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
 from headway.contracts import HeadwayError, WrapperEntry
 from headway.registry import env_entry, wrapper_entries
@@ -24,6 +25,7 @@ from headway.wrappers.observations import NoArguments
 from headway.wrappers.wrapping import make_wrapped, wrapped_entry
 from headway_envs.entries import ENTRIES
 
+STACK = {"name": "frame_stack_v1", "stack_size": 2}
 DELAY = {"name": "delay_observations_v0", "delay": 1}
 KEEPS_THE_GAME: dict[str, list[Any]] = {
     "delay": [DELAY],
@@ -35,8 +37,8 @@ KEEPS_THE_GAME: dict[str, list[Any]] = {
     "NaN to nothing": [{"name": "nan_noop_v0", "no_op_action": 0}],
     "NaN to random": ["nan_random_v0"],
     "NaN to zeros": ["nan_zeros_v0"],
-    "around delay": [DELAY, "agent_indicator_v0", {"name": "frame_stack_v1", "stack_size": 2}],
-    "within delay": ["agent_indicator_v0", {"name": "frame_stack_v1", "stack_size": 2}, DELAY],
+    "around delay": [DELAY, "agent_indicator_v0", STACK],
+    "within delay": ["agent_indicator_v0", STACK, DELAY],
 }
 
 
@@ -70,6 +72,24 @@ def test_the_longest_tail_of_twins_stays_batched_and_one_line_says_what_is_lost(
     assert within.parallel is not None
     assert len(within.parallel.wrappers) == 3
     assert within.batched == ()
+
+
+def test_a_delayed_stack_is_the_stack_of_a_step_before() -> None:
+    """SuperSuit's frame stack writes over what its delay keeps, so that alone it delays nothing."""
+    stack, delay = listed_wrappers([STACK, DELAY])
+    now, late = (DUELS["cut off"] for _ in range(2))
+    now = stack.entry.wrap(pickle.loads(pickle.dumps(now)), stack.arguments)
+    late = delay.entry.wrap(
+        stack.entry.wrap(pickle.loads(pickle.dumps(late)), stack.arguments), delay.arguments
+    )
+    before = {agent: seen.copy() for agent, seen in now.reset(seed=0)[0].items()}
+    assert not any(seen.any() for seen in late.reset(seed=0)[0].values())
+    while now.agents:
+        actions = dict.fromkeys(now.agents, 0)
+        seen_now, seen_late = now.step(actions)[0], late.step(actions)[0]
+        for agent, seen in seen_late.items():
+            np.testing.assert_array_equal(seen, before[agent])
+        before = {agent: seen.copy() for agent, seen in seen_now.items()}
 
 
 def test_twins_behind_supersuits_wrappers_give_what_supersuit_gives_throughout() -> None:
@@ -321,21 +341,30 @@ def test_dead_agents_leave_or_stay_as_the_list_says() -> None:
     np.testing.assert_array_equal(left.terminated[0], [False, True, False])
 
 
-def test_nan_in_a_wrapped_environment_is_named() -> None:
-    class Broken(Duel):
-        def _observed(self) -> dict[str, NDArray[np.float32]]:
-            observed = super()._observed()
-            if self.step_number == 3:
-                observed["fighter_2"][1] = np.nan
-            return observed
+class BrokenDuel(Duel):
+    """One number is missing at step 3."""
 
-    stack = listed_wrappers([{"name": "frame_stack_v1", "stack_size": 2}])[0]
-    with pytest.raises(HeadwayError, match=r"gave nan as observation of agent fighter_2 in copy 0 at step 3"):
-        play(
-            lambda copies: ParallelEnvBatch(
-                lambda: stack.entry.wrap(Broken({}, 6), stack.arguments), copies, "broken"
-            )
-        )
+    def _observed(self) -> dict[str, NDArray[np.float32]]:
+        observed = super()._observed()
+        if self.step_number == 3:
+            observed["fighter_2"][1] = np.nan
+        return observed
+
+
+def _broken_duel(config: NoArguments) -> BrokenDuel:
+    return BrokenDuel({}, steps=6)
+
+
+@pytest.mark.parametrize("wrappers", [[STACK], [STACK, DELAY], ["agent_indicator_v0"]])
+def test_nan_in_a_wrapped_environment_is_named(wrappers: list[Any]) -> None:
+    """At the step in which the first of the wrapped observations holds it."""
+    entry = parallel_entry("broken", "duel", NoArguments, _broken_duel)
+    shared = prepared("broken", entry, wrappers)
+    step = 4 if DELAY in wrappers else 3
+    with pytest.raises(
+        HeadwayError, match=f"gave nan as observation of agent fighter_2 in copy 0 at step {step}"
+    ):
+        play(shared.batch)
 
 
 def test_the_entrys_make_is_what_workers_are_given() -> None:

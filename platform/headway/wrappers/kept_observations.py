@@ -1,0 +1,27 @@
+"""Observations that stay as they were when they were given."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pettingzoo.utils import BaseParallelWrapper
+
+
+class KeptObservations(BaseParallelWrapper):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
+    """Gives copies. SuperSuit's frame stack, and many an environment, write each observation over the one
+    before; whoever keeps observations, as its delay_observations_v0 does, would keep the newest many times.
+    """
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return _copied(observations), infos
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[Any, ...]:
+        observations, *rest = self.env.step(actions)
+        return (_copied(observations), *rest)
+
+
+def _copied(observations: Mapping[str, Any]) -> dict[str, Any]:
+    return {agent: np.array(observation) for agent, observation in observations.items()}

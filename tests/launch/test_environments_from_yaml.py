@@ -1,0 +1,203 @@
+"""PettingZoo environments and wrappers from the command line."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from headway.config import StoreConfig
+from headway.contracts import HeadwayError
+from headway.store.folder import CHECKPOINTS
+from headway.store.index import RunIndex, RunRow
+from headway.store.log import read_curve
+from headway_launch.command_line import run
+from headway_launch.composing import Experiment, compose, resolve
+from headway_launch.planning import cell_parameters, full_mapping
+
+SPREAD = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.args.N=3")
+STACK = "env.wrappers=[{name: frame_stack_v1, stack_size: 2}, clip_reward_v0]"
+TINY = (
+    "algo=ippo",
+    "energy=off",
+    "backend=serial",
+    "rollout.copies=4",
+    "rollout.block=2",
+    "rollout.steps=25",
+    "env_steps=300",
+    "evaluation.episodes=1",
+    "evaluation.final_episodes=2",
+    "store.checkpoint_every=1",
+)
+
+
+@pytest.fixture(autouse=True)
+def _a_folder_and_two_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("headway_launch.conducting.usable_cores", lambda: 2)
+
+
+def _runs() -> list[RunRow]:
+    return RunIndex(Path(StoreConfig().root)).rows()
+
+
+def _size(experiment: Experiment) -> int:
+    return experiment.prepare()[1].observation_size
+
+
+def test_a_pettingzoo_environment_composes_by_its_module() -> None:
+    experiment = compose([*SPREAD, "algo=ippo"])
+    assert experiment.env_config.N == 3
+    assert experiment.prepare()[1].agents == ("agent_0", "agent_1", "agent_2")
+    assert _size(compose(["env=mpe2.simple_spread_v3", "env.args.N=2"])) == 12
+    args = full_mapping(experiment, [0])["env"]["args"]
+    assert args["local_ratio"] == 0.5  # a default, spelt out
+    assert "wrappers" not in full_mapping(experiment, [0])["env"]
+
+
+@pytest.mark.parametrize("environment", [("env=trivial",), SPREAD], ids=["native", "PettingZoo"])
+def test_wrappers_are_part_of_what_is_stored_and_of_what_makes_a_cell(environment: tuple[str, ...]) -> None:
+    plain, wrapped = compose([*environment, "algo=ippo"]), compose([*environment, "algo=ippo", STACK])
+    assert _size(wrapped) == 2 * _size(plain)
+    mapping = full_mapping(wrapped, [0])
+    assert mapping["env"]["wrappers"] == [
+        {"name": "frame_stack_v1", "stack_size": 2, "stack_dim": -1},
+        {"name": "clip_reward_v0", "lower_bound": -1.0, "upper_bound": 1.0},
+    ]
+    again = resolve(yaml.safe_load(yaml.safe_dump(mapping)))
+    assert full_mapping(again, [0]) == mapping
+    assert _size(again) == _size(wrapped)
+    assert cell_parameters(again) == cell_parameters(wrapped) != cell_parameters(plain)
+    assert "env.wrappers" in cell_parameters(wrapped)
+    assert "env.wrappers" not in cell_parameters(plain)
+
+
+def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
+    wrappers = "[{name: frame_stack_v1, stack_size: 3}, agent_indicator_v0]"
+    assert _size(compose(["env=trivial", f"env.wrappers={wrappers}"])) == 3 * 4 + 10
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("env=pettingzoo",), "env.id"),
+        (("env=pettingzoo", "env.id=mpe2.simple_sprae_v3"), "did you mean mpe2.simple_spread_v3"),
+        (("env=mpe2.simple_sprae_v3",), "did you mean mpe2.simple_spread_v3"),
+        (
+            (*SPREAD, "env.args.max_cycle=3"),
+            "env.args.max_cycle is not a key of mpe2.simple_spread_v3; did you",
+        ),
+        (
+            ("env=trivial", "env.shared_reward=true"),
+            "env.shared_reward is for PettingZoo environments by module",
+        ),
+        ((*SPREAD, "env.max_copies_per_process=0"), "env.max_copies_per_process must be at least 1, or null"),
+        (
+            ("env=trivial", "env.wrappers=[frame_stak_v1]"),
+            r"env.wrappers\[0\]: 'frame_stak_v1' is no wrapper",
+        ),
+        (("env=trivial", "env.wrappers=frame_stack_v1"), "env.wrappers='frame_stack_v1' is text, where list"),
+        (("env=trivial", "env.wrappers=[{name: os.system}]"), "'os.system' is no wrapper"),
+        (
+            ("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: os.system}]"),
+            "_target_.* is not allowed",
+        ),
+        (("env=os.path",), "os is not an installed package that depends on PettingZoo"),
+        (("env=../../evil.yaml",), "is no public module"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(overrides: tuple[str, ...], message: str) -> None:
+    with pytest.raises(HeadwayError, match=message):
+        compose(overrides)
+
+
+def test_what_the_adapter_is_told_is_stored_and_reaches_it() -> None:
+    told = compose(
+        [*SPREAD, "env.args.local_ratio=0", "env.shared_reward=true", "env.max_copies_per_process=4"]
+    )
+    spec = told.prepare()[1]
+    assert spec.shared_reward
+    assert spec.max_copies_per_process == 4
+    env = full_mapping(told, [0])["env"]
+    assert env["shared_reward"] is True
+    assert resolve(full_mapping(told, [0])).prepare()[1] == spec
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        SPREAD,
+        (*SPREAD, STACK),
+        (
+            *SPREAD,
+            "env.wrappers=[pad_observations_v0, {name: sticky_actions_v0, repeat_action_probability: 0.1}]",
+        ),
+        ("env=mpe2.simple_adversary_v3", "env.wrappers=[pad_observations_v0, agent_indicator_v0]"),
+        (*SPREAD, "env.args.continuous_actions=true", "env.wrappers=[{name: scale_actions_v0, scale: 0.5}]"),
+    ],
+    ids=["plain", "twins", "SuperSuit", "padded", "Box"],
+)
+def test_a_pettingzoo_environment_trains_beside_random_play(
+    overrides: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["run", *overrides, *TINY, "evaluation.rules=[random]"]) == 0, capsys.readouterr().err
+    shown = capsys.readouterr().out
+    assert "FINISHED" in shown
+    assert "rule random" in shown
+
+
+def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
+    """Everything that they are given can be pickled."""
+    tiny = [word for word in TINY if word != "backend=serial"]
+    wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}, agent_indicator_v0]"
+    for overrides in ((*SPREAD, wrappers), ("env=trivial", wrappers), ("env=trivial", STACK)):
+        assert run(["run", *overrides, *tiny, "backend=process", "backend.workers=2"]) == 0
+    assert [row.status for row in _runs()] == ["FINISHED"] * 3
+
+
+def test_the_price_of_a_wrapper_without_a_twin_is_said_in_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}]"
+    assert run(["run", "env=matrix", wrappers, *TINY]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "no batched form" in line]
+    assert lines == [
+        "headway: delay_observations_v0 has no batched form: matrix is played as a ParallelEnv, one copy "
+        "after another; it has no snapshots: episodes start anew on resume"
+    ]
+
+
+def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(capsys: pytest.CaptureFixture[str]) -> None:
+    """The stack's memory is in the checkpoint: the curve is that of a run that was never stopped."""
+    assert run(["run", "env=visitors", STACK, *TINY]) == 0
+    row = _runs()[0]
+    directory = Path(row.directory)
+    curves = [f"{group}/return" for group in ("training", "evaluation_greedy", "evaluation_sampled")]
+    before = [read_curve(directory, name) for name in curves]
+    newest = sorted((directory / CHECKPOINTS).iterdir())[-1]
+    newest.unlink()
+    record = directory / "run.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "KILLED"}))
+    assert run(["resume", row.run_id]) == 0, capsys.readouterr().err
+    assert [read_curve(directory, name) for name in curves] == before
+    capsys.readouterr()
+    assert run(["evaluate", row.run_id, "--episodes", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert "rule optimal" in shown
+    assert "rule random" in shown
+
+
+def test_wrappers_are_listed_with_their_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["list", "wrappers"]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert rows[0] == ["wrapper", "arguments", "batched", "what it does"]
+    by_name = {row[0]: row[1:3] for row in rows}
+    assert by_name["frame_stack_v1"] == ["stack_size=4, stack_dim=-1", "yes"]
+    assert by_name["sticky_actions_v0"] == ["repeat_action_probability", "no"]
+    assert "reward_lambda_v0" not in by_name
+    assert run(["list", "wrappers", "clip_reward_v0"]) == 0
+    assert "lower_bound\tnumber\t-1.0\tSmallest reward, at most 0." in capsys.readouterr().out
+    assert run(["list", "wrappers", "clip_rewards"]) == 2
+    assert "did you mean clip_reward_v0?" in capsys.readouterr().err
+    assert run(["list", "envs", "mpe2.simple_tag_v3"]) == 0
+    assert "env.args.num_adversaries\twhole number\t3" in capsys.readouterr().out
