@@ -38,7 +38,9 @@ class Experiment:
 
     config: ExperimentConfig
     env: EnvEntry
-    """With its wrappers."""
+    """What is reported on, with its wrappers."""
+    training_env: EnvEntry
+    """What is learned from, with wrappers that change rewards, too."""
     env_config: Any
     training_env_config: Any
     """With `env.training_args` over `env.args`."""
@@ -72,17 +74,17 @@ class Experiment:
                     f"{suggestion(rule, self.env.rules)}"
                 )
         prepared = training = self.env.prepare(self.env_config)
-        for line in notices_of(prepared):
-            tell(f"headway: {line}")
         spec = self._spec(prepared)
-        if self.training_env_config != self.env_config:
-            training = self.env.prepare(self.training_env_config)
+        if self.training_env is not self.env or self.training_env_config != self.env_config:
+            training = self.training_env.prepare(self.training_env_config)
             reported, spec = spec, self._spec(training)
-            if replace(reported, shared_reward=spec.shared_reward) != spec:
+            if replace(reported, shared_reward=spec.shared_reward, snapshots=spec.snapshots) != spec:
                 raise HeadwayError(
                     "env.training_args may change rewards and dynamics, not what agents observe, do or are "
                     "measured by; set such arguments by env.args"
                 )
+        for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
+            tell(f"headway: {line}")
         if reason := self.algo.refuses(self.algo_config, spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
         return PreparedEnv(prepared, training, spec)
@@ -126,6 +128,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     return Experiment(
         config=config,
         env=env.entry,
+        training_env=env.training_entry,
         env_config=build(env.entry.config, config.env.args, "env.args", config.env.id),
         training_env_config=build(env.entry.config, training_args, "env.training_args", config.env.id),
         env_mapping=env.mapping,
@@ -207,7 +210,7 @@ def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
     from hydra import initialize_config_dir
     from hydra.errors import HydraException
     from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
+    from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
     from yaml import YAMLError
 
     # Data beside the project is found from whatever folder the command is given in.
@@ -218,6 +221,9 @@ def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
         with initialize_config_dir(str(configs_folder()), version_base="1.3"):
             composed = hydra_compose("config", overrides=list(overrides))
         mapping = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    except MissingMandatoryValue as error:
+        key = error.full_key
+        raise HeadwayError(f"{key} is missing and has no default; write {key}=VALUE") from error
     except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)

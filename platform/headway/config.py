@@ -38,8 +38,8 @@ class EnvConfig:
     """Arguments laid over `args` while learning only: a reward that is easier to learn from, say.
     Evaluation, rules and every figure reported are of `args`."""
     wrappers: tuple[Any, ...] = ()
-    """Wrappers by name (see `headway list wrappers`), the innermost first, in training and in evaluation:
-    `[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]`."""
+    """Wrappers by name (see `headway list wrappers`), the innermost first: `[{name: frame_stack_v1,
+    stack_size: 4}, clip_reward_v0]`. Those that only change rewards are there while learning only."""
     shared_reward: bool | None = None
     """Of a PettingZoo environment by module: it pays all agents the same at every step, so that a team's
     critic reads one. Checked against what it pays; null: no."""

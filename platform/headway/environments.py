@@ -15,7 +15,9 @@ class ChosenEnv:
     """An environment and what is around it."""
 
     entry: EnvEntry
-    """With the wrappers."""
+    """What is reported on: with all wrappers but those that only change rewards."""
+    training_entry: EnvEntry
+    """What is learned from: with all wrappers. The same `make` serves both."""
     mapping: dict[str, Any]
     """What `env.*` has beside `id` and `args`, with every argument spelt out; keys that say nothing are left
     out."""
@@ -35,13 +37,17 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
         )
     entry = _module_entry(config) if is_module else env_entry(config.id)
     if not config.wrappers:
-        return ChosenEnv(entry, said)
+        return ChosenEnv(entry, entry, said)
     from headway.wrappers.listed import listed_wrappers
     from headway.wrappers.wrapping import wrapped_entry
 
     wrappers = listed_wrappers(config.wrappers)
     listed = {"wrappers": [wrapper.mapping for wrapper in wrappers]}
-    return ChosenEnv(wrapped_entry(config.id, entry, wrappers), {**said, **listed})
+    training = reported = wrapped_entry(config.id, entry, wrappers)
+    if any(wrapper.entry.only_rewards for wrapper in wrappers):
+        lasting = [wrapper for wrapper in wrappers if not wrapper.entry.only_rewards]
+        reported = wrapped_entry(config.id, entry, lasting)
+    return ChosenEnv(reported, training, {**said, **listed})
 
 
 def _module_entry(config: EnvConfig) -> EnvEntry:

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -42,13 +43,13 @@ def _runs() -> list[RunRow]:
 
 
 def _size(experiment: Experiment) -> int:
-    return experiment.prepare()[1].observation_size
+    return experiment.prepare().spec.observation_size
 
 
 def test_a_pettingzoo_environment_composes_by_its_module() -> None:
     experiment = compose([*SPREAD, "algo=ippo"])
     assert experiment.env_config.N == 3
-    assert experiment.prepare()[1].agents == ("agent_0", "agent_1", "agent_2")
+    assert experiment.prepare().spec.agents == ("agent_0", "agent_1", "agent_2")
     assert _size(compose(["env=mpe2.simple_spread_v3", "env.args.N=2"])) == 12
     args = full_mapping(experiment, [0])["env"]["args"]
     assert args["local_ratio"] == 0.5  # a default, spelt out
@@ -72,6 +73,25 @@ def test_wrappers_are_part_of_what_is_stored_and_of_what_makes_a_cell(environmen
     assert "env.wrappers" not in cell_parameters(plain)
 
 
+@pytest.mark.parametrize(
+    "environment", [("env=trivial",), ("env=matrix",), SPREAD], ids=lambda words: words[-1]
+)
+def test_rewards_are_changed_while_learning_and_reported_as_they_are(environment: tuple[str, ...]) -> None:
+    """A learner that is paid a tenth is reported on in full, and its rules are paid in full."""
+    experiment = compose([*environment, "env.wrappers=[{name: scale_reward_v0, scale: 0.1}, flatten_v0]"])
+    found = experiment.prepare()
+    plain = compose([*environment]).prepare()
+    seeds, paid = np.arange(2, dtype=np.uint64), []
+    for shared in (found.prepared, found.training):
+        env = experiment.env.make(shared, 2)
+        env.reset(seeds)
+        actions = np.zeros((2, env.spec.num_agents), dtype=np.int64)
+        paid.append(env.step(actions)[0].rewards.copy())
+    assert paid[0].any()
+    np.testing.assert_allclose(paid[1], 0.1 * paid[0], rtol=1e-6)
+    assert found.spec == plain.spec
+
+
 def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
     wrappers = "[{name: frame_stack_v1, stack_size: 3}, agent_indicator_v0]"
     assert _size(compose(["env=trivial", f"env.wrappers={wrappers}"])) == 3 * 4 + 10
@@ -80,7 +100,7 @@ def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("env=pettingzoo",), "env.id"),
+        (("env=pettingzoo",), "^env.id is missing and has no default; write env.id=VALUE$"),
         (("env=pettingzoo", "env.id=mpe2.simple_sprae_v3"), "did you mean mpe2.simple_spread_v3"),
         (("env=mpe2.simple_sprae_v3",), "did you mean mpe2.simple_spread_v3"),
         (
@@ -115,12 +135,12 @@ def test_what_the_adapter_is_told_is_stored_and_reaches_it() -> None:
     told = compose(
         [*SPREAD, "env.args.local_ratio=0", "env.shared_reward=true", "env.max_copies_per_process=4"]
     )
-    spec = told.prepare()[1]
+    spec = told.prepare().spec
     assert spec.shared_reward
     assert spec.max_copies_per_process == 4
     env = full_mapping(told, [0])["env"]
     assert env["shared_reward"] is True
-    assert resolve(full_mapping(told, [0])).prepare()[1] == spec
+    assert resolve(full_mapping(told, [0])).prepare().spec == spec
 
 
 @pytest.mark.parametrize(

@@ -50,5 +50,8 @@ class WrapperEntry:
     batched: Callable[[Any, ObservationBounds], BatchedWrapper | None] | None = None
     """(arguments, bounds of what it is to wrap) -> its twin; None where it has none for those.
     Raises HeadwayError where those cannot be wrapped."""
+    only_rewards: bool = False
+    """It changes nothing but rewards, to make learning easier: it is there while learning only, and what is
+    evaluated and reported is paid by the environment's own."""
     changes_actions: bool = False
     """An action means something else after it: an environment's own rules cannot play behind it."""

@@ -29,7 +29,7 @@ _SUMMARIES = {
     "agent_indicator_v0": "append to each observation which agent observes, one-hot",
     "black_death_v3": "agents that die stay, observe zeros and are paid nothing",
     "clip_actions_v0": "clip Box actions to their bounds",
-    "clip_reward_v0": "clip each reward to two bounds",
+    "clip_reward_v0": "clip each reward to two bounds, while learning",
     "color_reduction_v0": "images: one colour, or grey",
     "delay_observations_v0": "observe what was so many steps ago",
     "dtype_v0": "observations as another numpy type",
@@ -47,9 +47,10 @@ _SUMMARIES = {
     "reshape_v0": "observations in another shape",
     "resize_v1": "images in another size",
     "scale_actions_v0": "Box actions multiplied",
-    "scale_reward_v0": "each reward multiplied (Headway's own)",
+    "scale_reward_v0": "each reward multiplied, while learning (Headway's own)",
     "sticky_actions_v0": "the action before is repeated with some probability",
 }
+_ONLY_REWARDS = ("clip_reward_v0",)
 _CHANGE_ACTIONS = ("scale_actions_v0", "pad_action_space_v0")
 Batched = tuple[type, Callable[[Any, Any], Any]]
 _BATCHED: Mapping[str, Batched] = {
@@ -90,7 +91,7 @@ def supersuit_entries() -> Mapping[str, WrapperEntry]:
     """SuperSuit's wrappers by name, and scale_reward_v0."""
     entries = {name: _entry(name) for name in supersuit_names() if why_not(name) is None}
     entries["scale_reward_v0"] = WrapperEntry(
-        _SUMMARIES["scale_reward_v0"], ScaleReward, scale_reward, batched_scale_reward
+        _SUMMARIES["scale_reward_v0"], ScaleReward, scale_reward, batched_scale_reward, only_rewards=True
     )
     return dict(sorted(entries.items()))
 
@@ -104,6 +105,7 @@ def _entry(name: str) -> WrapperEntry:
         config=record,
         wrap=partial(_wrap, name),
         batched=batched,
+        only_rewards=name in _ONLY_REWARDS,
         changes_actions=name in _CHANGE_ACTIONS,
     )
 

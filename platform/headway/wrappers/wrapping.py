@@ -67,15 +67,12 @@ def make_wrapped(wrapped: Wrapped, copies: int) -> BatchedEnv:
 
 
 def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper]) -> EnvEntry:
-    """The entry of an environment with wrappers around it, the first of the list innermost; `entry` itself
-    where there are none.
+    """The entry of an environment with wrappers around it, the first of the list innermost.
 
     The environment's own rules look behind the wrappers: they see the environment and the observations
     that it gives, and play the wrapped game. Behind a wrapper that changes what actions mean only `random`
     is left, which plays the wrapped environment.
     """
-    if not wrappers:
-        return entry
     rules = {"random": entry.rules["random"]} if _any_changes_actions(wrappers) else entry.rules
     return replace(
         entry,
@@ -97,7 +94,7 @@ def _prepare(
     prepared: Any,  # noqa: ANN401 - the entry's
 ) -> Wrapped:
     """Raises HeadwayError where a wrapper cannot be applied."""
-    bounds = _first_bounds(name, entry, prepared)
+    bounds = _first_bounds(name, entry, prepared) if wrappers else None
     parallel, culprit = None, ""
     batched: list[BatchedWrapper] = []
     for index, wrapper in enumerate(wrappers):
