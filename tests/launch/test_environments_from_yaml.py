@@ -92,6 +92,13 @@ def test_rewards_are_changed_while_learning_and_reported_as_they_are(environment
     assert found.spec == plain.spec
 
 
+def test_the_key_that_is_named_is_that_of_the_whole_list() -> None:
+    """Also where what is reported on goes without the first."""
+    experiment = compose(["env=trivial", "env.wrappers=[clip_reward_v0, color_reduction_v0]"])
+    with pytest.raises(HeadwayError, match=r"^env.wrappers\[1\]: color_reduction_v0 cannot wrap trivial"):
+        experiment.prepare()
+
+
 def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
     wrappers = "[{name: frame_stack_v1, stack_size: 3}, agent_indicator_v0]"
     assert _size(compose(["env=trivial", f"env.wrappers={wrappers}"])) == 3 * 4 + 10

@@ -17,6 +17,8 @@ class ListedWrapper:
     entry: WrapperEntry
     arguments: Any
     """A record of the entry's `config`."""
+    path: str
+    """The key that names it, for messages."""
 
     @property
     def mapping(self) -> dict[str, Any]:
@@ -42,4 +44,4 @@ def _listed(item: Any, path: str) -> ListedWrapper:  # noqa: ANN401 - whatever Y
     name = arguments["name"]
     entry = wrapper_entry(name, path)
     rest = {key: value for key, value in arguments.items() if key != "name"}
-    return ListedWrapper(name, entry, build(entry.config, rest, path, name))
+    return ListedWrapper(name, entry, build(entry.config, rest, path, name), path)

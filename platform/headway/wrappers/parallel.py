@@ -47,10 +47,10 @@ def wrapped_parallel_env(
     """
     made = WrappedParallelEnv(make, prepared, ())
     carried = _tried(made, f"environment {name}", "cannot be played")
-    for index, wrapper in enumerate(wrappers):
+    for wrapper in wrappers:
         arguments = {key: value for key, value in wrapper.mapping.items() if key != "name"}
         made = WrappedParallelEnv(make, prepared, (*made.wrappers, (wrapper.name, arguments)))
-        who = f"env.wrappers[{index}]: {wrapper.name}"
+        who = f"{wrapper.path}: {wrapper.name}"
         left = _tried(made, who, f"cannot wrap {name}")
         if lost := carried - left:
             raise HeadwayError(

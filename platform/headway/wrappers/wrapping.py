@@ -98,14 +98,14 @@ def _prepare(
     parallel, culprit = None, ""
     batched: list[BatchedWrapper] = []
     for index, wrapper in enumerate(wrappers):
-        twin = _twin(wrapper, bounds, index)
+        twin = _twin(wrapper, bounds)
         if twin is not None:
             batched.append(twin)
             bounds = twin.bounds
             continue
         if entry.parallel_env is None:
             raise HeadwayError(
-                f"env.wrappers[{index}]: {wrapper.name} has no batched form, and {name} no ParallelEnv that "
+                f"{wrapper.path}: {wrapper.name} has no batched form, and {name} no ParallelEnv that "
                 "SuperSuit could wrap; leave it out"
             )
         culprit, batched = wrapper.name, []
@@ -133,13 +133,13 @@ def _first_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBo
     return bounds
 
 
-def _twin(wrapper: ListedWrapper, bounds: ObservationBounds | None, index: int) -> BatchedWrapper | None:
+def _twin(wrapper: ListedWrapper, bounds: ObservationBounds | None) -> BatchedWrapper | None:
     if wrapper.entry.batched is None or bounds is None:
         return None
     try:
         return wrapper.entry.batched(wrapper.arguments, bounds)
     except HeadwayError as error:
-        raise HeadwayError(f"env.wrappers[{index}]: {error}") from error
+        raise HeadwayError(f"{wrapper.path}: {error}") from error
 
 
 def _adapting(

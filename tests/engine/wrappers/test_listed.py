@@ -1,9 +1,13 @@
 """The list of wrappers: names, arguments, and what is refused in one line."""
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import supersuit
+from same_game import prepared
 
 from headway.configuration import describe
 from headway.contracts import HeadwayError
@@ -11,6 +15,7 @@ from headway.registry import wrapper_entries
 from headway.signatures import argument_record
 from headway.wrappers.listed import listed_wrappers
 from headway.wrappers.supersuit import supersuit_names, why_not
+from headway_envs.entries import ENTRIES
 
 
 def test_names_and_mappings_stand_side_by_side_with_defaults_spelt_out() -> None:
@@ -89,11 +94,70 @@ def _is_number(text: str) -> bool:
 
 def test_a_clip_that_leaves_zero_out_is_refused_because_supersuit_counts_it_once_an_agent() -> None:
     """The reason for the rule, so that it can go once SuperSuit no longer does it."""
-    from headway_envs.entries import ENTRIES
-
     make = ENTRIES["matrix"].parallel_env
     assert make is not None
     env = supersuit.clip_reward_v0(make(ENTRIES["matrix"].config()), 0.5, 20)
     env.reset(seed=0)
     _, rewards, *_ = env.step({"row": 0, "column": 0})  # the payoff is 11
     assert rewards["row"] == 11.5
+
+
+PACKAGE = """
+from dataclasses import dataclass, replace
+
+from headway.contracts import BatchedWrapper, WrapperEntry
+from headway.wrappers.rewards import ScaleReward, batched_scale_reward, scale_reward
+
+
+@dataclass(frozen=True)
+class Nothing:
+    pass
+
+
+def halved(env, arguments):
+    return scale_reward(env, ScaleReward(0.5))
+
+
+def halved_batch(arguments, bounds):
+    return batched_scale_reward(ScaleReward(0.5), bounds)
+
+
+ENTRIES = {"NAME": WrapperEntry("half the pay", Nothing, halved, halved_batch)}
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[str]:
+    """A package with a wrapper of its own, of the name asked for."""
+    name = request.param
+    module = f"package_of_{name}"
+    (tmp_path / f"{module}.py").write_text(PACKAGE.replace("NAME", name))
+    metadata = tmp_path / f"{module}-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(f"[headway.wrappers]\nmine = {module}:ENTRIES\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    wrapper_entries.cache_clear()
+    yield name
+    wrapper_entries.cache_clear()
+
+
+@pytest.mark.parametrize("package", ["half_reward_v0"], indirect=True)
+def test_another_package_adds_a_wrapper_by_entry_point(package: str) -> None:
+    assert package in wrapper_entries()
+    wrapped = prepared("matrix", ENTRIES["matrix"], [package])
+    assert wrapped.parallel is None
+    env = wrapped.batch(1)
+    env.reset(np.zeros(1, dtype=np.uint64))
+    np.testing.assert_array_equal(env.step(np.zeros((1, 2), dtype=np.int64))[0].rewards, [[5.5, 5.5]])
+    through = prepared("matrix", ENTRIES["matrix"], [package, {"name": "delay_observations_v0", "delay": 1}])
+    assert through.parallel is not None
+    env = through.batch(1)
+    env.reset(np.zeros(1, dtype=np.uint64))
+    np.testing.assert_array_equal(env.step(np.zeros((1, 2), dtype=np.int64))[0].rewards, [[5.5, 5.5]])
+
+
+@pytest.mark.parametrize("package", ["frame_stack_v1"], indirect=True)
+def test_a_name_that_there_is_cannot_be_taken(package: str) -> None:
+    with pytest.raises(HeadwayError, match=r"'frame_stack_v1' is registered twice in headway\.wrappers"):
+        wrapper_entries()

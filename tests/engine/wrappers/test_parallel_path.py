@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 from same_game import prepared
 
 from headway.adapters.conformance import play
-from headway.adapters.parallel_entry import parallel_entry
+from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
 from headway.contracts import HeadwayError, WrapperEntry
 from headway.registry import env_entry, wrapper_entries
@@ -133,7 +133,7 @@ def losing(key: str) -> WrapperEntry:
 def dropping(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ListedWrapper:
     entry = losing(request.param)
     monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)
-    return ListedWrapper("dropping_v0", entry, NoArguments())
+    return ListedWrapper("dropping_v0", entry, NoArguments(), "env.wrappers[0]")
 
 
 @pytest.mark.parametrize("dropping", ["alive", "acting", "action_mask"], indirect=True)
@@ -314,6 +314,42 @@ def test_black_death_is_supersuits_until_the_last_step(duel: str) -> None:
     cut = duel != "all fall"
     assert set(truncated.values()) == {cut}
     assert set(terminated.values()) == {not cut}
+
+
+def _duel(config: NoArguments) -> Duel:
+    return Duel({"fighter_1": 2, "fighter_2": 4}, steps=6)
+
+
+@pytest.mark.parametrize(
+    "wrappers",
+    [
+        [STACK],
+        ["agent_indicator_v0"],
+        [{"name": "clip_reward_v0", "upper_bound": 1.5}],
+        ["normalize_obs_v0", STACK, "agent_indicator_v0", {"name": "scale_reward_v0", "scale": 3.0}],
+    ],
+)
+def test_twins_around_a_parallel_env_whose_agents_die_give_what_supersuit_gives(wrappers: list[Any]) -> None:
+    options = AdapterOptions(agents_come_and_go=True)
+    wrapped = prepared("duel", parallel_entry("duel", "a duel", NoArguments, _duel, options), wrappers)
+    assert wrapped.parallel is None
+    listed = listed_wrappers(wrappers)
+
+    def all_of_them() -> Any:  # noqa: ANN401 - PettingZoo comes without types
+        env = _duel(NoArguments())
+        for wrapper in listed:
+            env = wrapper.entry.wrap(env, wrapper.arguments)
+        return env
+
+    one, other = play(wrapped.batch), play(lambda copies: options.adapt(all_of_them, copies, "duel"))
+    twins, whole = one.trajectory, other.trajectory
+    assert not twins.alive.all()
+    for name in ("alive", "acting", "rewards", "terminated", "truncated"):
+        np.testing.assert_array_equal(getattr(twins, name), getattr(whole, name), name)
+    np.testing.assert_array_equal(twins.observations[twins.alive], whole.observations[whole.alive])
+    # An agent that had ended before is only marked again: its final observation was given then.
+    over = (twins.terminated | twins.truncated) & twins.alive[:-1]
+    np.testing.assert_array_equal(twins.final_observations[over], whole.final_observations[over])
 
 
 def test_dead_agents_leave_or_stay_as_the_list_says() -> None:
