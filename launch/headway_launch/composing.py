@@ -64,8 +64,8 @@ class Experiment:
         """What all environment copies share, and what the environment is. Tells the user what its wrappers
         cost.
 
-        Raises HeadwayError for data that cannot be used, an unknown rule, training arguments that change what
-        agents observe or do, and an algorithm that cannot run on this environment.
+        Raises HeadwayError for data that cannot be used, a rule that is unknown or cannot be played, training
+        arguments that change what agents observe or do, and an algorithm that cannot run on this environment.
         """
         for rule in self.rules:
             if rule not in self.env.rules:
@@ -83,6 +83,8 @@ class Experiment:
                     "env.training_args may change rewards and dynamics, not what agents observe, do or are "
                     "measured by; set such arguments by env.args"
                 )
+        for rule in self.rules:
+            self.env.rules[rule](prepared)  # raises where its wrappers hide what it looks at
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
             tell(f"headway: {line}")
         if reason := self.algo.refuses(self.algo_config, spec):

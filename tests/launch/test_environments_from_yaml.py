@@ -92,6 +92,12 @@ def test_rewards_are_changed_while_learning_and_reported_as_they_are(environment
     assert found.spec == plain.spec
 
 
+def test_a_rule_that_cannot_look_behind_wrappers_is_named_before_training() -> None:
+    experiment = compose(["env=trivial", "env.wrappers=[{name: max_observation_v0, memory: 2}]"])
+    with pytest.raises(HeadwayError, match=r"rule 'optimal' of trivial cannot look .* evaluation\.rules, or"):
+        experiment.prepare()
+
+
 def test_the_key_that_is_named_is_that_of_the_whole_list() -> None:
     """Also where what is reported on goes without the first."""
     experiment = compose(["env=trivial", "env.wrappers=[clip_reward_v0, color_reduction_v0]"])
@@ -178,7 +184,8 @@ def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
     tiny = [word for word in TINY if word != "backend=serial"]
     wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}, agent_indicator_v0]"
     for overrides in ((*SPREAD, wrappers), ("env=trivial", wrappers), ("env=trivial", STACK)):
-        assert run(["run", *overrides, *tiny, "backend=process", "backend.workers=2"]) == 0
+        words = ("backend=process", "backend.workers=2", "evaluation.rules=[random]")
+        assert run(["run", *overrides, *tiny, *words]) == 0
     assert [row.status for row in _runs()] == ["FINISHED"] * 3
 
 

@@ -45,6 +45,8 @@ class Wrapped:
     options: AdapterOptions | None
     batched: tuple[BatchedWrapper, ...]
     """Twins, the innermost first."""
+    shows_native: bool = True
+    """Rules can look behind the wrappers."""
     notices: tuple[str, ...] = ()
     """Lines for the user."""
 
@@ -95,7 +97,7 @@ def _prepare(
 ) -> Wrapped:
     """Raises HeadwayError where a wrapper cannot be applied."""
     bounds = _first_bounds(name, entry, prepared) if wrappers else None
-    parallel, culprit = None, ""
+    parallel, culprit, shows_native = None, "", True
     batched: list[BatchedWrapper] = []
     for index, wrapper in enumerate(wrappers):
         twin = _twin(wrapper, bounds)
@@ -111,12 +113,12 @@ def _prepare(
         culprit, batched = wrapper.name, []
         parallel = wrapped_parallel_env(name, entry.parallel_env, prepared, wrappers[: index + 1])
         env = parallel()
-        bounds = bounds_of(env)
+        bounds, shows_native = bounds_of(env), hasattr(type(env.unwrapped), "native")
         env.close()
     if parallel is None:
         return Wrapped(name, prepared, entry.make, None, None, tuple(batched))
     options, notices = _adapting(name, entry, prepared, culprit)
-    return Wrapped(name, prepared, entry.make, parallel, options, tuple(batched), notices)
+    return Wrapped(name, prepared, entry.make, parallel, options, tuple(batched), shows_native, notices)
 
 
 def _first_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBounds | None:
@@ -167,29 +169,33 @@ def _options(spec: EnvSpec) -> AdapterOptions:
 
 
 def _behind(name: str, make: Callable[[Any], Rule]) -> Callable[[Wrapped], Rule]:
-    return lambda wrapped: RuleBehindWrappers(name, make(wrapped.prepared))
+    def make_behind(wrapped: Wrapped) -> Rule:
+        rule = make(wrapped.prepared)
+        if not (wrapped.shows_native or isinstance(rule, RandomRule)):
+            raise HeadwayError(
+                f"rule {name!r} of {wrapped.name} cannot look behind these wrappers; leave it out of "
+                "evaluation.rules, or leave out the wrappers without a batched form"
+            )
+        return RuleBehindWrappers(rule, through_parallel_env=wrapped.parallel is not None)
+
+    return make_behind
 
 
 @dataclass(frozen=True)
 class RuleBehindWrappers:
     """A rule of an environment that has wrappers around it."""
 
-    name: str
     rule: Rule
+    through_parallel_env: bool
+    """Between the wrappers and what the rule looks into is a ParallelEnv."""
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
-        """Raises HeadwayError where nothing of the environment's own can be seen."""
+        """As the rule does, given the environment behind the wrappers and what that observed last."""
         if isinstance(self.rule, RandomRule):
             return self.rule.act(env, observed)
         inner: Any = env
         while hasattr(inner, "inner"):
             observed, inner = inner.faced, inner.inner
-        if not isinstance(inner, ParallelEnvBatch):
+        if not self.through_parallel_env:
             return self.rule.act(inner, observed)
-        natives = [getattr(one.unwrapped, "native", None) for one in inner.parallel_envs]
-        if any(native is None for native in natives):
-            raise HeadwayError(
-                f"rule {self.name!r} of {inner.spec.name} cannot look behind these wrappers; leave out the "
-                "rule, or the wrappers without a batched form"
-            )
-        return np.concatenate([self.rule.act(*native) for native in natives if native is not None])
+        return np.concatenate([self.rule.act(*one.unwrapped.native) for one in inner.parallel_envs])

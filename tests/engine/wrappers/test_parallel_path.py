@@ -15,7 +15,7 @@ from same_game import prepared
 from headway.adapters.conformance import play
 from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
-from headway.contracts import HeadwayError, WrapperEntry
+from headway.contracts import BatchedEnv, HeadwayError, Observed, WrapperEntry
 from headway.registry import env_entry, wrapper_entries
 from headway.rollout.episodes import evaluate_rule
 from headway.wrappers import parallel
@@ -235,12 +235,33 @@ def test_behind_a_wrapper_that_changes_what_actions_mean_only_random_is_left() -
     assert np.isfinite(float(rows[0]["return"]))
 
 
+class Defend:
+    """A rule of an environment that another package has written as a ParallelEnv."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        assert isinstance(env, ParallelEnvBatch)
+        assert observed.observations.shape[-1] == 2
+        return np.ones(observed.alive.shape, dtype=np.int64)
+
+
+def test_rules_of_an_adapted_environment_are_given_the_adapter() -> None:
+    entry = parallel_entry(
+        "duel", "duel", NoArguments, _broken_duel, rules={"defend": lambda config: Defend()}
+    )
+    wrapped = wrapped_entry("duel", entry, listed_wrappers([STACK, "agent_indicator_v0"]))
+    env, rule = wrapped.make(wrapped.prepare(NoArguments()), 2), wrapped.rules["defend"]
+    observed = env.reset(np.zeros(2, dtype=np.uint64))
+    assert observed.observations.shape == (2, 3, 2 * 2 + 3)
+    outcome, _ = env.step(rule(wrapped.prepare(NoArguments())).act(env, observed))
+    np.testing.assert_array_equal(outcome.rewards, np.full((2, 3), 2.0))
+
+
 def test_a_rule_that_cannot_look_behind_says_so() -> None:
     """`trivial` has a ParallelEnv written by hand, with no batch behind it."""
     wrapped = wrapped_entry("trivial", ENTRIES["trivial"], listed_wrappers([DELAY]))
     shared = wrapped.prepare(ENTRIES["trivial"].config())
     with pytest.raises(HeadwayError, match="rule 'optimal' of trivial cannot look behind these wrappers"):
-        evaluate_rule(wrapped.make, wrapped.rules["optimal"], shared, root=0, episodes=1)
+        wrapped.rules["optimal"](shared)
     assert evaluate_rule(wrapped.make, wrapped.rules["random"], shared, root=0, episodes=1)
 
 
