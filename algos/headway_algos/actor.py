@@ -1,7 +1,8 @@
 """The stacked policies, as torch sees them."""
 
 from collections.abc import Sequence
-from typing import Any
+from copy import deepcopy
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -43,10 +44,30 @@ class Actor(nn.Module):
 
     def forward(self, rows: Tensor, masks: Tensor | None) -> MaskedCategorical | DiagonalGaussian:
         """Distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
-        outputs = self.network(rows)
+        return self.distribution(self.network(rows), masks)
+
+    def distribution(self, outputs: Tensor, masks: Tensor | None) -> MaskedCategorical | DiagonalGaussian:
+        """Distributions that network outputs (P, A, B) stand for, with action masks (P, B, A)."""
         if self.log_std is None:
             return MaskedCategorical.of_logits(outputs, masks)
         return DiagonalGaussian(outputs, self.log_std)
+
+    @property
+    def learnable(self) -> list[nn.Parameter]:
+        """What updates change: the log standard deviation, if there is one, then the network's tensors."""
+        return [*([] if self.log_std is None else [self.log_std]), *self.network.parameters()]
+
+    def narrow(self, policies: Tensor) -> Self:
+        """A copy that holds policies (n,) of the stack alone."""
+        tensors: dict[int, Any] = {id(p): nn.Parameter(p.detach()[policies]) for p in self.parameters()}
+        tensors |= {id(buffer): buffer[policies] for buffer in self.buffers()}
+        return deepcopy(self, tensors)
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """Take over what policies (n,) became in `part`, narrowed to them. Normalisers stay as they are."""
+        with torch.no_grad():
+            for mine, theirs in zip(self.learnable, part.learnable, strict=True):
+                mine.index_copy_(0, policies, theirs)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """What `StackedActingPolicy` needs, by its names."""

@@ -38,10 +38,13 @@ class AlgoConfig:
     """Name in the registry: see `headway list algos`."""
     critic: Literal["local", "central"] = "local"
     """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state."""
-    update: Literal["ppo"] = "ppo"
-    """How a policy is improved from its advantages."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """Whether agents are updated all at once or one after another."""
+    update: Literal["ppo", "a2c", "trpo"] = "ppo"
+    """How a policy is improved from its advantages: `ppo`: epochs of minibatch steps on a clipped surrogate;
+    `a2c`: one gradient step on the whole batch; `trpo`: one natural-gradient step within a bound of the KL
+    divergence."""
+    order: Literal["simultaneous", "sequential"] = "simultaneous"
+    """Whether policies are updated all at once, or one agent after another in a random order, each weighing
+    its advantages by what those before it have changed (needs `policies: independent`)."""
     policies: Literal["independent", "shared", "groups"] = "independent"
     """One policy an agent, one for all, or one for each group the environment names."""
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -50,28 +53,44 @@ class AlgoConfig:
     gae_lambda: float = 0.95
     """Lambda of generalised advantage estimation."""
     lr: float = 5e-4
-    """Learning rate of the actor (Adam)."""
+    """Learning rate of the actor (Adam). TRPO's actor has none: there it is the critic's alone."""
     critic_lr: float | None = None
-    """Learning rate of the critic; null: as the actor's."""
+    """Learning rate of the critic; null: `lr`."""
     lr_end: float = 1.0
-    """Share of the learning rates left at the end of training (linear); 1: constant."""
+    """Share of the learning rates left at the end of training (linear); 1: constant. TRPO's steps shrink
+    alike: its KL bound is multiplied by the square."""
     epochs: int = 5
-    """Passes over an iteration's experience."""
+    """Passes over an iteration's experience: the critic's always, the actor's for PPO alone (A2C and TRPO
+    take one step on the whole batch)."""
     minibatches: int = 8
-    """Minibatches a pass; 1: the whole batch."""
+    """Minibatches a pass, for whom `epochs` counts; 1: the whole batch."""
     clip: float = 0.2
     """PPO's clip of the probability ratio."""
     kl_coeff: float = 0.0
-    """Initial coefficient of the adaptive KL penalty; 0: none."""
+    """Initial coefficient of PPO's adaptive KL penalty; 0: none."""
     kl_target: float = 0.01
-    """KL divergence that the adaptive coefficient aims at."""
+    """KL divergence that PPO's adaptive coefficient aims at."""
+    kl_bound: float = 0.01
+    """TRPO's bound of the mean KL divergence of a step (delta)."""
+    accept_ratio: float = 0.1
+    """Least share of the improvement expected to first order that a step of TRPO must bring."""
+    cg_iterations: int = 10
+    """TRPO's iterations of conjugate gradient."""
+    cg_damping: float = 0.1
+    """Added to the diagonal of TRPO's Fisher information."""
+    line_search_steps: int = 10
+    """How often TRPO halves a step that it does not accept; then the policy stays as it was."""
+    fisher_share: float = 1.0
+    """Share of the rows, evenly strided, over which TRPO's Fisher information is taken (1, 1/2, 1/3 ...;
+    others are rounded to one of these)."""
     entropy_coeff: float = 0.01
-    """Weight of the policy's entropy in the objective; 0: none."""
+    """Weight of the policy's entropy in the objective (for TRPO: in the surrogate); 0: none."""
     value_clip: float | None = None
     """Bound of the critic's squared error, as RLlib's vf_clip_param, in units of return squared; with
     `normalise_values` in normalised ones, in which an error of 1 is a standard deviation. null: none."""
     grad_clip: float | None = 0.5
-    """Bound of the gradient's norm, for each policy and each critic; null: none."""
+    """Bound of the gradient's norm, for each policy (but TRPO's, which the KL bounds) and each critic; null:
+    none."""
     normalise_advantages: bool = True
     """Standardise advantages per policy."""
     normalise_observations: bool = True
@@ -95,6 +114,12 @@ class AlgoConfig:
         _require(self.clip > 0, "clip must be above 0")
         _require(self.kl_coeff >= 0, "kl_coeff must be at least 0")
         _require(self.kl_target > 0, "kl_target must be above 0")
+        _require(self.kl_bound > 0, "kl_bound must be above 0")
+        _require(0 <= self.accept_ratio < 1, "accept_ratio must lie in [0, 1)")
+        _require(self.cg_iterations >= 1, "cg_iterations must be at least 1")
+        _require(self.cg_damping > 0, "cg_damping must be above 0")
+        _require(self.line_search_steps >= 0, "line_search_steps must be at least 0")
+        _require(0 < self.fisher_share <= 1, "fisher_share must lie in (0, 1]")
         _require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
         _require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
         _require(self.piece_samples >= 1, "piece_samples must be at least 1")

@@ -5,7 +5,7 @@ Proven equal to torch.distributions in the tests; these skip its checks and keep
 
 from dataclasses import dataclass
 from math import log, pi
-from typing import Self
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
@@ -47,10 +47,23 @@ class MaskedCategorical:
         """sum p_old (log p_old - log p): (P, B)."""
         return old._expectation(old.log_probs - self.log_probs)
 
+    def detach(self) -> Self:
+        """The same as a constant."""
+        return type(self)(self.log_probs.detach(), self.allowed)
+
+    def fisher_of_outputs(self, direction: Tensor) -> Tensor:
+        """(diag(p) - p p^T) v: the Fisher information in the logits, times v (P, A, B)."""
+        probabilities = self.log_probs.exp()
+        weighed = probabilities * direction
+        return weighed - probabilities * weighed.sum(1, keepdim=True)
+
 
 @dataclass(frozen=True)
 class DiagonalGaussian:
     """Mean (P, A, B) and a log standard deviation (P, A, 1) that does not depend on the state."""
+
+    LOG_STD_FISHER: ClassVar[float] = 2.0
+    """Fisher information of each log standard deviation; the mean and the others share none with it."""
 
     mean: Tensor
     log_std: Tensor
@@ -70,3 +83,11 @@ class DiagonalGaussian:
         variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
         distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
+
+    def detach(self) -> Self:
+        """The same as a constant."""
+        return type(self)(self.mean.detach(), self.log_std.detach())
+
+    def fisher_of_outputs(self, direction: Tensor) -> Tensor:
+        """v / variance: the Fisher information in the mean, times v (P, A, B)."""
+        return direction * torch.exp(-2 * self.log_std.detach())

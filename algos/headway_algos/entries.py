@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from headway.contracts import AlgoEntry, Discrete, EnvSpec, Learner, MultiDiscrete
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig
-from headway_algos.recipes import custom, ippo, mappo
+from headway_algos.recipes import custom, happo, hatrpo, ia2c, ippo, itrpo, maa2c, mappo, matrpo
 
 
 def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
@@ -14,11 +14,21 @@ def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: st
     return OnPolicyLearner(config, spec, seeds, device)
 
 
+_AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
+"""What a named algorithm of the sequential order is called without it."""
+
+
 def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     if isinstance(spec.action_space, MultiDiscrete):
         return f"{config.name} takes Discrete or Box actions, and {spec.name} has MultiDiscrete ones"
     if config.policies == "groups" and not spec.groups:
         return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
+    if config.order == "sequential" and config.policies != "independent":
+        at_once = _AT_ONCE.get(config.name, "algo.order=simultaneous")
+        return (
+            f"{config.name} updates one agent after another, each with a policy of its own; use "
+            f"algo.policies=independent, or {at_once} for all at once"
+        )
     actions, logits = spec.action_space, config.model.initial_logits
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
         count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
@@ -33,6 +43,12 @@ def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
 
 ENTRIES = {
     "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
+    "happo": _entry(happo.SUMMARY, happo.SOURCE, happo.HAPPOConfig),
+    "hatrpo": _entry(hatrpo.SUMMARY, hatrpo.SOURCE, hatrpo.HATRPOConfig),
+    "ia2c": _entry(ia2c.SUMMARY, ia2c.SOURCE, ia2c.IA2CConfig),
     "ippo": _entry(ippo.SUMMARY, ippo.SOURCE, ippo.IPPOConfig),
+    "itrpo": _entry(itrpo.SUMMARY, itrpo.SOURCE, itrpo.ITRPOConfig),
+    "maa2c": _entry(maa2c.SUMMARY, maa2c.SOURCE, maa2c.MAA2CConfig),
     "mappo": _entry(mappo.SUMMARY, mappo.SOURCE, mappo.MAPPOConfig),
+    "matrpo": _entry(matrpo.SUMMARY, matrpo.SOURCE, matrpo.MATRPOConfig),
 }

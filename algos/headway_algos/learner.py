@@ -114,7 +114,8 @@ class OnPolicyLearner:
         if self.config.normalise_advantages:
             by_policy = standardise(by_policy, torch.from_numpy(selected).to(self.device))
         generators = self._generators("actor minibatch", iteration, False)
-        return ORDERS[self.config.order](self.policy_update, rows, by_policy, generators)
+        in_order = [generator(seed, "agent order", iteration) for seed in self.seeds]
+        return ORDERS[self.config.order](self.policy_update, rows, by_policy, generators, in_order)
 
     def _absorb(self, trajectory: Trajectory) -> None:
         """Update the normalisers from this iteration; they act from the next one on."""

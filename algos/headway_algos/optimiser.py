@@ -1,75 +1,107 @@
-"""One Adam over a stack of networks, with gradients clipped for each network by itself."""
+"""One Adam over a stack of networks, gradients clipped and steps counted for each network by itself."""
 
 from collections.abc import Iterable
-from copy import deepcopy
-from typing import Any
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.optim.adam import adam
+
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-5
 
 
 class StackedAdam:
     """Adam (Kingma and Ba, arXiv:1412.6980) works element by element, so one serves every network.
 
-    `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound.
+    `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound. Moments and
+    counts of steps belong to a network: no network's steps depend on its stack, or on when others stepped.
     """
 
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
         self.parameters = list(parameters)
         self.grad_clip = grad_clip
-        self.base_lr = lr
-        self.adam = torch.optim.Adam(self.parameters, lr=lr, eps=1e-5, fused=True)
+        self.base_lr = self.lr = lr
+        self.means = [torch.zeros_like(parameter) for parameter in self.parameters]
+        self.squares = [torch.zeros_like(parameter) for parameter in self.parameters]
+        self.counts = np.zeros(len(self.parameters[0]), np.int64)
 
     def begin(self) -> None:
         """Forget the gradients."""
-        self.adam.zero_grad(set_to_none=True)
+        for parameter in self.parameters:
+            parameter.grad = None
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""
-        for group in self.adam.param_groups:
-            group["lr"] = self.base_lr * share
+        self.lr = self.base_lr * share
 
     def step(self, active: NDArray[np.bool_]) -> Tensor:
         """Clip and apply the gradients; returns each network's norm before the clip, (P,).
 
         Networks that are not `active` (P,) had no data: they stay as they were, instead of moving on by
-        their momentum. Adam counts the step for all, so that no network's steps depend on its stack.
+        their momentum, and their norm is 0.
         """
-        if active.all():
-            return self._step()
-        idle = torch.from_numpy(~active).to(self.parameters[0].device)
-        kept = [tensor[idle] for tensor in self._tensors()]
-        for parameter in self.parameters:
-            parameter.grad = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
-            parameter.grad[idle] = 0
-        norm = self._step()
-        with torch.no_grad():
-            for tensor, values in zip(self._tensors(), kept, strict=False):
-                tensor[idle] = values
-        return norm
-
-    def _tensors(self) -> list[Tensor]:
-        """Parameters, then Adam's moments once there are any: before, idle networks' stay at their 0."""
-        states = [self.adam.state[parameter] for parameter in self.parameters]
-        moments = [state[name] for state in states if state for name in ("exp_avg", "exp_avg_sq")]
-        return [*(parameter.detach() for parameter in self.parameters), *moments]
-
-    def _step(self) -> Tensor:
-        gradients = [parameter.grad for parameter in self.parameters if parameter.grad is not None]
+        gradients = [
+            torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+            for parameter in self.parameters
+        ]
+        if not active.all():
+            for gradient in gradients:
+                gradient[torch.from_numpy(~active).to(gradient.device)] = 0
         norm = torch.stack([g.flatten(1).square().sum(1) for g in gradients]).sum(0).sqrt()
         if self.grad_clip is not None:
             factor = (self.grad_clip / (norm + 1e-6)).clamp(max=1)
             for gradient in gradients:
                 gradient.mul_(factor.view(-1, *[1] * (gradient.dim() - 1)))
-        self.adam.step()
+        tensors = [[p.detach() for p in self.parameters], gradients, self.means, self.squares]
+        # Adam's correction of its young moments depends on the count: networks of one count go together.
+        for count in np.unique(self.counts[active]).tolist():
+            chosen = active & (self.counts == count)
+            if chosen.all():
+                self._apply(tensors, count)
+                continue
+            index = torch.from_numpy(np.flatnonzero(chosen)).to(norm.device)
+            parts = [[tensor[index] for tensor in kind] for kind in tensors]
+            self._apply(parts, count)
+            for kind, part in zip(tensors, parts, strict=True):
+                for tensor, values in zip(kind, part, strict=True):
+                    tensor.index_copy_(0, index, values)
+        self.counts[active] += 1
         return norm
 
+    def _apply(self, tensors: list[list[Tensor]], count: int) -> None:
+        """torch's Adam on (parameters, gradients, means, squares) that took `count` steps."""
+        parameters, gradients, means, squares = tensors
+        counts = [torch.full((), float(count), device=parameter.device) for parameter in parameters]
+        with torch.no_grad():
+            adam(
+                parameters, gradients, means, squares, [], counts, fused=True, amsgrad=False, beta1=BETA_1,
+                beta2=BETA_2, lr=self.lr, weight_decay=0.0, eps=EPSILON, maximize=False,
+            )  # fmt: skip
+
+    def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:
+        """The same for networks `policies` (n,) alone: `parameters` are copies of theirs."""
+        part = copy(self)
+        part.parameters = list(parameters)
+        part.means = [tensor[policies] for tensor in self.means]
+        part.squares = [tensor[policies] for tensor in self.squares]
+        part.counts = self.counts[policies.cpu().numpy()]
+        return part
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """Take over what `part`, narrowed to these policies, has become."""
+        for mine, theirs in zip(self.means + self.squares, part.means + part.squares, strict=True):
+            mine.index_copy_(0, policies, theirs)
+        self.counts[policies.cpu().numpy()] = part.counts
+
     def state_dict(self) -> dict[str, Any]:
-        """Adam's moments and step counts."""
-        return self.adam.state_dict()
+        """Adam's moments and step counts, each with leading axis P."""
+        return {"means": self.means, "squares": self.squares, "counts": torch.from_numpy(self.counts)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; a copy, since torch would go on to write into `state`."""
-        self.adam.load_state_dict(deepcopy(state))
+        """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
+        for mine, theirs in zip(self.means + self.squares, [*state["means"], *state["squares"]], strict=True):
+            mine.copy_(theirs)
+        self.counts[:] = state["counts"].cpu().numpy()

@@ -1,6 +1,7 @@
 """What every update of policies learns from: experience and advantages, laid out by policy."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,16 @@ class PolicyRows:
     """(P, B), at the parameters that acted."""
     selected: NDArray[np.bool_]
     """(P, B): the agent was alive and its action was used."""
+
+    def narrow(self, policies: Tensor) -> Self:
+        """The rows of policies (n,) alone."""
+        return type(self)(
+            self.observations[policies],
+            None if self.masks is None else self.masks[policies],
+            self.actions[policies],
+            self.log_probs[policies],
+            self.selected[policies.cpu().numpy()],
+        )
 
 
 def standardise(advantages: Tensor, selected: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from headway_envs.toy.entry import ENTRIES as TOYS
 ROOT, EPISODES = 77, 20
 """Evaluation seeds, the same for learners and rules."""
 ALGORITHMS = list(ENTRIES)
+SEQUENTIAL = [name for name, entry in ENTRIES.items() if entry.config().order == "sequential"]
 
 
 def _begun(

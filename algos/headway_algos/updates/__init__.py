@@ -1,7 +1,7 @@
 """How policies are improved from advantages: each update by name, with the state that it alone keeps."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from torch import Tensor
@@ -10,25 +10,39 @@ from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.experience import Layout
 from headway_algos.policy_rows import PolicyRows
+from headway_algos.updates.a2c import A2C
 from headway_algos.updates.ppo import PPO
+from headway_algos.updates.trpo import TRPO
 
 
 class Update(Protocol):
     """Improves a stack of policies in place, each by itself. Whatever it carries from one improvement to
     the next (moments of an optimiser, adaptive coefficients) is its own, and in its state."""
 
+    actor: Actor
+    config: AlgoConfig
+
     def improve(
         self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """Move the policies along advantages (P, B), used as they come; generators (P,), for shuffling.
 
-        Policies without a selected row stay as they were: an order that gives agents turns narrows
-        `selected` to those whose turn it is. Returns info, each (P,).
+        Policies without a selected row stay as they were, and so does what is carried on for them. Returns
+        info, each (P,).
         """
         ...
 
     def anneal(self, share: float) -> None:
         """Take steps of `share` of their configured size from now on."""
+        ...
+
+    def narrow(self, policies: Tensor) -> Self:
+        """The same update for policies (n,) of the stack alone, on copies of them and of what it carries on
+        for them: an order that gives agents turns improves those whose turn it is, and then `adopt`s them."""
+        ...
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """Take over what policies (n,), and what is carried on for them, became in `part`."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
@@ -40,4 +54,4 @@ class Update(Protocol):
         ...
 
 
-UPDATES: dict[str, Callable[[Actor, AlgoConfig, Layout], Update]] = {"ppo": PPO}
+UPDATES: dict[str, Callable[[Actor, AlgoConfig, Layout], Update]] = {"ppo": PPO, "a2c": A2C, "trpo": TRPO}

@@ -1,7 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347), for a stack of policies."""
 
 from collections.abc import Sequence
-from typing import Any
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -47,7 +48,7 @@ class PPO:
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
         self.actor, self.config, self.layout = actor, config, layout
-        self.optimiser = StackedAdam(actor.parameters(), config.lr, config.grad_clip)
+        self.optimiser = StackedAdam(actor.learnable, config.lr, config.grad_clip)
         policies = layout.replicas * layout.grouping.num_policies
         self.kl_coeff = torch.full((policies,), config.kl_coeff, device=layout.device, dtype=layout.dtype)
 
@@ -90,12 +91,28 @@ class PPO:
         if penalised:
             info["kl"] = _mean_kl(actor, rows, old_outputs, old_log_std, config)
             info["kl_coeff"] = self.kl_coeff
-            self.kl_coeff = adapted(self.kl_coeff, info["kl"], config.kl_target)
+            has_rows = torch.from_numpy(rows.selected.any(axis=1)).to(layout.device)
+            new = adapted(self.kl_coeff, info["kl"], config.kl_target)
+            self.kl_coeff = torch.where(has_rows, new, self.kl_coeff)
         return info
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""
         self.optimiser.anneal(share)
+
+    def narrow(self, policies: Tensor) -> Self:
+        """See `headway_algos.updates.Update`."""
+        part = copy(self)
+        part.actor = self.actor.narrow(policies)
+        part.optimiser = self.optimiser.narrow(policies, part.actor.learnable)
+        part.kl_coeff = self.kl_coeff[policies]
+        return part
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """See `headway_algos.updates.Update`."""
+        self.actor.adopt(policies, part.actor)
+        self.optimiser.adopt(policies, part.optimiser)
+        self.kl_coeff = self.kl_coeff.index_copy(0, policies, part.kl_coeff)
 
     def state_dict(self) -> dict[str, Any]:
         """The optimiser and the KL coefficients."""
