@@ -57,7 +57,7 @@ class StackedAdam:
                 gradient.mul_(factor.view(-1, *[1] * (gradient.dim() - 1)))
         tensors = [[p.detach() for p in self.parameters], gradients, self.means, self.squares]
         # Adam's correction of its young moments depends on the count: networks of one count go together.
-        for count in np.unique(self.counts[active]).tolist():
+        for count in sorted(set(self.counts[active].tolist())):
             chosen = active & (self.counts == count)
             if chosen.all():
                 self._apply(tensors, count)

@@ -19,8 +19,14 @@ from headway_algos.experience import Layout
 from headway_algos.learner import OnPolicyLearner
 from headway_algos.orders import ORDERS
 from headway_algos.policy_rows import PolicyRows
+from headway_algos.recipes.happo import HAPPOConfig
+from headway_algos.recipes.hatrpo import HATRPOConfig
+from headway_algos.recipes.ia2c import IA2CConfig
 from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.recipes.itrpo import ITRPOConfig
+from headway_algos.recipes.maa2c import MAA2CConfig
 from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.recipes.matrpo import MATRPOConfig
 from headway_algos.updates import UPDATES, Update
 from headway_algos.updates.ppo import PPO
 
@@ -39,7 +45,12 @@ IPPO = IPPOConfig(
     model=MODEL, precision="float64", minibatches=3, epochs=2, lr=3e-3, kl_coeff=0.2, value_clip=5.0
 )
 MAPPO = MAPPOConfig(model=MODEL, precision="float64", minibatches=3, epochs=2, lr=3e-3)
-CASES = {
+SETTINGS: dict[str, Any] = {"model": MODEL, "precision": "float64", "lr": 3e-3, "minibatches": 3, "epochs": 2}
+IA2C, MAA2C = IA2CConfig(**SETTINGS), MAA2CConfig(**SETTINGS)
+ITRPO, MATRPO = ITRPOConfig(**SETTINGS), MATRPOConfig(**SETTINGS)
+HAPPO, HATRPO = HAPPOConfig(**SETTINGS, kl_coeff=0.2), HATRPOConfig(**SETTINGS)
+HAA2C = AlgoConfig(**SETTINGS, critic="central", update="a2c", order="sequential")
+CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "ippo": (IPPO, DISCRETE),
     "ippo box": (IPPO, BOX),
     "ippo shared": (replace(IPPO, policies="shared"), DISCRETE),
@@ -51,6 +62,17 @@ CASES = {
         replace(MAPPO, policies="shared"),
         replace(TEAM, action_space=BOX.action_space, has_action_mask=False),
     ),
+    "ia2c": (IA2C, DISCRETE),
+    "ia2c groups box": (replace(IA2C, policies="groups"), BOX),
+    "maa2c shared": (replace(MAA2C, policies="shared"), WITH_STATE),
+    "itrpo": (ITRPO, DISCRETE),
+    "itrpo groups box": (replace(ITRPO, policies="groups"), BOX),
+    "matrpo shared": (replace(MATRPO, policies="shared", fisher_share=0.5), WITH_STATE),
+    "happo": (HAPPO, TEAM),
+    "happo box": (HAPPO, BOX),
+    "hatrpo": (HATRPO, TEAM),
+    "hatrpo box": (HATRPO, BOX),
+    "haa2c": (HAA2C, DISCRETE),
 }
 every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
 
@@ -61,12 +83,15 @@ def _numbers(module: torch.nn.Module) -> dict[str, NDArray[Any]]:
 
 def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
     """Every number that learning changes, with leading axis P."""
-    named = {
-        **{f"actor {name}": value for name, value in learner.actor.state_dict().items()},
-        **{f"critic {name}": value for name, value in learner.critic.state_dict().items()},
-        "kl_coeff": learner.policy_update.state_dict()["kl_coeff"],
-    }
+    named = _flat(learner.state_dict())
     return {name: value.detach().numpy().copy() for name, value in named.items()}
+
+
+def _flat(state: Any, path: str = "") -> dict[str, Tensor]:  # noqa: ANN401 - tensors, nested
+    if isinstance(state, Tensor):
+        return {path.strip(): state}
+    items = state.items() if isinstance(state, dict) else enumerate(state)
+    return {n: t for key, value in items for n, t in _flat(value, f"{path} {key}").items()}
 
 
 def _assert_close(got: dict[str, NDArray[Any]], expected: dict[str, NDArray[Any]]) -> None:
@@ -143,7 +168,7 @@ def test_what_others_live_through_changes_no_independent_policy(
         results.append(_tensors(learner))
     for name, value in results[0].items():
         np.testing.assert_allclose(value[2], results[1][name][2], rtol=1e-12, atol=1e-12, err_msg=name)
-        if "weights" in name:
+        if "actor network.weights" in name:
             assert (value[0] != results[1][name][0]).any()
 
 
@@ -253,7 +278,11 @@ class PlainGradient:
 
 
 def _each_in_turn(
-    update: Update, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+    update: Update,
+    rows: PolicyRows,
+    advantages: Tensor,
+    generators: Sequence[np.random.Generator],
+    order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
     """An order in which agents, each with a policy of its own, improve one after another."""
     gains = torch.zeros(len(rows.selected), dtype=advantages.dtype)

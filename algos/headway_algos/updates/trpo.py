@@ -44,8 +44,8 @@ class TRPO:
         def damped(vector: Tensor) -> Tensor:
             return fisher(vector) + config.cg_damping * vector
 
-        solution = conjugate_gradient(damped, gradient, config.cg_iterations)
-        curvature = (solution * damped(solution)).sum(1, keepdim=True)
+        solution, image = conjugate_gradient(damped, gradient, config.cg_iterations)
+        curvature = (solution * image).sum(1, keepdim=True)
         bound = config.kl_bound * self.share**2
         step = torch.where(curvature > 0, (2 * bound / curvature).sqrt() * solution, 0)
         info = self._search(batch, outputs, surrogate, step, (step * gradient).sum(1), bound)
