@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-TOLERANCE = 1e-20
+TOLERANCE = 1e-24
 """A system whose squared residual has come down to this share of its squared right-hand side is solved."""
 
 

@@ -1,10 +1,10 @@
-"""Whole updates of IPPO and MAPPO against one plain network after another, in float64.
+"""Whole updates of the algorithms against one plain network after another, in float64.
 
 The naive learner knows agents, not stacks: torch.nn modules, torch.optim.Adam, torch.distributions and
 loops over (agent, step, copy). It shares with Headway its first weights and the order of minibatches.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -20,8 +20,14 @@ from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.learner import OnPolicyLearner
 from headway_algos.networks import StackedMLP
+from headway_algos.recipes.happo import HAPPOConfig
+from headway_algos.recipes.hatrpo import HATRPOConfig
+from headway_algos.recipes.ia2c import IA2CConfig
 from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.recipes.itrpo import ITRPOConfig
+from headway_algos.recipes.maa2c import MAA2CConfig
 from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.recipes.matrpo import MATRPOConfig
 
 Row = tuple[int, int, int]
 """Agent, step, copy."""
@@ -44,6 +50,7 @@ SETTINGS: dict[str, Any] = {
     "lr_end": 0.2,
     "piece_samples": 40,
 }
+TRUST: dict[str, Any] = {**SETTINGS, "model": ModelConfig(hidden=(5,), actor_gain=0.5), "cg_iterations": 80}
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "ippo": (IPPOConfig(**SETTINGS), DISCRETE),
     "ippo with penalty and value clip": (IPPOConfig(**SETTINGS, kl_coeff=0.2, value_clip=0.5), DISCRETE),
@@ -64,6 +71,20 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "mappo": (MAPPOConfig(**SETTINGS), DISCRETE),
     "mappo box with state, shared": (MAPPOConfig(**SETTINGS, policies="shared"), BOX),
     "mappo team": (MAPPOConfig(**SETTINGS, policies="groups", value_clip=0.5), TEAM),
+    "ia2c": (IA2CConfig(**SETTINGS), DISCRETE),
+    "ia2c box groups": (IA2CConfig(**SETTINGS, policies="groups"), BOX),
+    "maa2c team": (MAA2CConfig(**SETTINGS), TEAM),
+    "itrpo": (ITRPOConfig(**TRUST), DISCRETE),
+    "itrpo box": (ITRPOConfig(**TRUST), BOX),
+    "matrpo team, shared, wide": (
+        MATRPOConfig(**TRUST, policies="shared", kl_bound=0.3, accept_ratio=0.7),
+        TEAM,
+    ),
+    "happo": (HAPPOConfig(**SETTINGS, kl_coeff=0.2), DISCRETE),
+    "happo box": (HAPPOConfig(**SETTINGS), BOX),
+    "hatrpo team": (HATRPOConfig(**TRUST), TEAM),
+    "hatrpo box": (HATRPOConfig(**TRUST), BOX),
+    "haa2c": (AlgoConfig(**SETTINGS, critic="central", update="a2c", order="sequential"), DISCRETE),
 }
 
 
@@ -94,6 +115,10 @@ def _module(stacked: StackedMLP, p: int) -> nn.Sequential:
         linear.weight.data, linear.bias.data = weight.data[p].clone(), bias.data[p, :, 0].clone()
         layers += [linear, nn.Tanh() if stacked.activation == "tanh" else nn.ReLU()]
     return nn.Sequential(*layers[:-1])
+
+
+def _vector(tensors: Sequence[Tensor]) -> Tensor:
+    return torch.cat([tensor.reshape(-1) for tensor in tensors])
 
 
 @dataclass
@@ -164,8 +189,12 @@ class Naive:
         for value in self.values:
             value.adam.param_groups[0]["lr"] = (self.config.critic_lr or 0.0) * share
         advantages, values = self._advantages(made)
-        for k, policy in enumerate(self.policies):
-            self._improve(k, policy, made, advantages, iteration)
+        self.factor = np.ones(made.rewards.shape[:2])
+        order = list(range(len(self.policies)))
+        if self.config.order == "sequential":
+            order = generator(self.seed, "agent order", iteration).permutation(len(order)).tolist()
+        for k in order:
+            self._improve(k, self.policies[k], made, advantages, iteration, share)
         for k, value in enumerate(self.values):
             self._fit(k, value, made, advantages + values, iteration)
         self._absorb(made)
@@ -236,7 +265,7 @@ class Naive:
         steps, copies = chosen.shape[:2]
         return [(n, t, c) for n in agents for t in range(steps) for c in range(copies) if chosen[t, c, n]]
 
-    def _batches(self, rows: list[Row], purpose: str, k: int, iteration: int) -> list[list[int]]:
+    def _batches(self, rows: Sequence[object], purpose: str, k: int, iteration: int) -> list[list[int]]:
         random, parts, batches = generator(self.seed, purpose, k, iteration), self.config.minibatches, []
         for _ in range(self.config.epochs):
             order = random.permutation(len(rows)).tolist()
@@ -244,7 +273,9 @@ class Naive:
             batches += [order[a:b] for a, b in pairwise(edges)]
         return batches
 
-    def _improve(self, k: int, policy: Policy, made: Trajectory, advantages: Array, iteration: int) -> None:
+    def _improve(
+        self, k: int, policy: Policy, made: Trajectory, advantages: Array, iteration: int, share: float
+    ) -> None:
         config = self.config
         rows = self._rows(policy.agents, made.alive[:-1] & made.acting)
         observations = [made.observations[t, c, n].astype(np.float64) for n, t, c in rows]
@@ -256,11 +287,98 @@ class Naive:
         weights = np.array([advantages[t, c, n] for n, t, c in rows])
         if config.normalise_advantages:
             weights = (weights - weights.mean()) / (weights.std() + 1e-8)
+        if config.order == "sequential":
+            weights = weights * [self.factor[t, c] for _, t, c in rows]
         masks = None
         if self.spec.has_action_mask:
             masks = torch.tensor(np.array([made.action_masks[t, c, n] for n, t, c in rows]))
         with torch.no_grad():
             old = self._detached(policy.distribution(inputs, masks))
+        seen = (inputs, masks, actions, behaviour, torch.tensor(weights))
+        if config.update == "a2c":
+            self._one_step(policy, *seen)
+        elif config.update == "trpo":
+            self._trusted_step(policy, *seen, old, config.kl_bound * share**2)
+        else:
+            self._epochs(k, policy, *seen, old, iteration)
+        with torch.no_grad():
+            ratio = (policy.distribution(inputs, masks).log_prob(actions) - behaviour).exp()
+        for (_, t, c), one in zip(rows, ratio.tolist(), strict=True):
+            self.factor[t, c] *= one if config.order == "sequential" else 1
+
+    def _one_step(
+        self,
+        policy: Policy,
+        inputs: Tensor,
+        masks: Tensor | None,
+        actions: Tensor,
+        behaviour: Tensor,
+        weights: Tensor,
+    ) -> None:
+        loss = torch.zeros((), dtype=DOUBLE)
+        for i in range(len(inputs)):
+            one = policy.distribution(inputs[i : i + 1], None if masks is None else masks[i : i + 1])
+            loss = loss - (one.log_prob(actions[i : i + 1]) * weights[i])[0]
+            loss = loss - self.config.entropy_coeff * one.entropy()[0]
+        self._descend(policy.adam, policy.parameters(), loss / len(inputs))
+
+    def _trusted_step(
+        self,
+        policy: Policy,
+        inputs: Tensor,
+        masks: Tensor | None,
+        actions: Tensor,
+        behaviour: Tensor,
+        weights: Tensor,
+        old: Any,  # noqa: ANN401 - torch leaves it untyped
+        bound: float,
+    ) -> None:
+        """The Fisher matrix as the Hessian of the divergence, column by column, and a direct solution."""
+        config, parameters = self.config, policy.parameters()
+        start = _vector(parameters).detach()
+
+        def surrogate() -> Tensor:
+            now = policy.distribution(inputs, masks)
+            gained: Tensor = (now.log_prob(actions) - behaviour).exp() * weights
+            return (gained + config.entropy_coeff * now.entropy()).mean()
+
+        def divergence() -> Tensor:
+            result: Tensor = kl_divergence(old, policy.distribution(inputs, masks))
+            return result.mean()
+
+        first = surrogate()
+        gradient = _vector(torch.autograd.grad(first, parameters))
+        slope = _vector(torch.autograd.grad(divergence(), parameters, create_graph=True))
+        columns = [
+            torch.autograd.grad(s, parameters, retain_graph=True, materialize_grads=True) for s in slope
+        ]
+        fisher = torch.stack([_vector(column) for column in columns])
+        damped = fisher + config.cg_damping * torch.eye(len(start), dtype=DOUBLE)
+        direction = torch.linalg.solve(damped, gradient)
+        step = (2 * bound / (direction @ damped @ direction)).sqrt() * direction
+        with torch.no_grad():
+            for halvings in range(config.line_search_steps + 1):
+                size = 0.5**halvings
+                nn.utils.vector_to_parameters(start + size * step, parameters)
+                enough = surrogate() - first >= config.accept_ratio * size * (gradient @ step)
+                if enough and divergence() <= bound:
+                    return
+            nn.utils.vector_to_parameters(start, parameters)
+
+    def _epochs(
+        self,
+        k: int,
+        policy: Policy,
+        inputs: Tensor,
+        masks: Tensor | None,
+        actions: Tensor,
+        behaviour: Tensor,
+        weights: Tensor,
+        old: Any,  # noqa: ANN401 - torch leaves it untyped
+        iteration: int,
+    ) -> None:
+        config = self.config
+        rows = list(range(len(inputs)))
         for batch in self._batches(rows, "actor minibatch", k, iteration):
             loss = torch.zeros((), dtype=DOUBLE)
             for i in batch:

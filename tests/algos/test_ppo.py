@@ -123,6 +123,15 @@ def test_a_policy_without_rows_learns_nothing_and_harms_nobody() -> None:
         torch.testing.assert_close(new[[0, 2]], whole[[0, 2]], rtol=1e-12, atol=1e-12)
 
 
+def test_a_policy_without_rows_keeps_its_kl_coefficient() -> None:
+    """A divergence of 0 that nobody measured says nothing; where it was measured, it halves."""
+    selected = np.ones((P, B), np.bool_)
+    selected[1] = False
+    config = replace(CONFIG, kl_coeff=0.2, kl_target=1e3)
+    _, _, _, adapted, _ = _run(config, torch.full((P,), 0.2, dtype=DOUBLE), selected)
+    assert adapted.tolist() == pytest.approx([0.1, 0.2, 0.1], rel=1e-12)
+
+
 def test_an_update_without_any_rows_changes_nothing() -> None:
     before, after, _, _, info = _run(CONFIG, torch.zeros(P, dtype=DOUBLE), np.zeros((P, B), np.bool_))
     for old, new in zip(before.parameters(), after.parameters(), strict=True):

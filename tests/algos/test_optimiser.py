@@ -1,0 +1,75 @@
+"""The stacked Adam: each network's moments and step count are its own."""
+
+import numpy as np
+import pytest
+import torch
+
+from headway_algos.optimiser import StackedAdam
+
+DOUBLE = torch.float64
+SHAPES = ((3, 4), (3, 1))
+
+
+def _parameters(stack: int, seed: int = 0) -> list[torch.nn.Parameter]:
+    random = torch.Generator().manual_seed(seed)
+    return [torch.nn.Parameter(torch.randn(stack, *s, generator=random, dtype=DOUBLE)) for s in SHAPES]
+
+
+@pytest.mark.parametrize("grad_clip", [None, 0.5])
+def test_networks_that_step_at_different_times_equal_torchs_adam_alone(grad_clip: float | None) -> None:
+    """One begins late: its moments are then as young as a new optimiser's."""
+    stack, signals = 3, [_parameters(3, 10 + step) for step in range(7)]
+    together = _parameters(stack)
+    alone = [[torch.nn.Parameter(t[p].detach().clone()) for t in together] for p in range(stack)]
+    ours = StackedAdam(together, 0.05, grad_clip)
+    theirs = [torch.optim.Adam(tensors, lr=0.05, eps=1e-5) for tensors in alone]
+    for step, active in enumerate(
+        [[1, 0, 1], [1, 0, 0], [1, 1, 1], [0, 0, 0], [0, 1, 1], [1, 1, 1], [1, 1, 1]]
+    ):
+        ours.begin()
+        for tensor, signal in zip(together, signals[step], strict=True):
+            tensor.grad = signal.detach().clone()
+        norms = ours.step(np.array(active, np.bool_))
+        for p in np.flatnonzero(active):
+            for tensor, signal in zip(alone[p], signals[step], strict=True):
+                tensor.grad = signal.detach()[p].clone()
+            norm = torch.nn.utils.clip_grad_norm_(alone[p], grad_clip or float("inf"))
+            theirs[p].step()
+            assert float(norms[p]) == pytest.approx(float(norm), rel=1e-12)
+        assert (norms[~torch.tensor(active, dtype=torch.bool)] == 0).all()
+    assert ours.counts.tolist() == [5, 4, 5]
+    for p in range(stack):
+        for tensor, single in zip(together, alone[p], strict=True):
+            torch.testing.assert_close(tensor[p], single, rtol=1e-12, atol=1e-12)
+
+
+def test_a_stack_steps_bit_for_bit_as_torchs_fused_adam() -> None:
+    mine, its = _parameters(3), _parameters(3)
+    ours, theirs = StackedAdam(mine, 0.05, None), torch.optim.Adam(its, lr=0.05, eps=1e-5, fused=True)
+    for step in range(4):
+        ours.begin()
+        for tensors in (mine, its):
+            for tensor, signal in zip(tensors, _parameters(3, 20 + step), strict=True):
+                tensor.grad = signal.detach().clone()
+        ours.step(np.ones(3, np.bool_))
+        theirs.step()
+    assert all(torch.equal(a, b) for a, b in zip(mine, its, strict=True))
+
+
+def test_a_restored_optimiser_goes_on_as_the_stored_one_and_leaves_it_alone() -> None:
+    first = _parameters(2)
+    stored = StackedAdam(first, 0.05, None)
+
+    def step(optimiser: StackedAdam, seed: int, active: list[bool]) -> None:
+        for tensor, signal in zip(optimiser.parameters, _parameters(2, seed), strict=True):
+            tensor.grad = signal.detach().clone()
+        optimiser.step(np.array(active))
+
+    step(stored, 1, [True, False])
+    second = [torch.nn.Parameter(tensor.detach().clone()) for tensor in first]
+    restored = StackedAdam(second, 0.05, None)
+    restored.load_state_dict(stored.state_dict())
+    for optimiser in (stored, restored):
+        step(optimiser, 2, [True, True])
+    assert stored.counts.tolist() == restored.counts.tolist() == [2, 1]
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
