@@ -59,6 +59,8 @@ def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
 def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
     entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
     config = entry.config(policies=policies)
+    if config.order == "sequential" and policies != "independent":
+        return
     assert entry.refuses(config, spec) is None
     learner, acting = entry.learner(config, spec, (0, 1), "cpu"), entry.acting_policy(config, spec)
     shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
@@ -81,6 +83,46 @@ def test_what_cannot_be_run_is_refused_in_one_line(name: str) -> None:
     assert "\n" not in line
 
 
+@pytest.mark.parametrize("policies", ["shared", "groups"])
+@pytest.mark.parametrize(
+    ("name", "changes", "instead"),
+    [
+        ("happo", {}, "algo=mappo"),
+        ("hatrpo", {}, "algo=matrpo"),
+        ("custom", {"update": "a2c", "order": "sequential"}, "algo.order=simultaneous"),
+    ],
+)
+def test_turns_need_a_policy_for_each_agent(
+    name: str, changes: dict[str, Any], instead: str, policies: str
+) -> None:
+    entry = ENTRIES[name]
+    assert entry.refuses(entry.config(**changes), SPEC) is None
+    line = entry.refuses(entry.config(**changes, policies=policies), SPEC)
+    assert line is not None
+    for part in (name, "algo.policies=independent", instead):
+        assert part in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("name", "composition"),
+    [
+        ("ia2c", ("local", "a2c", "simultaneous")),
+        ("ippo", ("local", "ppo", "simultaneous")),
+        ("itrpo", ("local", "trpo", "simultaneous")),
+        ("maa2c", ("central", "a2c", "simultaneous")),
+        ("mappo", ("central", "ppo", "simultaneous")),
+        ("matrpo", ("central", "trpo", "simultaneous")),
+        ("happo", ("central", "ppo", "sequential")),
+        ("hatrpo", ("central", "trpo", "sequential")),
+    ],
+)
+def test_a_name_is_a_composition(name: str, composition: tuple[str, str, str]) -> None:
+    """The table of the algorithms: critic, update, order."""
+    config = ENTRIES[name].config()
+    assert (config.critic, config.update, config.order) == composition
+
+
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
@@ -94,6 +136,14 @@ def test_what_cannot_be_run_is_refused_in_one_line(name: str) -> None:
         ({"clip": 0.0}, "clip"),
         ({"kl_coeff": -1.0}, "kl_coeff"),
         ({"kl_target": 0.0}, "kl_target"),
+        ({"kl_bound": 0.0}, "kl_bound"),
+        ({"accept_ratio": 1.0}, "accept_ratio"),
+        ({"accept_ratio": -0.1}, "accept_ratio"),
+        ({"cg_iterations": 0}, "cg_iterations"),
+        ({"cg_damping": 0.0}, "cg_damping"),
+        ({"line_search_steps": -1}, "line_search_steps"),
+        ({"fisher_share": 0.0}, "fisher_share"),
+        ({"fisher_share": 1.5}, "fisher_share"),
         ({"value_clip": 0.0}, "value_clip"),
         ({"grad_clip": 0.0}, "grad_clip"),
         ({"piece_samples": 0}, "piece_samples"),

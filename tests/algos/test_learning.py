@@ -18,7 +18,9 @@ from headway_envs.toy.entry import ENTRIES as TOYS
 ROOT, EPISODES = 77, 20
 """Evaluation seeds, the same for learners and rules."""
 ALGORITHMS = list(ENTRIES)
-SEQUENTIAL = [name for name, entry in ENTRIES.items() if entry.config().order == "sequential"]
+UPDATE = {name: entry.config().update for name, entry in ENTRIES.items()}
+IN_TURNS = {name for name, entry in ENTRIES.items() if entry.config().order == "sequential"}
+"""They need a policy for each agent, which then learns from its own experience alone."""
 
 
 def _begun(
@@ -71,6 +73,12 @@ def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
 
 
 MATRIX_SETTINGS = {"minibatches": 1, "lr": 1e-2, "lr_end": 0.1, "entropy_coeff": 0.3}
+CLIMBING: dict[str, tuple[dict[str, float], int]] = {
+    "ppo": ({}, 45),
+    "a2c": ({"lr": 2e-2, "lr_end": 0.5, "entropy_coeff": 0.7}, 120),
+    "trpo": ({"kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
+}
+"""By update: what else is set, and iterations."""
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -85,15 +93,19 @@ def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
 def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None:
     """7 of 11: who improves alone is kept from the best payoff by the penalty of -30 beside it, and
     reaches 7 by way of 5 and 6 (Claus and Boutilier 1998). The entropy bonus keeps it from stopping at 6."""
-    evaluated = _train("matrix", {}, algorithm, MATRIX_SETTINGS, (0, 1, 2), (16, 16, 45))
+    changes, iterations = CLIMBING[UPDATE[algorithm]]
+    settings = {**MATRIX_SETTINGS, **changes}
+    evaluated = _train("matrix", {}, algorithm, settings, (0, 1, 2), (16, 16, iterations))
     assert _returns(evaluated) == [7.0] * 3
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorithm: str) -> None:
-    """At most 1.6 times the optimal cost; the untrained policy's is hundreds of times the optimum's."""
-    settings = {
-        "policies": "shared",
+    """At most 1.6 times the optimal cost with one policy for all, twice with a policy each; the untrained
+    policy's is hundreds of times the optimum's."""
+    in_turns = algorithm in IN_TURNS
+    settings: dict[str, Any] = {
+        "policies": "independent" if in_turns else "shared",
         "model": ModelConfig(hidden=(32, 32), activation="relu"),
         "gamma": 0.8,
         "lr": 5e-3,
@@ -102,21 +114,32 @@ def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorith
         "minibatches": 4,
         "normalise_observations": False,
     }
+    iterations = 60 if in_turns else 35
+    if UPDATE[algorithm] == "a2c":
+        settings, iterations = {**settings, "minibatches": 1, "lr": 1e-2}, 120
+    if UPDATE[algorithm] == "trpo":
+        settings["kl_bound"] = 0.1 if algorithm not in IN_TURNS else 0.05
     episode = {"steps": 20}
-    evaluated = _train("tracking", episode, algorithm, settings, (0, 1), (8, 40, 35))
+    evaluated = _train("tracking", episode, algorithm, settings, (0, 1), (8, 40, iterations))
     best = _rule("tracking", episode, "optimal")
-    assert min(_returns(evaluated)) > 1.6 * best
+    assert min(_returns(evaluated)) > (2.0 if in_turns else 1.6) * best
     assert _returns(_train("tracking", episode, algorithm, settings, (0,), (8, 40, 1)))[0] < 100 * best
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(algorithm: str) -> None:
-    """At least 0.96 of the way from random to optimal, over agents that come, go and retire."""
-    settings = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
-    evaluated = _train("visitors", {}, algorithm, settings, (0, 1), (4, 64, 10))
+    """Over agents that come, go and retire, at least 0.96 of the way from random to optimal; 0.88 with a
+    policy each."""
+    settings: dict[str, Any] = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
+    iterations = 10
+    if UPDATE[algorithm] == "a2c":
+        settings, iterations = {**settings, "lr": 5e-3, "epochs": 4}, 30
+    if algorithm in IN_TURNS:
+        settings, iterations = {**settings, "policies": "independent", "lr": 2e-3, "epochs": 3}, 20
+    evaluated = _train("visitors", {}, algorithm, settings, (0, 1), (4, 64, iterations))
     random, best = _rule("visitors", {}, "random"), _rule("visitors", {}, "optimal")
     shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
-    assert min(shares) > 0.96
+    assert min(shares) > (0.88 if algorithm in IN_TURNS else 0.96)
     assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
 
 

@@ -144,6 +144,26 @@ def test_every_key_says_what_it_is() -> None:
             assert key.doc, f"{record.__name__}.{key.key} has no docstring"
 
 
+@pytest.mark.parametrize("algorithm", [name for name in groups()["algo"] if name != "custom"])
+def test_the_papers_preset_knows_every_algorithm_by_name(algorithm: str) -> None:
+    experiment = compose(["env=trivial", f"algo={algorithm}", "preset=paper"])
+    assert experiment.algo_name == algorithm
+    assert experiment.algo_config.model.hidden == (128, 128)
+    assert experiment.algo_config.gae_lambda == 1.0
+    assert experiment.config.rollout.copies * experiment.config.rollout.steps == 1000
+    experiment.prepare()
+
+
+def test_a_composition_without_a_name_runs_as_custom() -> None:
+    """HAA2C, for one; and what its order refuses is refused before anything starts."""
+    composed = compose(
+        ["env=trivial", "algo=custom", "algo.critic=central", "algo.update=a2c", "algo.order=sequential"]
+    )
+    composed.prepare()
+    with pytest.raises(HeadwayError, match=r"each with a policy of its own; use algo\.policies=independent"):
+        compose(["env=trivial", "algo=custom", "algo.order=sequential", "algo.policies=shared"]).prepare()
+
+
 @pytest.mark.parametrize("option", groups()["experiment"])
 def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
     assert summary_of("experiment", option)
