@@ -137,7 +137,22 @@ def _of_agents(made: Trajectory, agents: slice) -> Trajectory:
     return Trajectory(**{n: v if n in without_agents else v[:, :, agents] for n, v in parts.items()})
 
 
-@pytest.mark.parametrize(("config", "spec"), [(IPPO, DISCRETE), (IPPO, BOX), (MAPPO, WITH_STATE)])
+each_by_itself = pytest.mark.parametrize(
+    ("config", "spec"),
+    [
+        (IPPO, DISCRETE),
+        (IPPO, BOX),
+        (MAPPO, WITH_STATE),
+        (IA2C, DISCRETE),
+        (IA2C, BOX),
+        (ITRPO, DISCRETE),
+        (ITRPO, BOX),
+        (MATRPO, WITH_STATE),
+    ],
+)
+
+
+@each_by_itself
 def test_an_independent_policy_alone_learns_what_it_learns_among_others(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
@@ -152,7 +167,7 @@ def test_an_independent_policy_alone_learns_what_it_learns_among_others(
     _assert_close({name: value[:1] for name, value in _tensors(among).items()}, _tensors(alone))
 
 
-@pytest.mark.parametrize(("config", "spec"), [(IPPO, DISCRETE), (IPPO, BOX), (MAPPO, WITH_STATE)])
+@each_by_itself
 def test_what_others_live_through_changes_no_independent_policy(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:

@@ -142,7 +142,7 @@ def test_the_step_is_the_natural_gradients_within_its_bound(spec: EnvSpec) -> No
         torch.testing.assert_close(after[p], found[p].new, rtol=1e-9, atol=1e-9)
         assert float(info["kl"][p]) == pytest.approx(found[p].kl, rel=1e-8)
         assert 0 < found[p].kl <= 1e-3
-        assert float(info["step"][p]) == 1
+        assert float(info["accepted_step"][p]) == 1
 
 
 @every_space
@@ -158,7 +158,7 @@ def test_each_policy_searches_by_itself(spec: EnvSpec) -> None:
     after = flat(update.actor.learnable).detach()
     sizes = [one.size for one in found]
     assert set(sizes) == {1.0, 0.5, 0.0}
-    assert info["step"].tolist() == sizes
+    assert info["accepted_step"].tolist() == sizes
     for p, one in enumerate(found):
         assert torch.equal(after[p], before[p]) == (one.size == 0)
         torch.testing.assert_close(after[p], one.new, rtol=1e-8, atol=1e-8)
@@ -173,7 +173,7 @@ def test_a_step_beyond_the_bound_is_halved_though_it_pays() -> None:
     rows, advantages = _rows(BOX, update.actor, seed=3)
     found = [Oracle(config, update.actor, rows, advantages, p).find(0.5) for p in range(10)]
     assert any(one.whole_step_kl > 0.5 and one.size > 0 for one in found)
-    assert update.improve(rows, advantages, [])["step"].tolist() == [one.size for one in found]
+    assert update.improve(rows, advantages, [])["accepted_step"].tolist() == [one.size for one in found]
 
 
 def test_the_fisher_information_of_a_share_of_the_rows() -> None:

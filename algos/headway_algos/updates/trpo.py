@@ -85,7 +85,9 @@ class TRPO:
         expected: Tensor,
         bound: float,
     ) -> dict[str, Tensor]:
-        """Halve the steps (P, V) of those that do not accept; the policies take what they accept."""
+        """Halve the steps (P, V) of those that do not accept; the policies take what they accept.
+
+        `accepted_step` is the share of the whole step that was taken, 0 for none."""
         kl, accepted = torch.zeros_like(surrogate), torch.zeros_like(surrogate)
         going = torch.nonzero(expected > 0)[:, 0]
         for halving in range(self.config.line_search_steps + 1):
@@ -104,7 +106,7 @@ class TRPO:
             self.actor.adopt(going[accepts], after.narrow(accepts))
             kl[going[accepts]], accepted[going[accepts]] = moved[accepts], size
             going = going[~accepts]
-        return {"kl": kl, "step": accepted}
+        return {"kl": kl, "accepted_step": accepted}
 
     def _compare(
         self, before: Actor, after: Actor, batch: WholeBatch, old_outputs: Tensor
