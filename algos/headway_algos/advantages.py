@@ -56,3 +56,17 @@ def with_teammates_values(
     values[-1] = np.where(here, last, mean)
     present[-1] = here | (count > 0)
     return values, present
+
+
+def counterfactual_advantages(
+    action_values: Array, actions: NDArray[np.int64], probabilities: Array, present: NDArray[np.bool_]
+) -> Array:
+    """A^a = Q(s, u) - sum_u' pi(u'|o^a) Q(s, (u^-a, u')): equation 4 of Foerster et al. 2018,
+    arXiv:1705.08926.
+
+    From Q of each own action (T, C, N, A), the actions taken (T, C, N) and the policy's chances
+    (T, C, N, A): (T, C, N), 0 where absent.
+    """
+    taken = np.take_along_axis(action_values, actions[..., None], axis=-1)[..., 0]
+    baseline = (probabilities * action_values).sum(axis=-1)
+    return np.where(present, taken - baseline, 0)

@@ -36,8 +36,9 @@ class AlgoConfig:
 
     name: str = "custom"
     """Name in the registry: see `headway list algos`."""
-    critic: Literal["local", "central"] = "local"
-    """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state."""
+    critic: Literal["local", "central", "counterfactual"] = "local"
+    """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state; `counterfactual`:
+    Q(s, u) of each own action, the others' held fixed (Discrete actions only)."""
     update: Literal["ppo", "a2c", "trpo"] = "ppo"
     """How a policy is improved from its advantages: `ppo`: epochs of minibatch steps on a clipped surrogate;
     `a2c`: one gradient step on the whole batch; `trpo`: one natural-gradient step within a bound of the KL
@@ -48,6 +49,10 @@ class AlgoConfig:
     policies: Literal["independent", "shared", "groups"] = "independent"
     """One policy an agent, one for all, or one for each group the environment names."""
     model: ModelConfig = field(default_factory=ModelConfig)
+    critic_actions: Literal["none", "others"] = "none"
+    """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""
+    target_every: int = 4
+    """Iterations between copies of a counterfactual critic to its target network; 1: after every one."""
     gamma: float = 0.99
     """Discount factor a step."""
     gae_lambda: float = 0.95
@@ -109,6 +114,12 @@ class AlgoConfig:
         _require(self.lr > 0, "lr must be above 0")
         _require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
         _require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
+        _require(
+            self.critic_actions == "none" or self.critic == "central",
+            "critic_actions must be none unless critic is central: a local critic sees no one else, and a "
+            "counterfactual one sees the others' actions always",
+        )
+        _require(self.target_every >= 1, "target_every must be at least 1")
         _require(self.epochs >= 1, "epochs must be at least 1")
         _require(self.minibatches >= 1, "minibatches must be at least 1")
         _require(self.clip > 0, "clip must be above 0")

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from headway.contracts import AlgoEntry, Discrete, EnvSpec, Learner, MultiDiscrete
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Learner, MultiDiscrete
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig
-from headway_algos.recipes import custom, happo, hatrpo, ia2c, ippo, itrpo, maa2c, mappo, matrpo
+from headway_algos.recipes import coma, custom, happo, hatrpo, ia2c, ippo, itrpo, maa2c, mappo, matrpo
 
 
 def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
@@ -19,8 +19,15 @@ _AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
 
 
 def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
+    counterfactual = config.critic == "counterfactual"
     if isinstance(spec.action_space, MultiDiscrete):
-        return f"{config.name} takes Discrete or Box actions, and {spec.name} has MultiDiscrete ones"
+        takes = "Discrete" if counterfactual else "Discrete or Box"
+        return f"{config.name} takes {takes} actions, and {spec.name} has MultiDiscrete ones"
+    if counterfactual and isinstance(spec.action_space, Box):
+        return (
+            f"{config.name} takes Discrete actions, which its counterfactual critic compares, and "
+            f"{spec.name} has Box ones; use an algorithm with a local or central critic, such as algo=mappo"
+        )
     if config.policies == "groups" and not spec.groups:
         return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
     if config.order == "sequential" and config.policies != "independent":
@@ -42,6 +49,7 @@ def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
 
 
 ENTRIES = {
+    "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
     "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
     "happo": _entry(happo.SUMMARY, happo.SOURCE, happo.HAPPOConfig),
     "hatrpo": _entry(hatrpo.SUMMARY, hatrpo.SOURCE, hatrpo.HATRPOConfig),

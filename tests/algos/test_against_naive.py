@@ -69,6 +69,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
         DISCRETE,
     ),
     "mappo": (MAPPOConfig(**SETTINGS), DISCRETE),
+    "mappo groups": (MAPPOConfig(**SETTINGS, policies="groups"), DISCRETE),
     "mappo box with state, shared": (MAPPOConfig(**SETTINGS, policies="shared"), BOX),
     "mappo team": (MAPPOConfig(**SETTINGS, policies="groups", value_clip=0.5), TEAM),
     "ia2c": (IA2CConfig(**SETTINGS), DISCRETE),
@@ -178,7 +179,7 @@ class Naive:
         return Policy(agents, network, log_std, adam, Moments(), self.config.kl_coeff)
 
     def _value(self, k: int, viewers: list[int], like: OnPolicyLearner) -> Value:
-        network = _module(like.critic.network, k)
+        network = _module(like.critic.networks.network, k)
         adam = torch.optim.Adam(network.parameters(), self.config.critic_lr or 0.0, eps=1e-5)
         return Value(viewers, network, adam, Moments(), Moments())
 
@@ -213,10 +214,12 @@ class Naive:
         ]  # fmt: skip
         if self.config.critic == "local":
             return each[n].astype(np.float64)
+        # Whose values differ, though one network gives them all, are shown who they are by what they see.
+        own = [each[n]] if self.config.policies != "independent" and not self.team else []
         if self.spec.state_size:
             state: Array = (made.final_states[t, c] if over.all() else made.states[at, c]).astype(np.float64)
-            return state
-        return np.concatenate(each).astype(np.float64)
+            return np.concatenate([state, *own])
+        return np.concatenate([*each, *own]).astype(np.float64)
 
     def _worth(self, value: Value, seen: Array) -> float:
         if self.config.normalise_observations:
@@ -481,4 +484,4 @@ def test_an_update_equals_the_naive_one(
                     learner.actor.log_std[p, :, 0], policy.log_std, rtol=1e-10, atol=1e-10
                 )
         for k, value in enumerate(naive.values):
-            _assert_same(learner.critic.network, r * len(naive.values) + k, value.network)
+            _assert_same(learner.critic.networks.network, r * len(naive.values) + k, value.network)

@@ -13,6 +13,7 @@ from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.entries import ENTRIES
 from headway_algos.learner import OnPolicyLearner
+from headway_algos.recipes.coma import COMAConfig
 
 SPEC = EnvSpec("made", ("a", "b", "c"), 3, Discrete(2), groups=("x", "y", "x"))
 
@@ -59,7 +60,9 @@ def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
 def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
     entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
     config = entry.config(policies=policies)
-    if config.order == "sequential" and policies != "independent":
+    in_turns = config.order == "sequential" and policies != "independent"
+    if in_turns or (name == "coma" and isinstance(space, Box)):
+        assert entry.refuses(config, spec) is not None
         return
     assert entry.refuses(config, spec) is None
     learner, acting = entry.learner(config, spec, (0, 1), "cpu"), entry.acting_policy(config, spec)
@@ -81,6 +84,25 @@ def test_what_cannot_be_run_is_refused_in_one_line(name: str) -> None:
     assert line is not None
     assert "algo.policies=shared" in line
     assert "\n" not in line
+
+
+@pytest.mark.parametrize("config", [COMAConfig(), AlgoConfig(critic="counterfactual")])
+def test_a_counterfactual_critic_refuses_all_but_discrete_actions(config: AlgoConfig) -> None:
+    entry = ENTRIES[config.name]
+    line = entry.refuses(config, replace(SPEC, action_space=Box((-1.0,), (1.0,))))
+    assert line is not None
+    assert f"{config.name} takes Discrete actions" in line
+    assert "made has Box ones; use an algorithm with a local or central critic" in line
+    assert "\n" not in line
+    line = entry.refuses(config, replace(SPEC, action_space=MultiDiscrete((2, 3))))
+    assert line == f"{config.name} takes Discrete actions, and made has MultiDiscrete ones"
+
+
+@pytest.mark.parametrize("critic", ["local", "counterfactual"])
+def test_only_a_central_critic_is_asked_to_see_the_others_actions(critic: Any) -> None:  # noqa: ANN401 - a literal
+    with pytest.raises(ValueError, match="critic_actions must be none unless critic is central"):
+        AlgoConfig(critic=critic, critic_actions="others")
+    assert AlgoConfig(critic="central", critic_actions="others").critic_actions == "others"
 
 
 @pytest.mark.parametrize("policies", ["shared", "groups"])
@@ -111,6 +133,7 @@ def test_turns_need_a_policy_for_each_agent(
         ("ippo", ("local", "ppo", "simultaneous")),
         ("itrpo", ("local", "trpo", "simultaneous")),
         ("maa2c", ("central", "a2c", "simultaneous")),
+        ("coma", ("counterfactual", "a2c", "simultaneous")),
         ("mappo", ("central", "ppo", "simultaneous")),
         ("matrpo", ("central", "trpo", "simultaneous")),
         ("happo", ("central", "ppo", "sequential")),
@@ -126,6 +149,7 @@ def test_a_name_is_a_composition(name: str, composition: tuple[str, str, str]) -
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
+        ({"target_every": 0}, "target_every"),
         ({"gamma": 1.1}, "gamma"),
         ({"gae_lambda": -0.1}, "gae_lambda"),
         ({"lr": 0.0}, "lr"),

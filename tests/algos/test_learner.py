@@ -3,6 +3,7 @@
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,11 +15,17 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway_algos.actor import Actor
+from headway_algos.behaviour import Behaviour
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.experience import Layout
+from headway_algos.critics import CRITICS
+from headway_algos.critics.estimate import Estimate
+from headway_algos.critics.value import ValueCritic
+from headway_algos.experience import Endings, Layout, zero_where_absent
+from headway_algos.grouping import Grouping
 from headway_algos.learner import OnPolicyLearner
 from headway_algos.orders import ORDERS
 from headway_algos.policy_rows import PolicyRows
+from headway_algos.recipes.coma import COMAConfig
 from headway_algos.recipes.happo import HAPPOConfig
 from headway_algos.recipes.hatrpo import HATRPOConfig
 from headway_algos.recipes.ia2c import IA2CConfig
@@ -27,6 +34,7 @@ from headway_algos.recipes.itrpo import ITRPOConfig
 from headway_algos.recipes.maa2c import MAA2CConfig
 from headway_algos.recipes.mappo import MAPPOConfig
 from headway_algos.recipes.matrpo import MATRPOConfig
+from headway_algos.scenes import Scene
 from headway_algos.updates import UPDATES, Update
 from headway_algos.updates.ppo import PPO
 
@@ -40,12 +48,15 @@ DISCRETE = EnvSpec(
 WITH_STATE = replace(DISCRETE, state_size=5)
 TEAM = replace(WITH_STATE, shared_reward=True)
 BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
+TEAM_BOX = replace(TEAM, action_space=BOX.action_space, has_action_mask=False)
 MODEL = ModelConfig(hidden=(8, 8), actor_gain=0.5)
 IPPO = IPPOConfig(
     model=MODEL, precision="float64", minibatches=3, epochs=2, lr=3e-3, kl_coeff=0.2, value_clip=5.0
 )
 MAPPO = MAPPOConfig(model=MODEL, precision="float64", minibatches=3, epochs=2, lr=3e-3)
+OTHERS = replace(MAPPO, critic_actions="others")
 SETTINGS: dict[str, Any] = {"model": MODEL, "precision": "float64", "lr": 3e-3, "minibatches": 3, "epochs": 2}
+COMA = COMAConfig(**SETTINGS, gae_lambda=0.8, target_every=2)
 IA2C, MAA2C = IA2CConfig(**SETTINGS), MAA2CConfig(**SETTINGS)
 ITRPO, MATRPO = ITRPOConfig(**SETTINGS), MATRPOConfig(**SETTINGS)
 HAPPO, HATRPO = HAPPOConfig(**SETTINGS, kl_coeff=0.2), HATRPOConfig(**SETTINGS)
@@ -58,9 +69,17 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "mappo": (MAPPO, DISCRETE),
     "mappo state": (MAPPO, WITH_STATE),
     "mappo team": (replace(MAPPO, policies="groups"), TEAM),
-    "mappo team shared box": (
-        replace(MAPPO, policies="shared"),
-        replace(TEAM, action_space=BOX.action_space, has_action_mask=False),
+    "mappo team shared box": (replace(MAPPO, policies="shared"), TEAM_BOX),
+    "mappo others": (OTHERS, WITH_STATE),
+    "mappo others team": (OTHERS, TEAM),
+    "mappo others team box": (OTHERS, TEAM_BOX),
+    "coma": (COMA, DISCRETE),
+    "coma groups": (replace(COMA, policies="groups"), WITH_STATE),
+    "coma team": (COMA, TEAM),
+    "coma team shared": (replace(COMA, policies="shared"), replace(DISCRETE, shared_reward=True)),
+    "counterfactual in turns": (
+        AlgoConfig(**SETTINGS, critic="counterfactual", update="trpo", order="sequential"),
+        TEAM,
     ),
     "ia2c": (IA2C, DISCRETE),
     "ia2c groups box": (replace(IA2C, policies="groups"), BOX),
@@ -82,7 +101,7 @@ def _numbers(module: torch.nn.Module) -> dict[str, NDArray[Any]]:
 
 
 def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
-    """Every number that learning changes, with leading axis P."""
+    """Every tensor that learning changes, with leading axis P."""
     named = _flat(learner.state_dict())
     return {name: value.detach().numpy().copy() for name, value in named.items()}
 
@@ -90,6 +109,8 @@ def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
 def _flat(state: Any, path: str = "") -> dict[str, Tensor]:  # noqa: ANN401 - tensors, nested
     if isinstance(state, Tensor):
         return {path.strip(): state}
+    if not isinstance(state, dict | list):
+        return {}
     items = state.items() if isinstance(state, dict) else enumerate(state)
     return {n: t for key, value in items for n, t in _flat(value, f"{path} {key}").items()}
 
@@ -332,6 +353,80 @@ def test_critic_update_and_order_are_three_choices(
     _assert_close(results[1], results[0])
 
 
+class RewardAbovePar:
+    """A critic without networks: the reward beyond the mean of those seen before; one viewpoint, or N."""
+
+    def __init__(
+        self,
+        config: AlgoConfig,
+        spec: EnvSpec,
+        grouping: Grouping,
+        seeds: Sequence[int],
+        device: torch.device,
+        dtype: torch.dtype,
+        viewpoints: int = 4,
+    ) -> None:
+        self.par, self.share, self.seen, self.viewpoints = np.zeros(len(seeds)), 1.0, 0, viewpoints
+
+    def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
+        rewards = trajectory.rewards[:, :, : self.viewpoints].astype(np.float64)
+        values = np.repeat(self.par, rewards.shape[1] // len(self.par))[:, None] + np.zeros_like(rewards)
+        there = np.ones_like(rewards, np.bool_)
+        return Estimate(rewards - values, values, rewards, there, torch.empty(0))
+
+    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+        self.par = estimate.returns.reshape(len(estimate.returns), len(self.par), -1).mean(axis=(0, 2))
+        return {"par": self.par}
+
+    def absorb(self, trajectory: Trajectory) -> None:
+        self.seen += len(trajectory.rewards)
+
+    def anneal(self, share: float) -> None:
+        self.share = share
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"networks": {}, "par": torch.from_numpy(self.par), "seen": self.seen}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.par, self.seen = state["par"].numpy(), state["seen"]
+
+
+@pytest.mark.parametrize("viewpoints", [1, 4])
+def test_a_critic_of_ones_own_joins_by_name(
+    fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch, viewpoints: int
+) -> None:
+    """The learner asks it for advantages, of agents or of the team, and keeps its state."""
+    own: dict[str, Any] = {"critic": "above par"}
+    monkeypatch.setitem(CRITICS, "above par", partial(RewardAbovePar, viewpoints=viewpoints))
+    first, other = (OnPolicyLearner(replace(MAPPO, **own, lr_end=0.5), TEAM, (1, 2), "cpu") for _ in range(2))
+    start = _numbers(first.actor)
+    made = [fabricate(TEAM, 6, 4, seed=seed, absent=0.2) for seed in (0, 1)]
+    info = first.update(made[0], 1, 1.0)
+    by_replica = made[0].rewards.astype(np.float64).reshape(6, 2, 2, 4)
+    np.testing.assert_allclose(info["critic/par"], by_replica.mean(axis=(0, 2, 3)), rtol=1e-12)
+    assert isinstance(first.critic, RewardAbovePar)
+    assert (first.critic.share, first.critic.seen) == (0.5, 6)
+    assert (_numbers(first.actor)["network.weights.0"] != start["network.weights.0"]).any(axis=(1, 2)).all()
+    other.load_state_dict(first.state_dict())
+    for learner in (first, other):
+        learner.update(made[1], 2, 0.0)
+    assert other.state_dict()["critic"]["seen"] == 12
+    _assert_close(_numbers(other.actor), _numbers(first.actor))
+
+
+def test_a_teams_advantage_is_that_of_each_of_its_agents(
+    fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own: dict[str, Any] = {"critic": "above par"}
+    results = []
+    for viewpoints in (1, 4):
+        monkeypatch.setitem(CRITICS, "above par", partial(RewardAbovePar, viewpoints=viewpoints))
+        learner = OnPolicyLearner(replace(MAPPO, **own), TEAM, (1, 2), "cpu")
+        learner.update(fabricate(TEAM, 6, 4, seed=0, absent=0.2), 1, 0.0)
+        results.append(_numbers(learner.actor))
+    _assert_close(results[1], results[0])
+
+
 @pytest.mark.parametrize(("progress", "share"), [(0.0, 1.0), (0.5, 0.55), (1.0, 0.1)])
 def test_learning_rates_are_annealed_linearly(fabricate: Fabricate, progress: float, share: float) -> None:
     config = replace(IPPO, lr=1e-3, critic_lr=2e-3, lr_end=0.1)
@@ -339,8 +434,9 @@ def test_learning_rates_are_annealed_linearly(fabricate: Fabricate, progress: fl
     for _ in range(2):  # from the base each time, not from the last
         learner.update(fabricate(DISCRETE, 4, 2, seed=0), 1, progress)
     assert isinstance(learner.policy_update, PPO)
+    assert isinstance(learner.critic, ValueCritic)
     assert learner.policy_update.optimiser.lr == pytest.approx(1e-3 * share)
-    assert learner.critic.optimiser.lr == pytest.approx(2e-3 * share)
+    assert learner.critic.regression.optimiser.lr == pytest.approx(2e-3 * share)
 
 
 def _changed_by(config: AlgoConfig, spec: EnvSpec, made: Trajectory, change: Change) -> bool:
@@ -375,6 +471,18 @@ def test_truncation_alone_bootstraps_and_from_the_final_observation(
     assert not _changed_by(config, spec, made, another_start)
 
 
+def _values(learner: OnPolicyLearner, scene: Scene) -> NDArray[np.float64]:
+    """(M, C, W) by the learner's value critic."""
+    assert isinstance(learner.critic, ValueCritic)
+    return learner.critic.values(learner.critic.rows(scene), len(scene.observations))
+
+
+def _final_values(learner: OnPolicyLearner, made: Trajectory) -> NDArray[np.float64]:
+    """(T, C, N): what streams that were cut bootstrap from."""
+    endings = Endings.of(made, 1)
+    return endings.put(_values(learner, Scene.after_endings(made, endings)), made.rewards.shape)
+
+
 @pytest.mark.parametrize("spec", [DISCRETE, WITH_STATE])
 def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
     fabricate: Fabricate, poisoned: Poison, spec: EnvSpec
@@ -384,12 +492,10 @@ def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
     made.truncated[2, :, 1] = True
     made.final_observations[2, :, 1] = 0.5
     learner = OnPolicyLearner(MAPPO, spec, (1,), "cpu")
-    critic = learner.critic
-    rows = critic.rows(made.observations[:-1], made.states[:-1], made.alive[:-1])
-    _, final = critic.evaluate(made, rows)
+    final = _final_values(learner, made)
     after, alive = made.observations[3:4].copy(), made.alive[3:4].copy()
     after[:, :, 1], alive[:, :, 1] = 0.5, True
-    expected = critic._values(critic.rows(after, made.states[3:4], alive), 1)
+    expected = _values(learner, Scene(zero_where_absent(after, alive), made.states[3:4], alive, None))
     np.testing.assert_allclose(final[2, :, 1], expected[0, :, 1], rtol=1e-12)
 
 
@@ -399,11 +505,9 @@ def test_an_agent_absent_when_cut_bootstraps_from_its_final_observation(fabricat
     made.alive[3, :, 1] = made.acting[3, :, 1] = False
     made.truncated[3] = True
     learner = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
-    rows = learner.critic.rows(made.observations[:-1], made.states[:-1], made.alive[:-1])
-    _, final = learner.critic.evaluate(made, rows)
     everyone = np.ones((1, 1, 4), np.bool_)
-    at_end = learner.critic.rows(made.final_observations[3:], made.final_states[3:], everyone)
-    np.testing.assert_allclose(final[3], learner.critic._values(at_end, 1)[0], rtol=1e-12)
+    at_end = Scene(made.final_observations[3:], made.final_states[3:], everyone, None)
+    np.testing.assert_allclose(_final_values(learner, made)[3], _values(learner, at_end)[0], rtol=1e-12)
 
 
 @every_case
@@ -431,9 +535,7 @@ def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) ->
         made = fabricate(DISCRETE, 8, 4, seed=iteration, ends=1.1)
         made.rewards[:], made.terminated[:], made.truncated[:] = 50, True, False
         learner.update(made, iteration, 0.0)
-    rows = learner.critic.rows(made.observations[:-1], made.states[:-1], made.alive[:-1])
-    values, _ = learner.critic.evaluate(made, rows)
-    np.testing.assert_allclose(values[:-1], 50, rtol=0.05)
+    np.testing.assert_allclose(_values(learner, Scene.of_steps(made)), 50, rtol=0.05)
 
 
 def test_value_errors_are_cut(fabricate: Fabricate) -> None:
@@ -443,10 +545,14 @@ def test_value_errors_are_cut(fabricate: Fabricate) -> None:
         learner = OnPolicyLearner(
             replace(IPPO, value_clip=bound, normalise_values=False), DISCRETE, (1,), "cpu"
         )
-        before = [weight.detach().clone() for weight in learner.critic.network.weights]
+        before = _tensors(learner)
         info = learner.update(fabricate(DISCRETE, 8, 3, seed=0), 1, 0.0)
-        after = learner.critic.network.weights
-        results[name] = any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
+        after = _tensors(learner)
+        results[name] = any(
+            (after[name] != value).any()
+            for name, value in before.items()
+            if name.startswith("critic networks network")
+        )
         assert bound is None or info["critic/loss"][0] <= bound
     assert results == {"cut": False, "whole": True}
 

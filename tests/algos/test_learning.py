@@ -18,6 +18,8 @@ from headway_envs.toy.entry import ENTRIES as TOYS
 ROOT, EPISODES = 77, 20
 """Evaluation seeds, the same for learners and rules."""
 ALGORITHMS = list(ENTRIES)
+CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
+"""Those that take Box actions."""
 UPDATE = {name: entry.config().update for name, entry in ENTRIES.items()}
 IN_TURNS = {name for name, entry in ENTRIES.items() if entry.config().order == "sequential"}
 """They need a policy for each agent, which then learns from its own experience alone."""
@@ -99,7 +101,7 @@ def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None
     assert _returns(evaluated) == [7.0] * 3
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", CONTINUOUS)
 def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorithm: str) -> None:
     """At most 1.6 times the optimal cost with one policy for all, twice with a policy each; the untrained
     policy's is hundreds of times the optimum's."""
@@ -143,8 +145,10 @@ def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(al
     assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("env", ["visitors", "tracking"])
+@pytest.mark.parametrize(
+    ("env", "algorithm"),
+    [*(("visitors", name) for name in ALGORITHMS), *(("tracking", name) for name in CONTINUOUS)],
+)
 def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algorithm: str) -> None:
     settings = {"precision": "float64", "gamma": 0.9}
     among, learner = _begun(env, {}, algorithm, settings, (3, 5, 7), (2, 20))
@@ -163,3 +167,14 @@ def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algori
                 policies = len(array)
                 mine = learner.acting_parameters()[name][policies : 2 * policies]
                 np.testing.assert_allclose(mine, array, rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> None:
+    """Ten agents are paid, alike, the share of them that are right: more than 0.75 of the way from random to
+    optimal, though nine tenths of the reward are the others' doing."""
+    team = {"agents": 10, "steps": 50}
+    settings = {"critic": "counterfactual", "policies": "shared", "gamma": 0.5, "gae_lambda": 0.5, "lr": 3e-3}
+    evaluated = _train("trivial", team, "custom", settings, (0, 1), (4, 50, 15))
+    random, best = _rule("trivial", team, "random"), _rule("trivial", team, "optimal")
+    shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
+    assert min(shares) > 0.75

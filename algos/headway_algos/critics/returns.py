@@ -1,0 +1,155 @@
+"""Networks that learn returns, and how: what all critics have in common."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from headway.contracts import Trajectory, generator
+from headway_algos.acting import OBSERVATION_CLIP
+from headway_algos.config import AlgoConfig
+from headway_algos.critics.estimate import Estimate
+from headway_algos.critics.streams import presence
+from headway_algos.critics.views import View
+from headway_algos.experience import Layout, even_slices, minibatches
+from headway_algos.networks import StackedMLP
+from headway_algos.normalisation import RunningMoments
+from headway_algos.optimiser import StackedAdam
+from headway_algos.scenes import Scene
+
+
+class ReturnNetworks(nn.Module):
+    """P networks, their input normalisers, and the moments of the returns that they speak in."""
+
+    def __init__(
+        self, config: AlgoConfig, view: View, outputs: int, seeds: Sequence[int], layout: Layout
+    ) -> None:
+        super().__init__()
+        self.config = config
+        networks, model = view.grouping.num_policies, config.model
+        sizes = (view.seen_size + view.indicator_size, model.hidden, outputs)
+        self.network = StackedMLP(seeds, networks, "critic", sizes, model.activation, 1.0, layout.dtype)
+        self.input_moments = RunningMoments(len(seeds) * networks, view.seen_size)
+        self.return_moments = RunningMoments(len(seeds) * networks, 1)
+        self.to(layout.device)
+
+    def inputs(self, seen: Tensor, indicators: Tensor | None) -> Tensor:
+        """(P, B, input_size): what was seen (P, B, seen_size) in units of its running moments, cut at 10,
+        then indicators (P, B, indicator_size) as they are."""
+        if self.config.normalise_observations:
+            moments = self.input_moments
+            seen = (seen - moments.mean.to(seen.dtype)) * moments.scale.to(seen.dtype)
+            seen = seen.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
+        return seen if indicators is None else torch.cat([seen, indicators], dim=2)
+
+    def predict(self, inputs: Tensor) -> Tensor:
+        """Outputs (P, O, B) in units of return, in float64, of inputs (P, B, input_size), in pieces that stay
+        in the cache."""
+        pieces = even_slices(inputs.shape[1], len(inputs), self.config.piece_samples)
+        with torch.no_grad():
+            outputs = torch.cat([self.network(inputs[:, piece]) for piece in pieces], dim=2).double()
+        if self.config.normalise_values:
+            outputs = outputs * self.return_moments.std + self.return_moments.mean
+        return outputs
+
+
+class Regression:
+    """Networks that regress on returns by minibatches, each with its own."""
+
+    def __init__(
+        self, config: AlgoConfig, view: View, seeds: Sequence[int], networks: ReturnNetworks, layout: Layout
+    ) -> None:
+        self.config, self.view, self.seeds = config, view, tuple(seeds)
+        self.networks, self.layout = networks, layout
+        self.optimiser = StackedAdam(
+            networks.network.parameters(), config.critic_lr or config.lr, config.grad_clip
+        )
+
+    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+        """Learn the returns where present. `loss`, (R,), is the mean squared error in normalised units;
+        `explained_variance`, (R,), is of the values before.
+
+        With `value_clip` the squared error is cut there, as RLlib's vf_clip_param does.
+        """
+        config, layout = self.config, self.layout
+        network, moments = self.networks.network, self.networks.return_moments
+        selected = layout.selection(estimate.present)
+        targets = torch.from_numpy(layout.grouping.gather(estimate.returns, layout.replicas)).to(
+            layout.device
+        )
+        if config.normalise_values:
+            moments.include(targets[..., None], torch.from_numpy(selected).to(layout.device))
+            targets = (targets - moments.mean[..., 0]) / moments.std[..., 0]
+        targets = targets.to(layout.dtype)
+        loss_sum = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype)
+        steps = np.zeros(len(selected))
+        for pieces, active in minibatches(
+            selected,
+            self._generators(iteration),
+            config.epochs,
+            config.minibatches,
+            config.piece_samples,
+            layout,
+        ):
+            self.optimiser.begin()
+            for piece in pieces:
+                outputs = network(piece.of(estimate.inputs))
+                if estimate.taken is None:
+                    values = outputs[:, 0]
+                else:
+                    values = outputs.gather(1, piece.of(estimate.taken)[:, None])[:, 0]
+                error = (values - piece.of(targets)) ** 2
+                if config.value_clip is not None:
+                    error = error.clamp(max=config.value_clip)
+                loss = (error * piece.weight).sum(1)
+                loss.sum().backward()
+                loss_sum += loss.detach()
+            self.optimiser.step(active)
+            steps += active
+        mean_loss = loss_sum / torch.from_numpy(steps).to(loss_sum).clamp(min=1)
+        by_network = mean_loss.double().cpu().numpy().reshape(layout.replicas, -1)
+        return {
+            "loss": by_network.mean(axis=1),
+            "explained_variance": explained_variance(estimate, layout.replicas),
+        }
+
+    def _generators(self, iteration: int) -> list[np.random.Generator]:
+        networks = range(self.layout.grouping.num_policies)
+        return [generator(seed, "critic minibatch", k, iteration) for seed in self.seeds for k in networks]
+
+    def absorb(self, trajectory: Trajectory) -> None:
+        """Add an iteration's inputs to the normaliser's statistics."""
+        if self.config.normalise_observations:
+            seen = self.layout.rows(self.view.seen(Scene.of_steps(trajectory)))
+            selected = self.layout.selection(presence(trajectory.alive[:-1], self.view))
+            self.networks.input_moments.include(seen, torch.from_numpy(selected).to(self.layout.device))
+
+    def anneal(self, share: float) -> None:
+        """Set the learning rate to `share` of its base."""
+        self.optimiser.anneal(share)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, normalisers and the optimiser."""
+        return {"networks": self.networks.state_dict(), "optimiser": self.optimiser.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        self.networks.load_state_dict(state["networks"])
+        self.optimiser.load_state_dict(state["optimiser"])
+
+
+def explained_variance(estimate: Estimate, replicas: int) -> NDArray[np.float64]:
+    """1 - Var(returns - values) / Var(returns) of each replica, (R,); NaN where returns do not vary."""
+    result = np.full(replicas, np.nan)
+    steps, copies, viewpoints = estimate.present.shape
+    shape = (steps, replicas, copies // replicas, viewpoints)
+    for r in range(replicas):
+        here = estimate.present.reshape(shape)[:, r]
+        target = estimate.returns.reshape(shape)[:, r][here]
+        value = estimate.values.reshape(shape)[:, r][here]
+        if target.size and target.var() > 0:
+            result[r] = 1 - (target - value).var() / target.var()
+    return result
