@@ -48,6 +48,9 @@ class AlgoConfig:
     its advantages by what those before it have changed (needs `policies: independent`)."""
     policies: Literal["independent", "shared", "groups"] = "independent"
     """One policy an agent, one for all, or one for each group the environment names."""
+    shared_until: float = 0.0
+    """Share of training during which independent or group policies are one, learned from all experience; then
+    each goes on from it by itself. 0: never."""
     model: ModelConfig = field(default_factory=ModelConfig)
     critic_actions: Literal["none", "others"] = "none"
     """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""
@@ -109,6 +112,13 @@ class AlgoConfig:
     effect on results beyond rounding."""
 
     def __post_init__(self) -> None:
+        _require(0 <= self.shared_until < 1, "shared_until must lie in [0, 1)")
+        parting = self.shared_until > 0
+        _require(not parting or self.policies != "shared", "shared_until is for policies that are not shared")
+        _require(
+            not parting or self.order == "simultaneous",
+            "shared_until must be 0 where agents are updated one after another",
+        )
         _require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
         _require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
         _require(self.lr > 0, "lr must be above 0")

@@ -10,8 +10,9 @@ from headway_algos.recipes import coma, custom, happo, hatrpo, ia2c, ippo, itrpo
 
 def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
     from headway_algos.learner import OnPolicyLearner
+    from headway_algos.parting import PartingLearner
 
-    return OnPolicyLearner(config, spec, seeds, device)
+    return (PartingLearner if config.shared_until > 0 else OnPolicyLearner)(config, spec, seeds, device)
 
 
 _AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}

@@ -215,7 +215,7 @@ class Naive:
         if self.config.critic == "local":
             return each[n].astype(np.float64)
         # Whose values differ, though one network gives them all, are shown who they are by what they see.
-        own = [each[n]] if self.config.policies != "independent" and not self.team else []
+        own = [each[n]] if not self.team else []
         if self.spec.state_size:
             state: Array = (made.final_states[t, c] if over.all() else made.states[at, c]).astype(np.float64)
             return np.concatenate([state, *own])

@@ -130,7 +130,7 @@ class Loops:
         p = self.r * (1 if self.one_network else self.policies) + k
         counterfactual = self.config.critic == "counterfactual"
         seen = list(moment.state) if self.spec.state_size else list(moment.observations.ravel())
-        if counterfactual or (not self.spec.shared_reward and self.config.policies != "independent"):
+        if counterfactual or not self.spec.shared_reward:
             seen += list(moment.observations[n])
         row = np.array(seen)
         if self.config.normalise_observations:

@@ -139,17 +139,23 @@ def test_agents_of_one_policy_with_rewards_of_their_own_have_values_of_their_own
     assert (np.abs(values[:, :, 1] - values[:, :, 0]) > 1e-6).all()
 
 
-@pytest.mark.parametrize(
-    ("policies", "spec"), [("independent", STATE), ("shared", TEAM), ("groups", TEAM), ("independent", TEAM)]
-)
-def test_where_nobody_needs_telling_apart_a_central_critic_sees_the_state_alone(
-    fabricate: Fabricate,
-    policies: Literal["independent", "shared", "groups"],
-    spec: EnvSpec,
+@pytest.mark.parametrize("policies", ["shared", "groups", "independent"])
+def test_a_team_s_central_critic_sees_the_state_alone(
+    fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
 ) -> None:
     config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
-    learner = OnPolicyLearner(config, spec, (1,), "cpu")
-    made = fabricate(spec, 5, 2, seed=0, absent=0.2)
+    learner = OnPolicyLearner(config, TEAM, (1,), "cpu")
+    made = fabricate(TEAM, 5, 2, seed=0, absent=0.2)
+    np.testing.assert_array_equal(_inputs(learner, made), made.states[:-1, :, None])
+
+
+@pytest.mark.parametrize("policies", ["shared", "groups", "independent"])
+def test_with_rewards_of_their_own_the_own_observation_follows_the_state(
+    fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
+) -> None:
+    config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
+    learner = OnPolicyLearner(config, STATE, (1,), "cpu")
+    made = fabricate(STATE, 5, 2, seed=0)
     inputs = _inputs(learner, made)
-    assert inputs.shape[2] == (1 if spec.shared_reward else 4)
-    np.testing.assert_array_equal(inputs, np.repeat(made.states[:-1, :, None], inputs.shape[2], axis=2))
+    np.testing.assert_array_equal(inputs[..., :5], np.repeat(made.states[:-1, :, None], 4, axis=2))
+    np.testing.assert_array_equal(inputs[..., 5:], made.observations[:-1])

@@ -60,8 +60,8 @@ class CentralView:
     """V(s): the global state, or all observations in a row where the environment gives none.
 
     For a shared team reward there is one critic a replica, with one viewpoint. Otherwise there is one a
-    policy, seen from every agent; where agents share a policy, each one's own observation follows the
-    state, without which its value would be that of all (the agent-specific global state of Yu et al. 2022,
+    policy, seen from every agent: each one's own observation follows the state, since a state of totals does
+    not say whose value is asked for (the agent-specific global state of Yu et al. 2022,
     arXiv:2103.01955). With `critic_actions: others` the actions of the others follow, V(s, u^-a), which
     differ from agent to agent, so that a team's critic too has every agent's viewpoint.
     """
@@ -73,7 +73,7 @@ class CentralView:
         self.viewpoints = 1 if self.whole else spec.num_agents
         self.grouping = Grouping(np.arange(self.viewpoints)[None]) if self.team else grouping
         self.has_state = spec.state_size > 0
-        self.own_observation = not self.team and grouping.width > 1
+        self.own_observation = not self.team
         self.seen_size = _state_size(spec) + (spec.observation_size if self.own_observation else 0)
         self.indicator_size = spec.num_agents * actor_outputs(spec) if self.asks_actions else 0
 
