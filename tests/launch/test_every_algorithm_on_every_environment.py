@@ -1,0 +1,150 @@
+"""Every registered algorithm trains on every registered environment, or says in one line why it does not."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from headway.configuration import build
+from headway.contracts import AlgoEntry, Box, EnvEntry, EnvSpec
+from headway.registry import algo_entries, algo_entry, env_entries, env_entry
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.serial import SerialCollector
+
+ITERATIONS, SEEDS, COPIES = 2, (3, 8), 2
+SMALL: Mapping[str, Any] = {"model": {"hidden": [8]}, "epochs": 2, "minibatches": 2, "kl_bound": 0.1}
+"""Settings of whatever algorithm has such keys."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """An environment, made small."""
+
+    env: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 12
+    """T: more than an episode of the toys, so that ends are learned from, too."""
+
+
+SPREAD = {"N": 2, "max_cycles": 8}
+TASKS = {
+    **{name: Task(name) for name in env_entries()},
+    "bus": Task("bus", steps=30),  # the first buses have left the depot and reached stops
+    "tracking": Task("tracking", {"steps": 8}),
+    "trivial": Task("trivial", {"agents": 3, "steps": 8}),
+    "spread": Task("mpe2.simple_spread_v3", SPREAD),
+    "spread, Box": Task("mpe2.simple_spread_v3", {**SPREAD, "continuous_actions": True}),
+}
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A task's environment."""
+
+    entry: EnvEntry
+    shared: Any
+    spec: EnvSpec
+
+
+@cache
+def prepared(task: str) -> Prepared:
+    entry = env_entry(TASKS[task].env)
+    shared = entry.prepare(build(entry.config, TASKS[task].arguments))
+    env = entry.make(shared, 1)
+    env.close()
+    return Prepared(entry, shared, env.spec)
+
+
+def configured(algorithm: str, policies: str) -> Any:  # noqa: ANN401 - the entry's record
+    record = algo_entry(algorithm).config
+    keys = {field.name for field in fields(record)}
+    wanted = {**SMALL, "name": algorithm, "policies": policies}
+    return build(record, {key: value for key, value in wanted.items() if key in keys})
+
+
+def refused(algorithm: str, policies: str, spec: EnvSpec) -> bool:
+    """The table of who cannot run where, written down a second time."""
+    return (
+        (algorithm == "coma" and isinstance(spec.action_space, Box))
+        or (algorithm in ("happo", "hatrpo") and policies != "independent")
+        or (policies == "groups" and not spec.groups)
+    )
+
+
+def followed(policies: str, spec: EnvSpec) -> NDArray[np.int64]:
+    """(N,): which of K policies each agent follows."""
+    if policies == "groups":
+        return np.unique(spec.groups, return_inverse=True)[1]
+    return np.arange(spec.num_agents) * (policies == "independent")
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What some iterations did to the policies of R seeds."""
+
+    before: Mapping[str, NDArray[Any]]
+    after: Mapping[str, NDArray[Any]]
+    metrics: Mapping[str, NDArray[np.float64]]
+    """Of the last iteration."""
+    acted: NDArray[np.bool_]
+    """(R, N): the agent used an action."""
+
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """(P,): a network is not what it was. Normalisers follow whatever is observed, and do not count."""
+        names = [name for name in self.before if not name.startswith("observation_")]
+        moves = [self.before[name] != self.after[name] for name in names]
+        return np.any([move.reshape(len(move), -1).any(axis=1) for move in moves], axis=0)
+
+
+def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
+    found, steps = prepared(task), TASKS[task].steps
+    policy = entry.acting_policy(config, found.spec)
+    plan = RolloutPlan(found.entry.make, (), found.shared, found.spec, policy, SEEDS, COPIES, steps, COPIES)
+    learner, collector = entry.learner(config, found.spec, SEEDS, "cpu"), SerialCollector(plan)
+    collector.begin()
+    before = {name: array.copy() for name, array in learner.acting_parameters().items()}
+    acted = np.zeros((len(SEEDS), found.spec.num_agents), dtype=np.bool_)
+    for iteration in range(ITERATIONS):
+        collector.collect(iteration + 1, learner.acting_parameters())
+        by_copy = collector.trajectory.acting.any(axis=0)
+        acted |= by_copy.reshape(len(SEEDS), COPIES, -1).any(axis=1)
+        metrics = learner.update(collector.trajectory, iteration + 1, iteration / ITERATIONS)
+    collector.close()
+    return Trained(before, learner.acting_parameters(), metrics, acted)
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("algorithm", algo_entries())
+@pytest.mark.parametrize("task", TASKS)
+def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> None:
+    """Every policy whose agents acted moves; the trust region may keep some where they were, but not all."""
+    spec, entry, config = prepared(task).spec, algo_entry(algorithm), configured(algorithm, policies)
+    reason = entry.refuses(config, spec)
+    assert (reason is not None) == refused(algorithm, policies, spec), reason
+    if reason is not None:
+        assert "\n" not in reason
+        ungrouped = policies == "groups" and reason.startswith(f"{spec.name} names no groups")
+        assert reason.startswith(f"{algorithm} ") or ungrouped
+        return
+    result = trained(task, entry, config)
+    assert all(np.isfinite(array).all() for array in result.after.values())
+    assert all(value.shape == (len(SEEDS),) for value in result.metrics.values())
+    assert all(np.isfinite(value).all() for value in result.metrics.values())
+    moved, own = result.moved.reshape(len(SEEDS), -1), followed(policies, spec)
+    assert result.acted.any(axis=1).all()
+    if getattr(config, "update", "") == "trpo":
+        assert moved.any(axis=1).all()
+    else:
+        assert moved[:, own][result.acted].all()
+
+
+def test_both_kinds_of_action_and_of_presence_are_among_the_tasks() -> None:
+    specs = [prepared(task).spec for task in TASKS]
+    assert {type(spec.action_space).__name__ for spec in specs} >= {"Discrete", "Box"}
+    for feature in ("agents_come_and_go", "has_action_mask", "shared_reward", "groups"):
+        assert {bool(getattr(spec, feature)) for spec in specs} == {True, False}
