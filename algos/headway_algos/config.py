@@ -50,7 +50,7 @@ class AlgoConfig:
     """One policy an agent, one for all, or one for each group the environment names."""
     shared_until: float = 0.0
     """Share of training during which independent or group policies are one, learned from all experience; then
-    each goes on from it by itself. 0: never."""
+    each goes on from it by itself, in the first iteration that begins after that. 0: never."""
     model: ModelConfig = field(default_factory=ModelConfig)
     critic_actions: Literal["none", "others"] = "none"
     """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""

@@ -62,6 +62,7 @@ class OnPolicyLearner:
         self.policy_update.anneal(share)
         self.critic.anneal(share)
         estimate = self.critic.estimate(trajectory, self.behaviour, iteration)
+        self._refuse_blind_critic(estimate.advantages, iteration)
         info = self._improve_policies(trajectory, estimate.advantages, iteration)
         judged = self.critic.fit(estimate, iteration)
         self._absorb(trajectory)
@@ -115,6 +116,17 @@ class OnPolicyLearner:
                     f"finite after iteration {iteration}; lower algo.lr and algo.critic_lr, or bound the "
                     "gradients by algo.grad_clip"
                 )
+
+    def _refuse_blind_critic(self, advantages: NDArray[np.float64], iteration: int) -> None:
+        """Raise HeadwayError where advantages (T, C, W) are not finite: a trust region would stay put on
+        them, and training go on for nothing."""
+        broken = np.argwhere(~np.isfinite(advantages))
+        if len(broken):
+            seed = self.seeds[broken[:, 1].min() * len(self.seeds) // advantages.shape[1]]
+            raise HeadwayError(
+                f"{self.config.name} diverged: the critic of seed {seed} gives values that are not finite at "
+                f"iteration {iteration}; lower algo.critic_lr, or bound the gradients by algo.grad_clip"
+            )
 
     def _generators(self, purpose: str, iteration: int) -> list[np.random.Generator]:
         policies = range(self.grouping.num_policies)

@@ -43,8 +43,8 @@ class RewardConfig:
     """True: every slot, at the depot too, is paid the team mean, so that the return of a day cannot be raised
     by staying out longer. False: each its own, 0 at the depot."""
     follower_share: float = 0.0
-    """Without `shared`: share of the bus behind in a bus's own c, since holding moves both spacings; 0: a bus
-    answers for the spacing ahead of it alone."""
+    """Without `shared`: a bus is also paid, for each bus that follows it next, this share of the other's c
+    less its own, since holding moves both spacings; 0: it answers for the spacing ahead of it alone."""
     foresee_upkeep: bool = False
     """True: what low fuel and wear are still to cost until the next time at the depot is charged as it
     becomes due and refunded by service: a potential (Ng, Harada and Russell 1999, undiscounted), which adds

@@ -63,12 +63,6 @@ def _schedule_holding(prepared: "Prepared") -> Rule:
     return ScheduleHolding()
 
 
-def _random(prepared: "Prepared") -> Rule:
-    from headway_envs.bus.rules import Random
-
-    return Random()
-
-
 ENTRY = EnvEntry(
     summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",
     config=BusConfig,
@@ -82,7 +76,6 @@ ENTRY = EnvEntry(
         "headway_holding_0.9": _holding_09,
         "even_headway": _even_headway,
         "schedule_holding": _schedule_holding,
-        "random": _random,
     },
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),
 )

@@ -1,4 +1,4 @@
-"""Classical controllers. All but `random` and `always_move` also send buses to the service centre in time, as
+"""Classical controllers. All but `always_move` also send buses to the service centre in time, as
 a dispatcher would (see `_due_for_service`); they read the environment's arrays, the estimated arrival of the
 bus included."""
 
@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed, generator
+from headway.contracts import BatchedEnv, Observed
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import (
     DRIVING,
@@ -24,6 +24,10 @@ from headway_envs.bus.kernel.layout import (
 Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
 """A bus is refuelled while it can still drive this many times what it is needed for."""
+NEAR_S = 60.0
+"""A terminal is near a service centre if the way there is at most this much longer than the shortest."""
+WORTH_REPAIR = 0.5
+"""A worn bus goes if it would drive more than this share of what is left for it below the warning."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,9 @@ def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
 
     A dispatcher knows what a bus has still to drive before it is back at the depot, and which terminal of its
     line has the shortest way to a service centre. There it goes when its fuel does not last to the depot
-    nor, with a margin, until it comes by again (its longest trips there and back), or when its uptime would
-    fall below the warning meanwhile; at other terminals only if the fuel does not last for one more trip."""
+    nor, with a margin, until it comes by again (its longest trips there and back), or when its uptime falls
+    below the warning meanwhile and long enough before the depot (`WORTH_REPAIR`); at other terminals only if
+    the fuel does not last for one more trip."""
     net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
     ends = net.pattern_calls[1:] - 1
     longest, way = np.zeros(len(net.line_slots) - 1), np.zeros(len(net.line_slots) - 1)
@@ -99,9 +104,9 @@ def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     to_drive = net.trip_work_left[slots["trip"]]
     fuel_range = slots["fuel"] * upkeep.seconds_per_fuel_unit / FUEL_MARGIN
     wear_range = (slots["uptime"] - upkeep.warning) * upkeep.uptime_hours * 3600.0
-    near = net.detour[slots["call"]] <= line_way + 60.0
+    near = net.detour[slots["call"]] <= line_way + NEAR_S
     soon = fuel_range < np.minimum(np.where(near, 2.0, 1.0) * trip, to_drive)
-    worn = near & (wear_range < np.minimum(2.0 * trip, 0.5 * to_drive))
+    worn = near & (wear_range < np.minimum(2.0 * trip, (1.0 - WORTH_REPAIR) * to_drive))
     return np.asarray(soon | worn)
 
 
@@ -168,17 +173,3 @@ class ScheduleHolding:
         scene = look(env)
         early = scene.on_way & (scene.event < scene.planned)
         return _actions(scene, early | _early(scene))
-
-
-class Random:
-    """Any allowed action with equal chance."""
-
-    def __init__(self) -> None:
-        self._generator = generator(0, "bus random rule")
-
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
-        shape = observed.alive.shape
-        assert observed.action_masks is not None
-        choices = observed.action_masks.sum(axis=-1)
-        # Only the last action is ever masked.
-        return np.asarray(self._generator.random(shape) * choices, dtype=np.int64)
