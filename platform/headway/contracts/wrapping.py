@@ -53,5 +53,7 @@ class WrapperEntry:
     only_rewards: bool = False
     """It changes nothing but rewards, to make learning easier: it is there while learning only, and what is
     evaluated and reported is paid by the environment's own."""
+    skips_steps: bool = False
+    """Several steps pass in one of its own, and infos keep `acting` of the last of them only."""
     changes_actions: bool = False
     """An action means something else after it: an environment's own rules cannot play behind it."""

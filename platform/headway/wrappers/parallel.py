@@ -57,7 +57,7 @@ def wrapped_parallel_env(
                 f"{who} loses {', '.join(sorted(lost))} from the infos of {name}, which says so who is there "
                 "and what is allowed; leave it out"
             )
-        if wrapper.name == "frame_skip_v0" and carried & {"alive", "acting"}:
+        if wrapper.entry.skips_steps and carried & {"alive", "acting"}:
             raise HeadwayError(
                 f"{who} keeps `acting` of the last of its steps only, and the agents of {name} do not act at "
                 "every step; leave it out"

@@ -51,6 +51,7 @@ _SUMMARIES = {
     "sticky_actions_v0": "the action before is repeated with some probability",
 }
 _ONLY_REWARDS = ("clip_reward_v0",)
+_SKIP_STEPS = ("frame_skip_v0",)
 _CHANGE_ACTIONS = ("scale_actions_v0", "pad_action_space_v0")
 Batched = tuple[type, Callable[[Any, Any], Any]]
 _BATCHED: Mapping[str, Batched] = {
@@ -106,6 +107,7 @@ def _entry(name: str) -> WrapperEntry:
         wrap=partial(_wrap, name),
         batched=batched,
         only_rewards=name in _ONLY_REWARDS,
+        skips_steps=name in _SKIP_STEPS,
         changes_actions=name in _CHANGE_ACTIONS,
     )
 

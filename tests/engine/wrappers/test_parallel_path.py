@@ -2,6 +2,8 @@
 
 import pickle
 from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from headway.wrappers import parallel
 from headway.wrappers.black_death import BlackDeath
 from headway.wrappers.listed import ListedWrapper, listed_wrappers
 from headway.wrappers.observations import NoArguments
+from headway.wrappers.supersuit import supersuit_entries
 from headway.wrappers.wrapping import make_wrapped, wrapped_entry
 from headway_envs.entries import ENTRIES
 
@@ -178,14 +181,28 @@ def test_a_wrapper_that_does_not_fit_is_named_before_anything_starts(
         prepared(name, ENTRIES[name], [wrapper])
 
 
+@pytest.mark.parametrize("skips", [True, False])
+def test_a_wrapper_that_skips_steps_is_refused_where_agents_do_not_act_at_all_of_them(
+    skips: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever it is called, and whoever wrote it."""
+    entry = replace(losing("nothing"), skips_steps=skips)
+    monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)
+    wrapped = wrapped_entry("bus", ENTRIES["bus"], [ListedWrapper("twice_v0", entry, NoArguments(), "[0]")])
+    with pytest.raises(HeadwayError, match="twice_v0 keeps `acting`") if skips else nullcontext():
+        wrapped.prepare(ENTRIES["bus"].config())
+
+
+def test_what_skips_steps_in_supersuit_is_known() -> None:
+    assert [name for name, entry in supersuit_entries().items() if entry.skips_steps] == ["frame_skip_v0"]
+
+
 def test_the_second_wrapper_is_named_where_the_second_fails() -> None:
     with pytest.raises(HeadwayError, match=r"env.wrappers\[1\]: color_reduction_v0 cannot wrap bus"):
         prepared("bus", ENTRIES["bus"], [DELAY, "color_reduction_v0"])
 
 
 def test_an_environment_without_a_parallel_env_takes_twins_only() -> None:
-    from dataclasses import replace
-
     entry = replace(ENTRIES["matrix"], parallel_env=None)
     assert prepared("matrix", entry, ["agent_indicator_v0"]).batch(2).spec.observation_size == 4
     with pytest.raises(
