@@ -1,1 +1,1 @@
-"""Environments of other libraries as batches of copies, and the check that no live number is NaN."""
+"""Environments of other libraries as batches of copies, and what every environment must keep to."""
