@@ -1,29 +1,27 @@
-"""What the lines of `headway plot` are called."""
+"""The rules in the pictures of `headway plot`."""
 
-from dataclasses import replace
+import json
 from pathlib import Path
 
-from headway.store import RunIndex, RunRecord
-from headway.store.folder import Process, create_run_folder, now
-from headway_launch.commands.plot import _labelled, _near
+import pytest
+from matplotlib.figure import Figure
+
+from headway_launch.commands.plot import _draw_rules, _near
 
 
-def _run(root: Path, policies: str, **parameters: str) -> None:
-    run_id, directory = create_run_folder(root, "study", "cell", 0)
-    record = RunRecord(run_id, "study", "bus", "ippo", 0, 10, now(), Process.current(), "FINISHED", policies)
-    replace(record, parameters={"env.id": "bus", **parameters}).write(directory)
-
-
-def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None:
-    for rate in ("0.001", "0.01"):
-        _run(tmp_path, "shared", **{"algo.lr": rate})
-    _run(tmp_path, "independent", **{"algo.lr": "0.001"})
-    labels = [label for label, _ in _labelled([[row] for row in RunIndex(tmp_path).rows()])]
-    assert sorted(labels) == [
-        "ippo, independent, bus",
-        "ippo, shared, bus, algo.lr 0.001",
-        "ippo, shared, bus, algo.lr 0.01",
-    ]
+@pytest.mark.parametrize(
+    ("metric", "drawn"),
+    [("evaluation_greedy/return", True), ("evaluation_sampled/return", True), ("training/return", False)],
+)
+def test_rules_stand_beside_what_was_played_on_their_days(metric: str, drawn: bool, tmp_path: Path) -> None:
+    """Training is paid by what is learned from, whose reward may be another."""
+    days = [{"episode_seed": 0, "return": 3.0}]
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "cell.rules.json").write_text(json.dumps({"optimal": days}))
+    axes = Figure().add_subplot()
+    axes.plot([0, 1], [2.0, 4.0])
+    _draw_rules(axes, tmp_path, "study", metric, days=1)
+    assert (len(axes.lines) == 2) is drawn
 
 
 def test_a_rule_far_away_does_not_flatten_the_picture() -> None:

@@ -1,4 +1,4 @@
-"""Which runs of a study count, and what is told of the others."""
+"""Which runs of a study count, what is told of the others, and what its cells are called."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,15 +6,17 @@ from pathlib import Path
 import pytest
 
 from headway.contracts.errors import HeadwayError
-from headway.store import RunRecord, Status
+from headway.store import RunIndex, RunRecord, Status
 from headway.store.folder import Process, create_run_folder, now
-from headway_launch.study import finished_runs
+from headway_launch.study import finished_runs, labelled_cells
 
 
-def keep_run(root: Path, seed: int, status: Status, started: str = "", **parameters: str) -> str:
+def keep_run(
+    root: Path, seed: int, status: Status, started: str = "", policies: str = "", **parameters: str
+) -> str:
     run_id, directory = create_run_folder(root, "bus", "cell", seed)
     elsewhere = replace(Process.current(), host="elsewhere")  # it may live
-    record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started or now(), elsewhere, status)
+    record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started or now(), elsewhere, status, policies)
     replace(record, parameters=parameters).write(directory)
     return run_id
 
@@ -54,3 +56,17 @@ def test_a_study_without_finished_runs_says_what_it_has(tmp_path: Path) -> None:
         finished_runs(tmp_path, "bus")
     with pytest.raises(HeadwayError, match=r"no study 'bsu' .*did you mean bus\?"):
         finished_runs(tmp_path, "bsu")
+
+
+def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None:
+    for seed, rate in ((0, "0.001"), (1, "0.001"), (0, "0.01")):
+        keep_run(tmp_path, seed, "FINISHED", policies="shared", **{"algo.lr": rate})
+    keep_run(tmp_path, 0, "FINISHED", policies="shared")
+    keep_run(tmp_path, 0, "FINISHED", policies="independent", **{"algo.lr": "0.001"})
+    cells = labelled_cells(RunIndex(tmp_path).rows())
+    assert {label: sorted(run.seed for run in members) for label, members in cells.items()} == {
+        "ippo, independent, bus": [0],
+        "ippo, shared, bus, algo.lr 0.001": [0, 1],
+        "ippo, shared, bus, algo.lr 0.01": [0],
+        "ippo, shared, bus, without algo.lr": [0],
+    }

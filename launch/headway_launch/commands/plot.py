@@ -2,15 +2,14 @@
 
 import argparse
 import json
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.study import finished_runs
+from headway_launch.study import finished_runs, labelled_cells
 from headway_launch.tables import shown
 
 if TYPE_CHECKING:
@@ -28,8 +27,8 @@ examples:
   headway plot bus --low 0                         cut the vertical axis below 0
 
 One line a cell (algorithm, policies, environment and the settings that tell cells apart): the mean
-over its finished seeds with the 95% interval of that mean (Student's t); dashed lines are the rules on
-the same days, but for one so far away that nothing else could be seen.
+over its finished seeds with the 95% interval of that mean (Student's t); dashed lines beside a
+metric of evaluation are the rules on the same days, but for one so far away that nothing else could be seen.
 """
 
 
@@ -47,16 +46,13 @@ def execute(arguments: argparse.Namespace) -> int:
     root = existing_store(arguments.store)
     runs = finished_runs(root, arguments.study)
     output = Path(arguments.output or f"{arguments.study}.png")
-    cells: dict[str, list[RunRow]] = defaultdict(list)
-    for run in runs:
-        cells[run.cell].append(run)
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(10, 4.5), dpi=150, layout="constrained")
-    for label, members in sorted(_labelled(cells.values()), key=lambda cell: cell[0]):
+    for label, members in labelled_cells(runs).items():
         _draw_cell(axes, label, members, arguments.metric)
     _draw_rules(axes, root, arguments.study, arguments.metric, _days(runs[0]))
     if arguments.low is not None:
@@ -73,32 +69,6 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
     print(output)
     return 0
-
-
-def _labelled(cells: Iterable[Sequence["RunRow"]]) -> list[tuple[str, Sequence["RunRow"]]]:
-    """Cells with what they are called: what they are and, where that is the same, how they were set."""
-    alike: dict[str, list[Sequence[RunRow]]] = defaultdict(list)
-    for members in cells:
-        first = members[0]
-        alike[f"{first.algorithm}, {first.policies}, {first.environment}"].append(members)
-    return [
-        (", ".join((name, *settings)), members)
-        for name, group in alike.items()
-        for settings, members in zip(_differing([_parameters(cell[0]) for cell in group]), group, strict=True)
-    ]
-
-
-def _parameters(run: "RunRow") -> Mapping[str, str]:
-    from headway.store import RunRecord
-
-    return RunRecord.read(Path(run.directory)).parameters
-
-
-def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Of each cell, `name value` of the parameters that are not the same in all."""
-    names = list(dict.fromkeys(name for cell in cells for name in cell))
-    differing = [name for name in names if len({cell.get(name) for cell in cells}) > 1]
-    return [[f"{name} {cell.get(name)}" for name in differing] for cell in cells]
 
 
 def _curve(run: "RunRow", metric: str) -> Mapping[int, float]:
@@ -138,10 +108,13 @@ def _days(run: "RunRow") -> int:
 
 
 def _draw_rules(axes: "Axes", root: Path, study: str, metric: str, days: int) -> None:
-    """A dashed line a rule, over the days of the curves, where the metric is one of an episode's columns."""
+    """A dashed line a rule, over the days of the curves, where the metric is an evaluation's: other curves
+    are of other days, and perhaps of another reward."""
     from headway.store.folder import rules_files
 
-    column = metric.rsplit("/", 1)[-1]
+    group, _, column = metric.rpartition("/")
+    if not group.startswith("evaluation_"):
+        return
     drawn: dict[str, float] = {}
     for path in rules_files(root, study):
         for rule, rows in json.loads(path.read_text()).items():
