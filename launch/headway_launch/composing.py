@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from headway.config import ExperimentConfig
-from headway.configuration import build, nearest, parse_seeds, refuse_targets, suggestion
+from headway.configuration import build, nearest, parse_seeds, plain, refuse_targets, suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.environments import chosen_env, notices_of
-from headway.registry import algo_entries, algo_entry, env_entries
+from headway.registry import algo_entries, algo_entry, env_entries, is_module_path, wrapper_entry
 from headway_launch.telling import tell
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
@@ -24,6 +24,8 @@ _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 class PreparedEnv:
     """An experiment's environment, ready to be made."""
 
+    entry: EnvEntry
+    """What makes it; its rules."""
     prepared: Any
     """What all copies share of the one that is reported on."""
     training: Any
@@ -55,6 +57,18 @@ class Experiment:
         return str(self.config.algo["name"])
 
     @property
+    def reported_on(self) -> Mapping[str, Any]:
+        """What evaluation, rules and every figure are of: the environment, its arguments, what its adapter is
+        told and the wrappers that do more than change rewards."""
+        wrappers = [
+            wrapper
+            for wrapper in self.env_mapping.get("wrappers", ())
+            if not wrapper_entry(wrapper["name"]).only_rewards
+        ]
+        args = plain(self.env_config)
+        return {**self.env_mapping, "id": self.config.env.id, "args": args, "wrappers": wrappers}
+
+    @property
     def rules(self) -> tuple[str, ...]:
         """Rules of the environment that are evaluated beside the learner."""
         chosen = self.config.evaluation.rules
@@ -84,12 +98,15 @@ class Experiment:
                     "measured by; set such arguments by env.args"
                 )
         for rule in self.rules:
-            self.env.rules[rule](prepared)  # raises where its wrappers hide what it looks at
+            try:
+                self.env.rules[rule](prepared)
+            except HeadwayError as error:  # its wrappers hide what it looks at
+                raise HeadwayError(f"evaluation.rules: {error}") from error
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
             tell(f"headway: {line}")
         if reason := self.algo.refuses(self.algo_config, spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
-        return PreparedEnv(prepared, training, spec)
+        return PreparedEnv(self.env, prepared, training, spec)
 
     def _spec(self, prepared: object) -> EnvSpec:
         with closing(self.env.make(prepared, 1)) as env:
@@ -126,13 +143,15 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     algo = algo_entry(name)
     if any(field.name == "name" for field in fields(algo.config)):
         hyper_parameters["name"] = name
-    training_args = _merged(config.env.args, config.env.training_args)
+    training_args = _merged(config.env.args, config.env.training_args or {})
     return Experiment(
         config=config,
         env=env.entry,
         training_env=env.training_entry,
         env_config=build(env.entry.config, config.env.args, "env.args", config.env.id),
-        training_env_config=build(env.entry.config, training_args, "env.training_args", config.env.id),
+        training_env_config=build(
+            env.training_entry.config, training_args, "env.training_args", config.env.id
+        ),
         env_mapping=env.mapping,
         algo=algo,
         algo_config=build(algo.config, hyper_parameters, "algo", name),
@@ -193,7 +212,7 @@ def _prepared(override: str) -> str:
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
     """A registered environment or algorithm, and a module path, need no file of their own."""
-    if group == "env" and (option in env_entries() or "." in option):
+    if group == "env" and (option in env_entries() or is_module_path(option)):
         return f"++env={{id:{option}}}"
     if group == "algo" and option in algo_entries():
         return f"++algo={{name:{option}}}"

@@ -93,7 +93,7 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
         "env": {
             "id": config.env.id,
             "args": plain(experiment.env_config),
-            "training_args": plain(config.env.training_args),
+            "training_args": plain(config.env.training_args or {}),
             **experiment.env_mapping,
         },
         "algo": {**plain(experiment.algo_config), "name": experiment.algo_name},

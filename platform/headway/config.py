@@ -34,9 +34,10 @@ class EnvConfig:
     `mpe2.simple_spread_v3`."""
     args: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of that environment; its own record validates them."""
-    training_args: Mapping[str, Any] = field(default_factory=dict)
+    training_args: Mapping[str, Any] | None = None
     """Arguments laid over `args` while learning only: a reward that is easier to learn from, say.
-    Evaluation, rules and every figure reported are of `args`."""
+    null: none, a preset's neither (`{}` leaves those). Evaluation, rules and every figure reported are of
+    `args`; only the columns `training/...` of a curve are of what was learned from."""
     wrappers: tuple[Any, ...] = ()
     """Wrappers by name (see `headway list wrappers`), the innermost first: `[{name: frame_stack_v1,
     stack_size: 4}, clip_reward_v0]`. Those that only change rewards are there while learning only."""

@@ -1,11 +1,12 @@
 """From the keys `env.*` to an environment's entry with its wrappers."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from headway.config import EnvConfig
 from headway.contracts import EnvEntry, HeadwayError
-from headway.registry import env_entries, env_entry
+from headway.registry import env_entry, is_module_path
 
 _ADAPTERS = ("shared_reward", "agents_come_and_go", "max_copies_per_process")
 
@@ -17,7 +18,8 @@ class ChosenEnv:
     entry: EnvEntry
     """What is reported on: with all wrappers but those that only change rewards."""
     training_entry: EnvEntry
-    """What is learned from: with all wrappers. The same `make` serves both."""
+    """What is learned from: with all wrappers. The same `make` serves both. Where only the arguments given
+    tell what an environment takes, its `config` has those of `training_args`, too."""
     mapping: dict[str, Any]
     """What `env.*` has beside `id` and `args`, with every argument spelt out; keys that say nothing are left
     out."""
@@ -30,27 +32,30 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
     is not this environment's.
     """
     said = {key: value for key in _ADAPTERS if (value := getattr(config, key)) is not None}
-    is_module = "." in config.id and config.id not in env_entries()
+    is_module = is_module_path(config.id)
     if said and not is_module:
         raise HeadwayError(
             f"env.{next(iter(said))} is for PettingZoo environments by module; {config.id} says it itself"
         )
-    entry = _module_entry(config) if is_module else env_entry(config.id)
+    entry = training = _module_entry(config, config.args) if is_module else env_entry(config.id)
+    if is_module and config.training_args:
+        training = _module_entry(config, {**config.args, **config.training_args})
     if not config.wrappers:
-        return ChosenEnv(entry, entry, said)
+        return ChosenEnv(entry, training, said)
     from headway.wrappers.listed import listed_wrappers
     from headway.wrappers.wrapping import wrapped_entry
 
     wrappers = listed_wrappers(config.wrappers)
     listed = {"wrappers": [wrapper.mapping for wrapper in wrappers]}
-    training = reported = wrapped_entry(config.id, entry, wrappers)
-    if any(wrapper.entry.only_rewards for wrapper in wrappers):
-        lasting = [wrapper for wrapper in wrappers if not wrapper.entry.only_rewards]
-        reported = wrapped_entry(config.id, entry, lasting)
-    return ChosenEnv(reported, training, {**said, **listed})
+    lasting = [wrapper for wrapper in wrappers if not wrapper.entry.only_rewards]
+    reported = wrapped_entry(config.id, entry, lasting)
+    learned_from = reported
+    if training is not entry or len(lasting) < len(wrappers):
+        learned_from = wrapped_entry(config.id, training, wrappers)
+    return ChosenEnv(reported, learned_from, {**said, **listed})
 
 
-def _module_entry(config: EnvConfig) -> EnvEntry:
+def _module_entry(config: EnvConfig, arguments: Iterable[str]) -> EnvEntry:
     from headway.adapters.modules import module_entry
     from headway.adapters.parallel_entry import AdapterOptions
 
@@ -59,7 +64,7 @@ def _module_entry(config: EnvConfig) -> EnvEntry:
         agents_come_and_go=config.agents_come_and_go,
         max_copies_per_process=config.max_copies_per_process,
     )
-    return module_entry(config.id, options, {**config.args, **config.training_args})
+    return module_entry(config.id, options, arguments)
 
 
 def notices_of(prepared: object) -> tuple[str, ...]:

@@ -47,11 +47,16 @@ def env_entry(name: str) -> EnvEntry:
 
     Raises HeadwayError with the nearest name if there is none.
     """
-    if "." in name and name not in env_entries():
+    if is_module_path(name):
         from headway.adapters.modules import module_entry
 
         return module_entry(name)
     return _named(env_entries(), name, "environment")
+
+
+def is_module_path(name: str) -> bool:
+    """Whether it names an environment by its module: it has a dot and is registered by no package."""
+    return "." in name and name not in env_entries()
 
 
 def algo_entry(name: str) -> AlgoEntry:

@@ -107,6 +107,34 @@ def test_training_arguments_lie_over_those_that_are_reported_on() -> None:
     assert same.training is same.prepared
 
 
+@pytest.mark.parametrize("overrides", [("preset=bus_tuned",), ("env.training_args.reward.shared=false",)])
+def test_without_training_arguments_what_is_reported_on_is_learned_from(overrides: tuple[str, ...]) -> None:
+    """`null` takes away what a preset has, which `{}` cannot: mappings are laid over each other."""
+    words = ("env=bus", "algo=ippo", *overrides)
+    assert compose(words).config.env.training_args
+    assert compose([*words, "env.training_args={}"]).config.env.training_args
+    cleared = compose([*words, "env.training_args=null"])
+    assert cleared.training_env_config == cleared.env_config
+    stored = full_mapping(cleared, [0])
+    assert stored["env"]["training_args"] == {}
+    assert cell_parameters(resolve(stored)) == cell_parameters(cleared)
+
+
+def test_what_is_reported_on_leaves_out_what_only_learning_sees() -> None:
+    plain = compose(["env=trivial"])
+    for words in (
+        ["env.training_args.steps=9"],
+        ["env.wrappers=[clip_reward_v0]"],
+        ["algo=ippo", "rollout=short"],
+    ):
+        assert compose(["env=trivial", *words]).reported_on == plain.reported_on
+    spread = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3"]
+    assert compose([*spread, "env.max_copies_per_process=4"]).reported_on != compose(spread).reported_on
+    for words in (["env.args.steps=9"], ["env.wrappers=[clip_reward_v0, agent_indicator_v0]"]):
+        assert compose(["env=trivial", *words]).reported_on != plain.reported_on
+    assert compose(["env=matrix"]).reported_on != plain.reported_on
+
+
 def test_training_arguments_cannot_change_what_agents_observe() -> None:
     experiment = compose(["env=trivial", "env.training_args.agents=3"])
     with pytest.raises(HeadwayError, match=r"env\.training_args may change rewards and dynamics, not what"):

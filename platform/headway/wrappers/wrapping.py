@@ -173,8 +173,8 @@ def _behind(name: str, make: Callable[[Any], Rule]) -> Callable[[Wrapped], Rule]
         rule = make(wrapped.prepared)
         if not (wrapped.shows_native or isinstance(rule, RandomRule)):
             raise HeadwayError(
-                f"rule {name!r} of {wrapped.name} cannot look behind these wrappers; leave it out of "
-                "evaluation.rules, or leave out the wrappers without a batched form"
+                f"rule {name!r} of {wrapped.name} cannot look behind these wrappers; leave out the rule, or "
+                "the wrappers without a batched form"
             )
         return RuleBehindWrappers(rule, through_parallel_env=wrapped.parallel is not None)
 
