@@ -4,18 +4,50 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from headway.configuration import suggestion
+from headway.contracts.errors import HeadwayError
 from headway.events import LABELS, Row
 from headway_launch.tables import Cell, print_table
 from headway_launch.telling import tell
 
 if TYPE_CHECKING:
     from headway.stats import Interval
-    from headway_launch.composing import Experiment
+    from headway_launch.composing import Experiment, PreparedEnv
 
 _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
 """Training seeds from which a difference with an interval that excludes 0 is worth a claim."""
 _COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to", "interval")
+
+
+def rules_to_play(environment: "PreparedEnv", names: str | None) -> tuple[str, ...]:
+    """Rules of an environment by name: those of `--rules a,b`, or else all that can play it. Those that
+    cannot, because wrappers hide what they look at, are told in a line.
+
+    Raises HeadwayError for a name that is no rule, and for a rule that is named and cannot play.
+    """
+    known = environment.entry.rules
+    if names is not None:
+        wanted = tuple(name.strip() for name in names.split(",") if name.strip())
+        for name in wanted:
+            if name not in known:
+                raise HeadwayError(f"--rules: {name!r} is no rule here; {suggestion(name, known)}")
+            if problem := _why_not(environment, name):
+                raise HeadwayError(f"--rules: {problem}")
+        return wanted
+    problems = {name: problem for name in known if (problem := _why_not(environment, name))}
+    if problems:
+        others = f" (and so {', '.join(list(problems)[1:])})" if len(problems) > 1 else ""
+        tell(f"headway: left out: {next(iter(problems.values()))}{others}")
+    return tuple(name for name in known if name not in problems)
+
+
+def _why_not(environment: "PreparedEnv", rule: str) -> str | None:
+    try:
+        environment.entry.rules[rule](environment.prepared)
+    except HeadwayError as error:
+        return str(error)
+    return None
 
 
 def rule_episodes(

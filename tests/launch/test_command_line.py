@@ -1,12 +1,16 @@
 import json
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
+from headway.registry import env_entry
 from headway_launch.command_line import run
+from headway_launch.commands import compare, evaluate
 
 
 @pytest.mark.parametrize(
@@ -68,3 +72,11 @@ def test_debug_shows_the_traceback() -> None:
 def test_an_empty_store_has_no_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["runs", "--store", str(tmp_path), "--format", "json"]) == 0
     assert json.loads(capsys.readouterr().out) == []
+
+
+@pytest.mark.parametrize("command", [compare, evaluate], ids=["compare", "evaluate"])
+def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
+    named = re.findall(r"^ +headway .*--(?:rules|against) (\S+)", command.EXAMPLES, re.MULTILINE)
+    rules = {rule for names in named for rule in names.split(",")}
+    assert rules
+    assert rules <= set(env_entry("bus").rules)

@@ -1,7 +1,6 @@
 """`headway compare`: all cells of a study and the classical rules on the same days, with intervals."""
 
 import argparse
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ EXAMPLES = """\
 examples:
   headway compare bus --episodes 200
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
+  headway compare bus --rules always_move,headway_holding_0.9
 
 Every finished seed's newest policy plays the same days, and so does every rule. The differences are
 controller minus reference, paired day by day, with 95% intervals by Student's t: over days for a rule and
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=100, help="days (default: 100)")
     parser.add_argument("--seed", type=int, default=2_000_003, help="root of the days' seeds")
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
+    parser.add_argument("--rules", help="rules to play, with commas (default: all that can)")
     parser.add_argument("--against", help="a rule: the reference (default: the best one)")
     parser.add_argument(
         "--metrics", default="return", help="columns to compare, with commas (default: return)"
@@ -46,7 +47,13 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference, few_seeds, rule_episodes
+    from headway_launch.comparison import (
+        SEEDS_FOR_A_CLAIM,
+        difference,
+        few_seeds,
+        rule_episodes,
+        rules_to_play,
+    )
     from headway_launch.kernels import compile_kernels
     from headway_launch.tables import print_table
     from headway_launch.telling import tell
@@ -57,10 +64,12 @@ def execute(arguments: argparse.Namespace) -> int:
     cells = _cells(existing_store(arguments.store), arguments.study)
     experiment = next(iter(cells.values()))[0].experiment
     found = experiment.prepare()
-    names = tuple(experiment.env.rules)
+    names = rules_to_play(found, arguments.rules)
+    if not names:
+        raise HeadwayError("--rules names none; give one at least, such as --rules random")
     if arguments.against is not None and arguments.against not in names:
         raise HeadwayError(
-            f"--against: {arguments.against!r} is no rule; {suggestion(arguments.against, names)}"
+            f"--against: {arguments.against!r} is no rule played here; {suggestion(arguments.against, names)}"
         )
     compile_kernels(experiment.env)
     rules = rule_episodes(experiment, found.prepared, names, arguments.seed, arguments.episodes)
@@ -110,16 +119,17 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
-    """The finished runs of a study by label. Raises HeadwayError if there are none or environments differ."""
+    """The finished runs of a study by label. Raises HeadwayError if there are none or if what they are reported
+    on differs."""
     from headway_launch.stored import StoredRun
-    from headway_launch.study import finished_runs
+    from headway_launch.study import finished_runs, labelled_cells
 
-    cells: dict[str, list[StoredRun]] = defaultdict(list)
-    for row in finished_runs(root, study):
-        digest = row.cell.rsplit("-", 1)[1]
-        cells[f"{row.algorithm}, {row.policies} ({digest})"].append(StoredRun.find(root, row.run_id))
-    environments = {str(run.mapping["env"]) for members in cells.values() for run in members}
-    if len(environments) > 1:
+    cells = {
+        label: [StoredRun.find(root, row.run_id) for row in members]
+        for label, members in labelled_cells(finished_runs(root, study)).items()
+    }
+    first, *others = [members[0].experiment.reported_on for members in cells.values()]
+    if any(other != first for other in others):
         raise HeadwayError(f"study {study!r} holds several environments; compare a study that holds one")
     return cells
 

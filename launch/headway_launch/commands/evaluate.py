@@ -1,20 +1,15 @@
 """`headway evaluate`: a trained policy beside the classical rules, on the same days."""
 
 import argparse
-from typing import TYPE_CHECKING
 
-from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-
-if TYPE_CHECKING:
-    from headway_launch.composing import Experiment
 
 EXAMPLES = """\
 examples:
   headway evaluate s0-20260101-1200                any part of the name that only one run has
   headway evaluate RUN --episodes 100 --seed 5     other days
-  headway evaluate RUN --mode sampled --rules always_move,headway_holding
+  headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
 The differences are those of the return, policy minus rule, day by day, with 95% intervals over the days.
 """
@@ -28,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, help="root of the days' seeds (default: the run's evaluation.seed)"
     )
-    parser.add_argument("--rules", help="rules to play beside it, with commas (default: all there are)")
+    parser.add_argument("--rules", help="rules to play beside it, with commas (default: all that can)")
     add_store_argument(parser)
 
 
@@ -37,7 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway_launch.comparison import print_comparison, rule_episodes
+    from headway_launch.comparison import print_comparison, rule_episodes, rules_to_play
     from headway_launch.kernels import compile_kernels
     from headway_launch.stored import StoredRun
     from headway_launch.trained import newest_policy, policy_episodes
@@ -49,22 +44,11 @@ def execute(arguments: argparse.Namespace) -> int:
     root = evaluation.seed if arguments.seed is None else arguments.seed
     if episodes < 1 or root < 0:
         raise HeadwayError("--episodes must be at least 1 and --seed at least 0")
-    rules = _rules(arguments.rules, experiment)
     found = experiment.prepare()
+    rules = rules_to_play(found, arguments.rules)
     compile_kernels(experiment.env)
     policy = newest_policy(run, found)
     learned = policy_episodes(policy, root, episodes, greedy=arguments.mode == "greedy")
     played = rule_episodes(experiment, found.prepared, rules, root, episodes)
     print_comparison(f"{experiment.algo_name} {arguments.mode}", [learned], played)
     return 0
-
-
-def _rules(names: str | None, experiment: "Experiment") -> tuple[str, ...]:
-    known = experiment.env.rules
-    if names is None:
-        return tuple(known)
-    wanted = tuple(name.strip() for name in names.split(",") if name.strip())
-    for name in wanted:
-        if name not in known:
-            raise HeadwayError(f"--rules: {name!r} is no rule here; {suggestion(name, known)}")
-    return wanted
