@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
+from headway.rollout.fitting import require_fitting
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
 from headway.store.folder import CHECKPOINTS
@@ -29,17 +30,20 @@ class TrainedPolicy:
 
 
 def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
-    """The policies in the newest whole checkpoint of a run. Raises HeadwayError if it has none."""
+    """The policies in the newest whole checkpoint of a run, to be played in an environment: its own, or one
+    that is reported on alike. Raises HeadwayError if it has none, or was made where agents observed
+    otherwise."""
     iteration, state, notices = load_latest(run.directory / CHECKPOINTS)
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)
     experiment, rollout = run.experiment, run.experiment.config.rollout
     policy = experiment.algo.acting_policy(experiment.algo_config, environment.spec)
-    env, seeds = experiment.env, (run.record.seed,)
+    env, seeds, replicas = environment.entry, (run.record.seed,), len(run.stack)
+    require_fitting(state["acting"], policy, replicas, experiment.config.env.id, run.directory)
     plan = RolloutPlan.of(
         rollout, env.make, env.preload, environment.prepared, environment.spec, policy, seeds
     )
-    replica, replicas = run.stack.index(run.record.seed), len(run.stack)
+    replica = run.stack.index(run.record.seed)
     parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}
     return TrainedPolicy(plan, parameters, iteration)
 

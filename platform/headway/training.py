@@ -26,6 +26,7 @@ from headway.events import (
     Usage,
 )
 from headway.rollout.backends import open_collector
+from headway.rollout.fitting import require_fitting
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
 from headway.rollout.usage import OwnUsage
@@ -221,6 +222,9 @@ class _Training:
         iteration, state, notices = load_latest(*self.job.checkpoints)
         for line in notices:
             self.report(Notice(line))
+        job, policy = self.job, self.job.make_policy(self.job.algo_config, self.job.spec)
+        folder = Path(job.directories[0])
+        require_fitting(state["acting"], policy, len(job.seeds), self.config.env.id, folder)
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])

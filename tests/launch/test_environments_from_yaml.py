@@ -9,6 +9,7 @@ import yaml
 
 from headway.config import StoreConfig
 from headway.contracts import HeadwayError
+from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.folder import CHECKPOINTS
 from headway.store.index import RunIndex, RunRow
 from headway.store.log import read_curve
@@ -94,7 +95,7 @@ def test_rewards_are_changed_while_learning_and_reported_as_they_are(environment
 
 def test_a_rule_that_cannot_look_behind_wrappers_is_named_before_training() -> None:
     experiment = compose(["env=trivial", "env.wrappers=[{name: max_observation_v0, memory: 2}]"])
-    with pytest.raises(HeadwayError, match=r"rule 'optimal' of trivial cannot look .* evaluation\.rules, or"):
+    with pytest.raises(HeadwayError, match=r"^evaluation\.rules: rule 'optimal' of trivial cannot look"):
         experiment.prepare()
 
 
@@ -154,6 +155,19 @@ def test_what_the_adapter_is_told_is_stored_and_reaches_it() -> None:
     env = full_mapping(told, [0])["env"]
     assert env["shared_reward"] is True
     assert resolve(full_mapping(told, [0])).prepare().spec == spec
+
+
+def test_what_only_learning_is_given_is_asked_of_learning_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a factory whose signature tells nothing, the arguments that are given are all that is known."""
+    monkeypatch.setattr("headway.adapters.modules._described", lambda module, name: None)
+    for wrappers in ("[]", "[clip_reward_v0]"):
+        words = ("env.training_args.local_ratio=0.1", f"env.wrappers={wrappers}")
+        experiment = compose([*SPREAD, *words])
+        found = experiment.prepare()
+        given = [getattr(each, "prepared", each).arguments for each in (found.prepared, found.training)]
+        assert given == [{"N": 3}, {"N": 3, "local_ratio": 0.1}]
+        again = resolve(full_mapping(experiment, [0]))
+        assert cell_parameters(again) == cell_parameters(experiment)
 
 
 @pytest.mark.parametrize(
@@ -219,6 +233,88 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(capsys: pytest
     shown = capsys.readouterr().out
     assert "rule optimal" in shown
     assert "rule random" in shown
+
+
+def test_cells_that_differ_in_what_they_learn_from_are_compared(capsys: pytest.CaptureFixture[str]) -> None:
+    """By training arguments and by a wrapper of rewards, which makes another kind of environment."""
+    for words in (("env.wrappers=[clip_reward_v0]",), (), ("env.training_args.steps=9",)):
+        assert run(["run", "env=trivial", *TINY, "env.args.agents=2", *words]) == 0, capsys.readouterr().err
+    capsys.readouterr()
+    assert run(["compare", "default", "--episodes", "2"]) == 0, capsys.readouterr().err
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if "\t" in line]
+    cells = [row[1] for row in rows[1:] if not row[1].startswith("rule ")]
+    assert len(cells) == 3
+    assert any("env.training_args.steps 9" in cell for cell in cells)
+    assert sum("clip_reward_v0" in cell for cell in cells) == 1
+    assert run(["run", "env=trivial", *TINY, "env.args.agents=3"]) == 0
+    capsys.readouterr()
+    assert run(["compare", "default", "--episodes", "2"]) == 2
+    assert "holds several environments" in capsys.readouterr().err
+
+
+def test_rules_that_wrappers_hide_are_left_out_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hiding = "env.wrappers=[{name: max_observation_v0, memory: 2}]"
+    assert run(["run", "env=trivial", hiding, *TINY, "evaluation.rules=[random]"]) == 0
+    capsys.readouterr()
+    name = _runs()[0].run_id
+    for words in (["compare", "default"], ["evaluate", name]):
+        assert run([*words, "--episodes", "2"]) == 0, capsys.readouterr().err
+        told = capsys.readouterr()
+        assert "rule random" in told.out
+        assert "rule optimal" not in told.out
+        [line] = [line for line in told.err.splitlines() if "optimal" in line]
+        assert line.startswith("headway: left out: rule 'optimal' of trivial cannot look behind")
+
+    def play(*_: object) -> None:
+        raise AssertionError("it played before it knew the rules")
+
+    monkeypatch.setattr("headway_launch.trained.policy_episodes", play)
+    for words in (["compare", "default"], ["evaluate", name]):
+        assert run([*words, "--episodes", "2", "--rules", "random,optimal"]) == 2
+        line = capsys.readouterr().err.splitlines()[-1]
+        assert line.startswith("headway: --rules: rule 'optimal' of trivial cannot look behind")
+        assert "evaluation.rules" not in line
+
+
+def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["run", "env=trivial", *TINY]) == 0
+    capsys.readouterr()
+    assert run(["compare", "default", "--episodes", "2", "--rules", "random"]) == 0
+    shown = capsys.readouterr().out
+    assert "minus random" in shown
+    assert "optimal" not in shown
+    for words, line in (
+        (["--rules", "optimum"], "--rules: 'optimum' is no rule here; did you mean optimal?"),
+        (["--rules", ","], "--rules names none"),
+        (["--rules", "random", "--against", "optimal"], "--against: 'optimal' is no rule played here"),
+    ):
+        assert run(["compare", "default", "--episodes", "2", *words]) == 2
+        assert line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "compare", "resume"])
+def test_a_run_of_an_environment_that_observed_otherwise_is_one_line(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As if this version of the environment showed one number less."""
+    assert run(["run", "env=trivial", *TINY]) == 0
+    row = _runs()[0]
+    folder = Path(row.directory) / CHECKPOINTS
+    iteration, state, _ = load_latest(folder)
+    for name in ("observation_mean", "observation_scale"):
+        state["acting"][name] = np.repeat(state["acting"][name], 2, axis=-1)
+    save_checkpoint(folder, iteration, state)
+    if command == "resume":
+        record = Path(row.directory) / "run.json"
+        record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "KILLED"}))
+    capsys.readouterr()
+    assert run([command, "default" if command == "compare" else row.run_id]) == 2
+    told = capsys.readouterr().err
+    assert f"run {row.run_id} was made by a version of trivial with other observations" in told
+    assert "train it again" in told
+    assert "ValueError" not in told
 
 
 def test_wrappers_are_listed_with_their_arguments(capsys: pytest.CaptureFixture[str]) -> None:

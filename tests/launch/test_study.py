@@ -59,10 +59,15 @@ def test_a_study_without_finished_runs_says_what_it_has(tmp_path: Path) -> None:
 
 
 def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None:
-    for seed, rate in ((0, "0.001"), (1, "0.001"), (0, "0.01")):
-        keep_run(tmp_path, seed, "FINISHED", policies="shared", **{"algo.lr": rate})
-    keep_run(tmp_path, 0, "FINISHED", policies="shared")
-    keep_run(tmp_path, 0, "FINISHED", policies="independent", **{"algo.lr": "0.001"})
+    for seed, policies, rate in (
+        (0, "shared", "0.001"),
+        (1, "shared", "0.001"),
+        (0, "shared", "0.01"),
+        (0, "independent", "0.001"),
+    ):
+        parameters = {"algo.policies": policies, "algo.lr": rate}
+        keep_run(tmp_path, seed, "FINISHED", policies=policies, **parameters)
+    keep_run(tmp_path, 0, "FINISHED", policies="shared", **{"algo.policies": "shared"})
     cells = labelled_cells(RunIndex(tmp_path).rows())
     assert {label: sorted(run.seed for run in members) for label, members in cells.items()} == {
         "ippo, independent, bus": [0],
