@@ -51,6 +51,9 @@ class AlgoConfig:
     shared_until: float = 0.0
     """Share of training during which independent or group policies are one, learned from all experience; then
     each goes on from it by itself, in the first iteration that begins after that. 0: never."""
+    apart_lr: float = 1.0
+    """Share of the learning rates with which policies learn once they have parted: each then has only its own
+    agents' experience, and noisier gradients. TRPO's KL bound is multiplied by the square."""
     model: ModelConfig = field(default_factory=ModelConfig)
     critic_actions: Literal["none", "others"] = "none"
     """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""
@@ -118,6 +121,11 @@ class AlgoConfig:
         _require(
             not parting or self.order == "simultaneous",
             "shared_until must be 0 where agents are updated one after another",
+        )
+        _require(self.apart_lr > 0, "apart_lr must be above 0")
+        _require(
+            parting or self.apart_lr == 1,
+            "apart_lr is for policies that part: set shared_until, or leave apart_lr at 1",
         )
         _require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
         _require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")

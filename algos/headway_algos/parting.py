@@ -23,9 +23,9 @@ class PartingLearner:
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
         self.config = config
-        together = replace(config, policies="shared", shared_until=0.0)
+        together = replace(config, policies="shared", shared_until=0.0, apart_lr=1.0)
         self.together = OnPolicyLearner(together, spec, seeds, device)
-        self.apart = OnPolicyLearner(config, spec, seeds, device)
+        self.apart = OnPolicyLearner(_slower(config), spec, seeds, device)
         self.parted = False
 
     @property
@@ -61,6 +61,13 @@ class PartingLearner:
         """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
         self.parted = bool(state["parted"])
         (self.apart if self.parted else self.together).load_state_dict(state["learner"])
+
+
+def _slower(config: AlgoConfig) -> AlgoConfig:
+    """The same with `apart_lr` of its learning rates."""
+    share = config.apart_lr
+    critic_lr = None if config.critic_lr is None else config.critic_lr * share
+    return replace(config, lr=config.lr * share, critic_lr=critic_lr, kl_bound=config.kl_bound * share**2)
 
 
 def _repeated(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states are nested plain values

@@ -91,9 +91,32 @@ def test_the_optimiser_goes_on_with_the_moments_of_the_shared_policy(fabricate: 
     assert len(after) == 4 * len(steps)
 
 
+@pytest.mark.parametrize("update", ["ppo", "a2c", "trpo"])
+def test_once_parted_they_learn_in_smaller_steps(update: str, fabricate: Fabricate) -> None:
+    """A hundredth of the learning rate: steps of Adam and TRPO are proportional to it."""
+
+    def step_apart(apart_lr: float) -> float:
+        config = IPPOConfig(
+            update=update,  # type: ignore[arg-type]  # a parameter of the test
+            model=MODEL, precision="float64", epochs=1, minibatches=1, shared_until=0.5, apart_lr=apart_lr,
+            normalise_observations=False,
+        )  # fmt: skip
+        learner = PartingLearner(config, SPEC, SEEDS, "cpu")
+        learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
+        before = learner.acting_parameters()
+        learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
+        after = learner.acting_parameters()
+        return float(np.mean([np.abs(after[name] - before[name]).mean() for name in after]))
+
+    ratio = step_apart(0.01) / step_apart(1.0)
+    assert 0.003 < ratio < 0.03, ratio
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"apart_lr": 0.5}, "apart_lr is for policies that part: set shared_until"),
+        ({"apart_lr": 0.0, "shared_until": 0.5}, "apart_lr must be above 0"),
         ({"shared_until": 1.0}, r"shared_until must lie in \[0, 1\)"),
         ({"shared_until": 0.5, "policies": "shared"}, "shared_until is for policies that are not shared"),
         ({"shared_until": 0.5, "order": "sequential"}, "shared_until must be 0 where agents are updated one"),
