@@ -100,8 +100,10 @@ class EvaluationConfig:
 
     episodes: int = 10
     """Episodes at each evaluation."""
-    every: int = 10
-    """Iterations between evaluations; the first is before training, the last after it."""
+    every: int = 40_000
+    """Environment steps between evaluations, each after the iteration that reaches its multiple; the first is
+    before training, the last after it. In steps, so that curves of algorithms with longer and shorter iterations
+    compare."""
     modes: tuple[Literal["greedy", "sampled"], ...] = ("greedy", "sampled")
     """`greedy`: the distribution's mode; `sampled`: as in training."""
     final_episodes: int = 30

@@ -147,8 +147,13 @@ class _Training:
         rows = self._labelled(self._training_rows(metrics, episodes, seconds))
         self._log_episodes(episodes)
         self.report(IterationFinished(self.iteration, self.env_steps, self._usage(), tuple(rows)))
-        due = self.iteration % self.config.evaluation.every == 0 or self.iteration == total
+        due = self.iteration == total or self._reached(self.config.evaluation.every)
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
+
+    def _reached(self, steps: int) -> bool:
+        """Whether the last iteration reached or passed a multiple of `steps` environment steps."""
+        rollout = self.config.rollout
+        return self.env_steps // steps > (self.env_steps - rollout.copies * rollout.steps) // steps
 
     def _training_rows(
         self, metrics: Mapping[str, NDArray[np.float64]], episodes: list[Episode], seconds: Row

@@ -68,6 +68,25 @@ def test_the_log_holds_every_iteration_evaluation_and_episode(whole: Log) -> Non
     assert {row["copy"] for row in whole["episodes"]} == set("0123")
 
 
+@pytest.mark.parametrize(
+    ("every", "evaluated"),
+    [
+        (1, [0, 64, 128, 192, 256, 320, 384]),
+        (100, [0, 128, 256, 320, 384]),
+        (128, [0, 128, 256, 384]),
+        (300, [0, 320, 384]),
+        (1000, [0, 384]),
+    ],
+)
+def test_evaluations_come_after_the_iteration_that_reaches_a_multiple(
+    tmp_path: Path, every: int, evaluated: list[int]
+) -> None:
+    job = job_of(tmp_path)
+    evaluation = replace(job.config.evaluation, every=every, modes=("greedy",))
+    events = trained(replace(job, config=replace(job.config, evaluation=evaluation)))
+    assert [event.env_steps for event in _of(EvaluationFinished, events)] == evaluated
+
+
 def test_a_curve_s_last_point_is_of_the_same_episodes_as_the_others(tmp_path: Path) -> None:
     events = trained(job := job_of(tmp_path, iterations=2))
     last = _of(EvaluationFinished, events)[-1]

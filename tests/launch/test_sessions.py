@@ -29,7 +29,7 @@ TINY = (
     "rollout.steps=32",
     "evaluation.episodes=1",
     "evaluation.final_episodes=2",
-    "evaluation.every=1000",
+    "evaluation.every=1000000",
 )
 LONG = ("env_steps=1e8",)
 PATIENCE_S = 60.0

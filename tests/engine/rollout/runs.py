@@ -51,7 +51,7 @@ def job_of(
             device="cpu",
             rollout=RolloutConfig(COPIES, STEPS, block),
             backend=BackendConfig(backend),
-            evaluation=EvaluationConfig(episodes=2, every=2, final_episodes=3),
+            evaluation=EvaluationConfig(episodes=2, every=2 * COPIES * STEPS, final_episodes=3),
             store=StoreConfig(checkpoint_every=checkpoint_every),
         ),
         workers=workers,
