@@ -102,8 +102,8 @@ class EvaluationConfig:
     """Episodes at each evaluation."""
     every: int = 40_000
     """Environment steps between evaluations, each after the iteration that reaches its multiple; the first is
-    before training, the last after it. In steps, so that curves of algorithms with longer and shorter iterations
-    compare."""
+    before training, the last after it. In steps, so that curves of algorithms with iterations of any
+    length compare."""
     modes: tuple[Literal["greedy", "sampled"], ...] = ("greedy", "sampled")
     """`greedy`: the distribution's mode; `sampled`: as in training."""
     final_episodes: int = 30
