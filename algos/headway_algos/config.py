@@ -52,8 +52,8 @@ class AlgoConfig:
     """Share of training during which independent or group policies are one, learned from all experience; then
     each goes on from it by itself, in the first iteration that begins after that. 0: never."""
     apart_lr: float = 1.0
-    """Share of the learning rates with which policies begin to learn once they have parted: each has only its
-    own agents' experience then, and noisier gradients. TRPO's KL bound is multiplied by the square."""
+    """Share of the learning rates with which policies learn once they have parted: each then has only its own
+    agents' experience, and noisier gradients. TRPO's KL bound is multiplied by the square."""
     model: ModelConfig = field(default_factory=ModelConfig)
     critic_actions: Literal["none", "others"] = "none"
     """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""
@@ -68,9 +68,8 @@ class AlgoConfig:
     critic_lr: float | None = None
     """Learning rate of the critic; null: `lr`."""
     lr_end: float = 1.0
-    """Share of the learning rates left at the end of training (linear), with `shared_until` at the end of
-    learning together and again at that of learning apart; 1: constant. TRPO's steps shrink alike: its KL
-    bound is multiplied by the square."""
+    """Share of the learning rates left at the end of training (linear); 1: constant. TRPO's steps shrink
+    alike: its KL bound is multiplied by the square."""
     epochs: int = 5
     """Passes over an iteration's experience: the critic's always, the actor's for PPO alone (A2C and TRPO
     take one step on the whole batch)."""

@@ -19,8 +19,7 @@ from headway_algos.learner import OnPolicyLearner
 
 class PartingLearner:
     """Learns one shared policy for `shared_until` of the training; then every policy of its own goes on from
-    there, normalisers, critics and optimisers included (see `headway.contracts.Learner`). Each of the two
-    anneals its learning rates over its own time."""
+    there, normalisers, critics and optimisers included (see `headway.contracts.Learner`)."""
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
         self.config = config
@@ -45,14 +44,13 @@ class PartingLearner:
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """One iteration of whichever it is time for; before the first one apart, they part."""
-        parting = self.config.shared_until
-        if progress < parting:
-            return self.together.update(trajectory, iteration, progress / parting)
+        if progress < self.config.shared_until:
+            return self.together.update(trajectory, iteration, progress)
         if not self.parted:
             state = _repeated(self.together.state_dict(), self.apart.state_dict(), self.policies)
             self.apart.load_state_dict(state)
             self.parted = True
-        return self.apart.update(trajectory, iteration, (progress - parting) / (1 - parting))
+        return self.apart.update(trajectory, iteration, progress)
 
     def state_dict(self) -> dict[str, Any]:
         """Of the learner whose time it is."""
