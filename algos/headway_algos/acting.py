@@ -80,36 +80,62 @@ class StackedActingPolicy:
         self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action."""
-        stack = parameters["observation_mean"].shape[0]
-        replicas = stack // self.grouping.num_policies
+        x = self.hidden_features(parameters, self.rows(parameters, observed))
+        return self.decided(parameters, observed, self.outputs(parameters, x), noise)
+
+    def replicas(self, parameters: Parameters) -> int:
+        """R, of which parameters are."""
+        stack: int = parameters["observation_mean"].shape[0]
+        return stack // self.grouping.num_policies
+
+    def rows(self, parameters: Parameters, observed: Observed) -> NDArray[np.float32]:
+        """Observations by policy, (P, B, D), zeros where an agent is not alive."""
+        replicas = self.replicas(parameters)
         rows = self.grouping.gather(observed.observations[None], replicas)
         if self.spec.agents_come_and_go:
             # Not in place: rows can be a view of the environment's own memory.
             alive = self.grouping.gather(observed.alive[None], replicas)
             rows = np.where(alive[..., None], rows, np.float32(0))
-        outputs = self.grouping.scatter(self._forward(parameters, rows), replicas, steps=1)[0]
+        return rows
+
+    def decided(
+        self,
+        parameters: Parameters,
+        observed: Observed,
+        outputs: NDArray[Any],
+        noise: NDArray[np.float64] | None,
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Actions and log-probabilities (C, N) from network outputs (P, B, A)."""
+        replicas, rows_each = self.replicas(parameters), outputs.shape[1]
+        outputs = self.grouping.scatter(outputs, replicas, steps=1)[0]
         if isinstance(self.spec.action_space, Discrete):
             masks = observed.action_masks
             if masks is not None and self.spec.agents_come_and_go:
                 masks = masks | ~observed.alive[..., None]
             return _sample_categorical(outputs, masks, noise)
-        log_std = np.repeat(parameters["log_std"][..., 0][:, None], rows.shape[1], axis=1)
+        log_std = np.repeat(parameters["log_std"][..., 0][:, None], rows_each, axis=1)
         return _sample_gaussian(outputs, self.grouping.scatter(log_std, replicas, steps=1)[0], noise)
 
-    def _forward(self, parameters: Parameters, rows: NDArray[np.float32]) -> NDArray[Any]:
-        """Network outputs (P, B, outputs) of observations (P, B, D)."""
+    def hidden_features(self, parameters: Parameters, rows: NDArray[np.float32]) -> NDArray[Any]:
+        """What the last hidden layer makes of observations (P, B, D): (P, features, B)."""
         x: NDArray[Any] = rows
         if self.normalise:
             x = (rows - parameters["observation_mean"]) * parameters["observation_scale"]
             np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP, out=x)
         x = x.swapaxes(1, 2)
-        last = len(self.hidden)
-        for i in range(last + 1):
+        for i in range(len(self.hidden)):
             x = np.matmul(parameters[f"weight_{i}"], x)
             x += parameters[f"bias_{i}"]
-            if i < last:
-                x = np.tanh(x, out=x) if self.activation == "tanh" else np.maximum(x, 0, out=x)
-        return x.swapaxes(1, 2)
+            x = np.tanh(x, out=x) if self.activation == "tanh" else np.maximum(x, 0, out=x)
+        return x
+
+    def outputs(self, parameters: Parameters, features: NDArray[Any]) -> NDArray[Any]:
+        """Network outputs (P, B, A) of what the output layer is given, (P, features, B)."""
+        last = len(self.hidden)
+        x = np.matmul(parameters[f"weight_{last}"], features)
+        x += parameters[f"bias_{last}"]
+        by_row: NDArray[Any] = x.swapaxes(1, 2)
+        return by_row
 
 
 def _sample_categorical(

@@ -13,20 +13,21 @@ from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.acting import OBSERVATION_CLIP, actor_outputs
 from headway_algos.config import ModelConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
-from headway_algos.networks import StackedMLP
 from headway_algos.normalisation import RunningMoments
+from headway_algos.recurrent import RecurrentNetwork, make_network
+from headway_algos.timeline import Timeline
 
 
 class Actor(nn.Module):
-    """P policies: observation normaliser, multilayer perceptron, action distribution."""
+    """P policies: observation normaliser, network, action distribution."""
 
     def __init__(
         self, model: ModelConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, dtype: torch.dtype
     ) -> None:
         super().__init__()
         outputs = actor_outputs(spec)
-        sizes = (spec.observation_size, model.hidden, outputs)
-        self.network = StackedMLP(seeds, policies, "actor", sizes, model.activation, model.actor_gain, dtype)
+        sizes = (spec.observation_size, outputs)
+        self.network = make_network(model, seeds, policies, "actor", sizes, model.actor_gain, dtype)
         if model.initial_logits and isinstance(spec.action_space, Discrete):
             logits = torch.tensor(model.initial_logits, dtype=dtype)[None, :, None]
             self.network.biases[-1].data += logits
@@ -42,9 +43,11 @@ class Actor(nn.Module):
         scaled = (observations - mean.to(observations.dtype)) * scale.to(observations.dtype)
         return scaled.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
 
-    def forward(self, rows: Tensor, masks: Tensor | None) -> MaskedCategorical | DiagonalGaussian:
+    def forward(
+        self, rows: Tensor, masks: Tensor | None, timeline: Timeline | None = None
+    ) -> MaskedCategorical | DiagonalGaussian:
         """Distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
-        return self.distribution(self.network(rows), masks)
+        return self.distribution(self.network(rows, timeline), masks)
 
     def distribution(self, outputs: Tensor, masks: Tensor | None) -> MaskedCategorical | DiagonalGaussian:
         """Distributions that network outputs (P, A, B) stand for, with action masks (P, B, A)."""
@@ -70,7 +73,7 @@ class Actor(nn.Module):
                 mine.index_copy_(0, policies, theirs)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """What `StackedActingPolicy` needs, by its names."""
+        """What the acting policy needs, by its names."""
         dtype = self.network.weights[0].dtype
         tensors = {
             "observation_mean": self.moments.mean.to(dtype),
@@ -78,6 +81,9 @@ class Actor(nn.Module):
         }
         for i, (weight, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
             tensors[f"weight_{i}"], tensors[f"bias_{i}"] = weight, bias
+        if isinstance(self.network, RecurrentNetwork):
+            units = ("weight_input", "weight_memory", "bias_input", "bias_memory")
+            tensors |= {f"gru_{name}": getattr(self.network, name) for name in units}
         if self.log_std is not None:
             tensors["log_std"] = self.log_std
         return {name: np.asarray(tensor.detach().cpu()) for name, tensor in tensors.items()}

@@ -8,33 +8,51 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import Observed
-from headway_algos.acting import StackedActingPolicy
+from headway.contracts import ActingPolicy, Observed, RememberingPolicy
 from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.distributions import MaskedCategorical
 from headway_algos.experience import Layout, even_slices, zero_where_absent
+from headway_algos.memories import Memories
 from headway_algos.scenes import Scene
+from headway_algos.timeline import Timeline
 
 
 class Behaviour:
     """What the policies do at their present parameters: ask before they are improved."""
 
-    def __init__(self, config: AlgoConfig, actor: Actor, acting: StackedActingPolicy, layout: Layout) -> None:
+    def __init__(
+        self,
+        config: AlgoConfig,
+        actor: Actor,
+        acting: ActingPolicy,
+        layout: Layout,
+        memories: Memories | None = None,
+    ) -> None:
+        """`memories`: what was remembered along the trajectory that is judged, by policies that do."""
         self.config, self.actor, self.acting, self.layout = config, actor, acting, layout
+        self.memories = memories
+
+    def remembering(self, memories: Memories | None) -> "Behaviour":
+        """The same along a trajectory of which this was remembered."""
+        return Behaviour(self.config, self.actor, self.acting, self.layout, memories)
 
     def probabilities(self, scene: Scene) -> NDArray[np.float64]:
         """Chances of each action, (M, C, N, A), of Discrete actions only; exactly 0 for forbidden ones.
         Computed in pieces that stay in the cache."""
         observations = self.layout.rows(scene.observations)
         masks = None if scene.masks is None else self.layout.rows(scene.masks)
+        memory = None
+        if self.memories is not None:
+            memory = self.layout.rows(scene.remembered(self.memories))
         parts = []
         with torch.no_grad():
             for piece in even_slices(observations.shape[1], len(observations), self.config.piece_samples):
                 rows = observations[:, piece]
                 if self.config.normalise_observations:
                     rows = self.actor.normalise(rows)
-                distribution = self.actor(rows, None if masks is None else masks[:, piece])
+                timeline = None if memory is None else Timeline.of_moments(memory[:, piece])
+                distribution = self.actor(rows, None if masks is None else masks[:, piece], timeline)
                 assert isinstance(distribution, MaskedCategorical)
                 parts.append(distribution.log_probs.exp().transpose(1, 2))
         return self.layout.by_agent(torch.cat(parts, dim=1), len(scene.observations))
@@ -52,7 +70,13 @@ class Behaviour:
         )
         each = len(observed.alive) // replicas
         noise = np.concatenate([self.acting.noise(random, each) for random in generators])
-        actions, _ = self.acting.act(self.actor.acting_parameters(), observed, noise)
+        parameters = self.actor.acting_parameters()
+        if isinstance(self.acting, RememberingPolicy):
+            assert self.memories is not None
+            memory = _by_replica(scene.remembered(self.memories), replicas)
+            actions = self.acting.act_from(parameters, observed, memory, noise)[0]
+        else:
+            actions, _ = self.acting.act(parameters, observed, noise)
         split = actions.reshape(replicas, moments, -1, *actions.shape[1:])
         by_moment = np.moveaxis(split, 0, 1).reshape(moments, -1, *actions.shape[1:])
         return replace(scene, actions=zero_where_absent(by_moment, scene.present))

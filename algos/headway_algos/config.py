@@ -11,7 +11,7 @@ def _require(holds: bool, message: str) -> None:
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Networks: one multilayer perceptron for the actor, another of the same form for the critic."""
+    """Networks: one for the actor, another of the same form for the critic."""
 
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers."""
@@ -24,9 +24,21 @@ class ModelConfig:
     action; empty: all equal."""
     log_std: float = -0.5
     """Initial log standard deviation of a Box action's Gaussian."""
+    core: Literal["none", "gru"] = "none"
+    """What follows the hidden layers: `none`: the output layer, so that policies act on what they observe now
+    alone; `gru`: gated recurrent units, by which actor and critic remember what came before in the episode.
+    The cheap alternative is the wrapper frame_stack_v1, which shows the last few observations at once."""
+    gru_size: int = 64
+    """Gated recurrent units of a network, for `core: gru`: how many numbers an agent remembers."""
+    sequence_length: int = 16
+    """Steps in a row that `core: gru` learns from as one: gradients flow back no further. Sequences are cut
+    at multiples of it from an iteration's first step, and at the ends of episodes; minibatches hold whole
+    ones. Longer ones learn what must be remembered for longer, and are slower."""
 
     def __post_init__(self) -> None:
         _require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
+        _require(self.gru_size >= 1, "gru_size must be at least 1")
+        _require(self.sequence_length >= 1, "sequence_length must be at least 1")
         _require(self.actor_gain > 0, "actor_gain must be above 0")
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Learner, MultiDiscrete
-from headway_algos.acting import StackedActingPolicy
 from headway_algos.config import AlgoConfig
 from headway_algos.recipes import coma, custom, happo, hatrpo, ia2c, ippo, itrpo, maa2c, mappo, matrpo
+from headway_algos.remembering import acting_policy
 
 
 def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
@@ -46,7 +46,7 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
 
 
 def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
-    return AlgoEntry(summary, source, config, StackedActingPolicy.of, _learner, _refuses)
+    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses)
 
 
 ENTRIES = {

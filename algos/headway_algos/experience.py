@@ -12,6 +12,7 @@ from torch import Tensor
 
 from headway.contracts import Trajectory
 from headway_algos.grouping import Grouping
+from headway_algos.timeline import Timeline
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ class Piece:
     """(P x rows,): places in the flattened (P x B) rows."""
     weight: Tensor
     """(P, rows): 1 / (rows of this network's minibatch), 0 in padding."""
+    timeline: Timeline | None = None
+    """Their order, for networks that remember."""
 
     def of(self, rows: Tensor) -> Tensor:
         """This piece of rows (P, B, ...): (P, rows, ...)."""

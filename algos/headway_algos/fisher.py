@@ -44,7 +44,9 @@ def fisher_product(actor: Actor, batch: WholeBatch, piece_samples: int) -> Fishe
 def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherProduct:
     """By J^T M J, for multilayer perceptrons: through J, back through J^T, nothing evaluated twice."""
     pieces = list(batch.pieces(piece_samples))
-    linear = [LinearisedMLP.of(actor.network, piece.observations) for piece in pieces]
+    network = actor.network
+    assert isinstance(network, StackedMLP)
+    linear = [LinearisedMLP.of(network, piece.observations) for piece in pieces]
     with torch.no_grad():
         distributions = [
             actor.distribution(network.outputs, piece.masks)
@@ -76,7 +78,7 @@ def double_backward(actor: Actor, batch: WholeBatch, piece_samples: int) -> Fish
     def product(vector: Tensor) -> Tensor:
         result = torch.zeros_like(vector)
         for piece in batch.pieces(piece_samples):
-            new = actor(piece.observations, piece.masks)
+            new = actor(piece.observations, piece.masks, piece.timeline)
             mean_kl = (new.kl_from(new.detach()) * piece.weight).sum()
             slope = flat(torch.autograd.grad(mean_kl, parameters, create_graph=True))
             result += flat(torch.autograd.grad((slope * vector).sum(), parameters))

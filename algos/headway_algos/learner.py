@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
-from headway_algos.acting import StackedActingPolicy
 from headway_algos.actor import Actor
 from headway_algos.behaviour import Behaviour
 from headway_algos.config import AlgoConfig
 from headway_algos.critics import CRITICS, Critic
 from headway_algos.experience import Layout, zero_where_absent
 from headway_algos.grouping import Grouping
+from headway_algos.memories import Memories
 from headway_algos.orders import ORDERS
 from headway_algos.policy_rows import PolicyRows, standardise
+from headway_algos.recurrent import RecurrentNetwork
+from headway_algos.remembering import acting_policy
 from headway_algos.updates import UPDATES
 
 
@@ -47,11 +49,10 @@ class OnPolicyLearner:
         self.critic: Critic = CRITICS[config.critic](
             config, spec, self.grouping, seeds, self.device, self.dtype
         )
-        acting = StackedActingPolicy.of(config, spec)
-        self.behaviour = Behaviour(config, self.actor, acting, self.layout)
+        self.behaviour = Behaviour(config, self.actor, acting_policy(config, spec), self.layout)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """The actor's tensors and its normaliser, by the names of `StackedActingPolicy`."""
+        """The actor's tensors and its normaliser, by the names of the acting policy."""
         return self.actor.acting_parameters()
 
     def update(
@@ -61,33 +62,57 @@ class OnPolicyLearner:
         share = 1 - (1 - self.config.lr_end) * progress
         self.policy_update.anneal(share)
         self.critic.anneal(share)
-        estimate = self.critic.estimate(trajectory, self.behaviour, iteration)
+        observations = self._observations(trajectory)
+        memories = self._memories(trajectory, observations)
+        estimate = self.critic.estimate(trajectory, self.behaviour.remembering(memories), iteration)
         self._refuse_blind_critic(estimate.advantages, iteration)
-        info = self._improve_policies(trajectory, estimate.advantages, iteration)
+        info = self._improve_policies(trajectory, observations, memories, estimate.advantages, iteration)
         judged = self.critic.fit(estimate, iteration)
         self._absorb(trajectory)
         self._refuse_divergence(iteration)
         metrics = {f"policy/{name}": self._per_replica(value) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in judged.items()}
 
+    def _observations(self, trajectory: Trajectory) -> Tensor:
+        """(P, B, D), as the policies' networks were given them."""
+        alive = trajectory.alive[:-1]
+        observations = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
+        if self.config.normalise_observations:
+            observations = self.actor.normalise(observations)
+        return observations
+
+    def _memories(self, trajectory: Trajectory, observations: Tensor) -> Memories | None:
+        """What policies that remember did, as they acted."""
+        network = self.actor.network
+        if not isinstance(network, RecurrentNetwork):
+            return None
+        begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
+        start, alive = trajectory.memory[0], trajectory.alive[:-1]
+        samples = self.config.piece_samples
+        return Memories.replayed(network, observations, start, begins, alive, self.layout, samples)
+
     def _improve_policies(
-        self, trajectory: Trajectory, advantages: NDArray[np.float64], iteration: int
+        self,
+        trajectory: Trajectory,
+        observations: Tensor,
+        memories: Memories | None,
+        advantages: NDArray[np.float64],
+        iteration: int,
     ) -> dict[str, Tensor]:
         alive = trajectory.alive[:-1]
         used = alive & trajectory.acting
         selected = self.layout.selection(used)
-        observations = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
-        if self.config.normalise_observations:
-            observations = self.actor.normalise(observations)
         masks = None
         if self.spec.has_action_mask:
-            masks = self.layout.rows(trajectory.action_masks[:-1] | ~alive[..., None])
+            # Rows that only lead up to others may have to be evaluated, too: they must stay finite.
+            masks = self.layout.rows(trajectory.action_masks[:-1] | ~used[..., None])
         rows = PolicyRows(
             observations,
             masks,
             self.layout.rows(zero_where_absent(trajectory.actions, used)),
             self.layout.rows(zero_where_absent(trajectory.log_probs, used)),
             selected,
+            None if memories is None else memories.sequences(self.layout, self.config.model.sequence_length),
         )
         by_policy = self.layout.rows(np.broadcast_to(advantages, alive.shape))
         if self.config.normalise_advantages:

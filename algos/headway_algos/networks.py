@@ -16,6 +16,10 @@ from torch import Tensor, nn
 
 from headway.contracts import generator
 from headway_algos.acting import layer_sizes
+from headway_algos.timeline import Timeline
+
+HIDDEN_GAIN = {"tanh": 5 / 3, "relu": 2**0.5}
+"""Gain of the initialisation of a layer with that activation."""
 
 
 def orthogonal(random: np.random.Generator, rows: int, columns: int, gain: float) -> NDArray[np.float64]:
@@ -53,9 +57,34 @@ def tanh_layer(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     return result
 
 
+def activated_layer(x: Tensor, weight: Tensor, bias: Tensor, activation: str) -> Tensor:
+    """The activation of W x + b, shaped as by `tanh_layer`."""
+    if activation == "tanh":
+        return tanh_layer(x, weight, bias)
+    return torch.baddbmm(bias, weight, x).relu()
+
+
+def stacked_matrices(
+    seeds: Sequence[int],
+    networks_per_seed: int,
+    purpose: str,
+    layer: int,
+    shape: tuple[int, int],
+    gain: float,
+    dtype: torch.dtype,
+) -> nn.Parameter:
+    """Orthogonal matrices (P, rows, columns). Network k of replica r has one from (seeds[r], purpose, k,
+    layer) alone, so it is the same in any stack."""
+    stack = [
+        orthogonal(generator(seed, purpose, k, layer), *shape, gain)
+        for seed in seeds
+        for k in range(networks_per_seed)
+    ]
+    return nn.Parameter(torch.tensor(np.stack(stack), dtype=dtype))
+
+
 class StackedMLP(nn.Module):
-    """P multilayer perceptrons. Policy p of replica r is initialised from (seeds[r], purpose, k, layer)
-    alone, so it is the same in any stack."""
+    """P multilayer perceptrons, initialised by `stacked_matrices`."""
 
     def __init__(
         self,
@@ -71,19 +100,15 @@ class StackedMLP(nn.Module):
         self.activation = activation
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         layers = layer_sizes(*sizes)
-        hidden_gain = 5 / 3 if activation == "tanh" else 2**0.5
+        hidden_gain = HIDDEN_GAIN[activation]
         for i, (out, in_) in enumerate(layers):
             gain = hidden_gain if i < len(layers) - 1 else last_gain
-            stack = [
-                orthogonal(generator(seed, purpose, k, i), out, in_, gain)
-                for seed in seeds
-                for k in range(networks_per_seed)
-            ]
-            self.weights.append(nn.Parameter(torch.tensor(np.stack(stack), dtype=dtype)))
-            self.biases.append(nn.Parameter(torch.zeros(len(stack), out, 1, dtype=dtype)))
+            shape = (out, in_)
+            self.weights.append(stacked_matrices(seeds, networks_per_seed, purpose, i, shape, gain, dtype))
+            self.biases.append(nn.Parameter(torch.zeros(len(self.weights[i]), out, 1, dtype=dtype)))
 
-    def forward(self, rows: Tensor) -> Tensor:
-        """(P, B, in) -> (P, out, B)."""
+    def forward(self, rows: Tensor, timeline: Timeline | None = None) -> Tensor:
+        """(P, B, in) -> (P, out, B), whatever the timeline."""
         # Each layer's result is freed as soon as the next one has it.
         return deque(self.layers(rows), maxlen=1).pop()
 
@@ -95,8 +120,6 @@ class StackedMLP(nn.Module):
             yield x
             if i == last:
                 x = torch.bmm(weight, x) + bias
-            elif self.activation == "tanh":
-                x = tanh_layer(x, weight, bias)
             else:
-                x = torch.baddbmm(bias, weight, x).relu()
+                x = activated_layer(x, weight, bias, self.activation)
         yield x

@@ -67,9 +67,8 @@ def _log_ratio(update: Update, rows: PolicyRows) -> Tensor:
     result = torch.zeros_like(rows.log_probs, dtype=torch.float64)
     with torch.no_grad():
         for piece in batch.pieces(update.config.piece_samples):
-            log_ratio = (
-                update.actor(piece.observations, piece.masks).log_prob(piece.actions) - piece.log_probs
-            )
+            new = update.actor(piece.observations, piece.masks, piece.timeline)
+            log_ratio = new.log_prob(piece.actions) - piece.log_probs
             result.scatter_add_(1, piece.places, torch.where(piece.weight > 0, log_ratio, 0).double())
     return result
 

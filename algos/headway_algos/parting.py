@@ -74,7 +74,8 @@ def _repeated(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states 
     """A state with each tensor (R, ...) repeated into (R x times, ...) where its counterpart in `like` is so
     long; what a whole replica has only one of (a team's critic) is taken as it is."""
     if isinstance(one, Tensor):
-        return one.clone() if one.shape == like.shape else one.repeat_interleave(times, dim=0)
+        alike = like is None or one.shape == like.shape  # None: what a critic remembers before it saw any
+        return one.clone() if alike else one.repeat_interleave(times, dim=0)
     if isinstance(one, Mapping):
         return {name: _repeated(value, like[name], times) for name, value in one.items()}
     if isinstance(one, list):

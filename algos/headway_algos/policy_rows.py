@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from headway_algos.sequences import Sequences
+
 
 @dataclass(frozen=True)
 class PolicyRows:
@@ -22,6 +24,8 @@ class PolicyRows:
     """(P, B), at the parameters that acted."""
     selected: NDArray[np.bool_]
     """(P, B): the agent was alive and its action was used."""
+    sequences: Sequences | None = None
+    """Their order, for policies that remember."""
 
     def narrow(self, policies: Tensor) -> Self:
         """The rows of policies (n,) alone."""
@@ -31,6 +35,7 @@ class PolicyRows:
             self.actions[policies],
             self.log_probs[policies],
             self.selected[policies.cpu().numpy()],
+            None if self.sequences is None else self.sequences.narrow(policies),
         )
 
 

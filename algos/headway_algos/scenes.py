@@ -1,6 +1,8 @@
 """Moments of a trajectory as critics see them: before each step, after the last, where streams were cut."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import Trajectory
 from headway_algos.experience import Endings, zero_where_absent
+from headway_algos.memories import Memories
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,8 @@ class Scene:
     """(M, C, N, A), or None where the environment has none."""
     actions: NDArray[Any] | None = None
     """(M, C, N) or (M, C, N, size): what was chosen; None where nothing was, or nobody asks."""
+    remembered: Callable[[Memories], NDArray[Any]] = attrgetter("of_steps")
+    """What was remembered at these moments, (M, C, W, size), of all that was along the trajectory."""
 
     @classmethod
     def of_steps(cls, trajectory: Trajectory) -> "Scene":
@@ -46,6 +51,7 @@ class Scene:
             trajectory.states[-1:],
             alive,
             _allowed(trajectory.action_masks[-1:], alive),
+            remembered=attrgetter("after_the_last_step"),
         )
 
     @classmethod
@@ -71,7 +77,13 @@ class Scene:
             before = endings.take(trajectory.action_masks[:-1]) | ~endings.take(trajectory.alive)[..., None]
             after = endings.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
             masks = np.where(ended[..., None], before, after)
-        return cls(zero_where_absent(observations, present), states, present, masks)
+        return cls(
+            zero_where_absent(observations, present),
+            states,
+            present,
+            masks,
+            remembered=lambda memories: memories.after_endings(endings),
+        )
 
 
 def _allowed(masks: NDArray[np.bool_], alive: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

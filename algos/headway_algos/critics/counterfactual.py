@@ -19,6 +19,7 @@ from headway_algos.critics.streams import lambda_advantages
 from headway_algos.critics.views import CounterfactualView
 from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
+from headway_algos.memories import Memories
 from headway_algos.scenes import Scene
 
 
@@ -61,38 +62,48 @@ class CounterfactualCritic:
         self.regression = Regression(config, self.view, seeds, self.networks, self.layout)
         self.fits = 0
 
-    def action_values(self, networks: ReturnNetworks, scene: Scene) -> NDArray[np.float64]:
-        """Q (M, C, N, A) of each own action, the others' as in the scene; in units of return."""
-        inputs = networks.inputs(*self._rows(scene))
-        return self._by_agent(networks, inputs, len(scene.observations))
+    def action_values(
+        self, networks: ReturnNetworks, scene: Scene, memories: Memories | None = None
+    ) -> NDArray[np.float64]:
+        """Q (M, C, N, A) of each own action, the others' as in the scene; in units of return. `memories`:
+        what these networks remembered, if they do."""
+        return self._by_agent(networks, networks.inputs(*self._rows(scene)), scene, memories)
 
     def _rows(self, scene: Scene) -> tuple[Tensor, Tensor]:
         """What is seen, not normalised, (P, B, seen_size), and indicators (P, B, indicator_size)."""
         return self.layout.rows(self.view.seen(scene)), self.layout.rows(self.view.indicators(scene))
 
-    def _by_agent(self, networks: ReturnNetworks, inputs: Tensor, moments: int) -> NDArray[np.float64]:
-        """Q (M, C, N, A) of network inputs (P, B, input_size)."""
-        return self.layout.by_agent(networks.predict(inputs).transpose(1, 2), moments)
+    def _by_agent(
+        self, networks: ReturnNetworks, inputs: Tensor, scene: Scene, memories: Memories | None
+    ) -> NDArray[np.float64]:
+        """Q (M, C, N, A) of a scene's network inputs (P, B, input_size)."""
+        memory = None if memories is None else self.layout.rows(scene.remembered(memories))
+        action_values = networks.predict(inputs, memory).transpose(1, 2)
+        return self.layout.by_agent(action_values, len(scene.observations))
 
     def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
         """See `headway_algos.critics.Critic`."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        scene, steps = Scene.of_steps(trajectory), len(trajectory.rewards)
+        scene = Scene.of_steps(trajectory)
         assert scene.actions is not None
         taken = scene.actions[..., None]
         rows = self._rows(scene)
 
         def worth(scene: Scene) -> NDArray[np.float64]:
-            action_values = self.action_values(self.target, behaviour.drawn(scene, random))
+            drawn = behaviour.drawn(scene, random)
+            action_values = self.action_values(self.target, drawn, target_memories)
             return np.asarray((behaviour.probabilities(scene) * action_values).sum(axis=-1))
 
-        target_values = self._by_agent(self.target, self.target.inputs(*rows), steps)
+        target_inputs = self.target.inputs(*rows)
+        target_memories = self.target.replayed(target_inputs, trajectory, self.view, self.layout)
+        target_values = self._by_agent(self.target, target_inputs, scene, target_memories)
         target_values = np.take_along_axis(target_values, taken, axis=-1)[..., 0]
         ahead, present = lambda_advantages(
             trajectory, self.view, target_values, worth, self.config, self.spec, self.layout.replicas
         )
         inputs = self.networks.inputs(*rows)
-        action_values = self._by_agent(self.networks, inputs, steps)
+        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
+        action_values = self._by_agent(self.networks, inputs, scene, memories)
         return Estimate(
             counterfactual_advantages(action_values, scene.actions, behaviour.probabilities(scene), present),
             np.take_along_axis(action_values, taken, axis=-1)[..., 0],
@@ -100,13 +111,17 @@ class CounterfactualCritic:
             present,
             inputs,
             self.layout.rows(scene.actions),
+            memories,
+            target_memories,
         )
 
     def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """See `headway_algos.critics.Critic`; renews the target network when it is due."""
         metrics = self.regression.fit(estimate, iteration)
+        self.target.carry(estimate.target_memories)
         if self.fits % self.config.target_every == 0:
             self.target.load_state_dict(self.networks.state_dict())
+            self.target.carry(estimate.memories)
         self.fits += 1
         return metrics
 
@@ -120,10 +135,14 @@ class CounterfactualCritic:
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, normalisers, the optimiser, the target network and how often the critic was fitted."""
-        return {**self.regression.state_dict(), "target": self.target.state_dict(), "fits": self.fits}
+        state = {**self.regression.state_dict(), "target": self.target.state_dict(), "fits": self.fits}
+        if self.config.model.core != "none":
+            state["target_memory"] = self.target.carried_state()
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
         self.regression.load_state_dict(state)
         self.target.load_state_dict(state["target"])
+        self.target.load_carried(state.get("target_memory"))
         self.fits = state["fits"]

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from headway_algos.memories import Memories
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -24,3 +26,7 @@ class Estimate:
     """Rows (P, B, input_size) of the critic's networks, normalised."""
     taken: Tensor | None = None
     """(P, B): which of the networks' outputs was meant; None where they have one."""
+    memories: Memories | None = None
+    """What the networks remembered, where they do."""
+    target_memories: Memories | None = None
+    """What a target network remembered, where there is one that does."""

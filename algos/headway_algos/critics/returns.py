@@ -12,13 +12,16 @@ from headway.contracts import Trajectory, generator
 from headway_algos.acting import OBSERVATION_CLIP
 from headway_algos.config import AlgoConfig
 from headway_algos.critics.estimate import Estimate
-from headway_algos.critics.streams import presence
+from headway_algos.critics.streams import Streams, presence
 from headway_algos.critics.views import View
-from headway_algos.experience import Layout, even_slices, minibatches
-from headway_algos.networks import StackedMLP
+from headway_algos.experience import Layout, even_slices
+from headway_algos.memories import Memories
 from headway_algos.normalisation import RunningMoments
 from headway_algos.optimiser import StackedAdam
+from headway_algos.recurrent import RecurrentNetwork, make_network
 from headway_algos.scenes import Scene
+from headway_algos.sequences import learning_batches
+from headway_algos.timeline import Timeline
 
 
 class ReturnNetworks(nn.Module):
@@ -30,8 +33,10 @@ class ReturnNetworks(nn.Module):
         super().__init__()
         self.config = config
         networks, model = view.grouping.num_policies, config.model
-        sizes = (view.seen_size + view.indicator_size, model.hidden, outputs)
-        self.network = StackedMLP(seeds, networks, "critic", sizes, model.activation, 1.0, layout.dtype)
+        sizes = (view.seen_size + view.indicator_size, outputs)
+        self.network = make_network(model, seeds, networks, "critic", sizes, 1.0, layout.dtype)
+        self.carried: NDArray[Any] | None = None
+        """(C, W, M): what networks that remember did after the last trajectory they learned from."""
         self.input_moments = RunningMoments(len(seeds) * networks, view.seen_size)
         self.return_moments = RunningMoments(len(seeds) * networks, 1)
         self.to(layout.device)
@@ -45,15 +50,49 @@ class ReturnNetworks(nn.Module):
             seen = seen.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
         return seen if indicators is None else torch.cat([seen, indicators], dim=2)
 
-    def predict(self, inputs: Tensor) -> Tensor:
-        """Outputs (P, O, B) in units of return, in float64, of inputs (P, B, input_size), in pieces that stay
-        in the cache."""
+    def predict(self, inputs: Tensor, memory: Tensor | None = None) -> Tensor:
+        """Outputs (P, O, B) in units of return, in float64, of inputs (P, B, input_size) and, for networks
+        that remember, of what they do before each row (P, B, M), in pieces that stay in the cache."""
         pieces = even_slices(inputs.shape[1], len(inputs), self.config.piece_samples)
         with torch.no_grad():
-            outputs = torch.cat([self.network(inputs[:, piece]) for piece in pieces], dim=2).double()
+            parts = [
+                self.network(
+                    inputs[:, piece], None if memory is None else Timeline.of_moments(memory[:, piece])
+                )
+                for piece in pieces
+            ]
+            outputs = torch.cat(parts, dim=2).double()
         if self.config.normalise_values:
             outputs = outputs * self.return_moments.std + self.return_moments.mean
         return outputs
+
+    def replayed(self, inputs: Tensor, trajectory: Trajectory, view: View, layout: Layout) -> Memories | None:
+        """What networks that remember do along a trajectory, from where the last one left them; of others
+        None. `inputs` (P, B, input_size) are those of its steps."""
+        if not isinstance(self.network, RecurrentNetwork):
+            return None
+        streams = Streams.of(trajectory, view)
+        keeps = np.broadcast_to(streams.present[:-1], streams.rewards.shape)
+        start = self.carried
+        if start is None:
+            start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
+        begins = streams.begins(trajectory, view)
+        return Memories.replayed(
+            self.network, inputs, start, begins, keeps, layout, self.config.piece_samples
+        )
+
+    def carry(self, memories: Memories | None) -> None:
+        """Go on, at the next trajectory, from what was remembered at the end of this one."""
+        if memories is not None:
+            self.carried = memories.after_the_last_step[0]
+
+    def carried_state(self) -> Tensor | None:
+        """For a checkpoint."""
+        return None if self.carried is None else torch.from_numpy(self.carried)
+
+    def load_carried(self, state: Tensor | None) -> None:
+        """Inverse of `carried_state`."""
+        self.carried = None if state is None else state.cpu().numpy().copy()
 
 
 class Regression:
@@ -86,17 +125,13 @@ class Regression:
         targets = targets.to(layout.dtype)
         loss_sum = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype)
         steps = np.zeros(len(selected))
-        for pieces, active in minibatches(
-            selected,
-            self._generators(iteration),
-            config.epochs,
-            config.minibatches,
-            config.piece_samples,
-            layout,
-        ):
+        memories, length = estimate.memories, config.model.sequence_length
+        sequences = None if memories is None else memories.sequences(layout, length)
+        generators = self._generators(iteration)
+        for pieces, active in learning_batches(selected, sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                outputs = network(piece.of(estimate.inputs))
+                outputs = network(piece.of(estimate.inputs), piece.timeline)
                 if estimate.taken is None:
                     values = outputs[:, 0]
                 else:
@@ -109,6 +144,7 @@ class Regression:
                 loss_sum += loss.detach()
             self.optimiser.step(active)
             steps += active
+        self.networks.carry(memories)
         mean_loss = loss_sum / torch.from_numpy(steps).to(loss_sum).clamp(min=1)
         by_network = mean_loss.double().cpu().numpy().reshape(layout.replicas, -1)
         return {
@@ -132,13 +168,20 @@ class Regression:
         self.optimiser.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normalisers and the optimiser."""
-        return {"networks": self.networks.state_dict(), "optimiser": self.optimiser.state_dict()}
+        """Networks, normalisers, the optimiser, and what is remembered."""
+        state: dict[str, Any] = {
+            "networks": self.networks.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+        if self.config.model.core != "none":
+            state["memory"] = self.networks.carried_state()
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
+        self.networks.load_carried(state.get("memory"))
 
 
 def explained_variance(estimate: Estimate, replicas: int) -> NDArray[np.float64]:

@@ -40,6 +40,13 @@ class Streams:
             terminated, truncated = (np.broadcast_to(a, rewards.shape) for a in (terminated, truncated))
         return cls(rewards, terminated, truncated, presence(trajectory.alive, view))
 
+    def begins(self, trajectory: Trajectory, view: View) -> NDArray[np.bool_]:
+        """(T + 1, C, W): a stream begins with the step, or, in the last row, with what comes after."""
+        first = trajectory.begins
+        if view.team:
+            first = np.broadcast_to(first.all(axis=2, keepdims=True), (*first.shape[:2], view.viewpoints))
+        return np.concatenate([first, self.terminated | self.truncated])
+
 
 def presence(alive: NDArray[np.bool_], view: View) -> NDArray[np.bool_]:
     """(M, C, N) -> (M, C, W): where there is a value to speak of."""

@@ -17,6 +17,7 @@ from headway_algos.critics.streams import lambda_advantages
 from headway_algos.critics.views import VIEWS
 from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
+from headway_algos.memories import Memories
 from headway_algos.scenes import Scene
 
 
@@ -49,9 +50,13 @@ class ValueCritic:
         shown = None if indicators is None else self.layout.rows(indicators)
         return self.networks.inputs(self.layout.rows(self.view.seen(scene)), shown)
 
-    def values(self, rows: Tensor, moments: int) -> NDArray[np.float64]:
-        """Values (M, C, W), in units of return, of network inputs."""
-        return self.layout.by_agent(self.networks.predict(rows)[:, 0], moments)
+    def values(self, rows: Tensor, moments: int, memory: Tensor | None = None) -> NDArray[np.float64]:
+        """Values (M, C, W), in units of return, of network inputs and what is remembered before them."""
+        return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments)
+
+    def _memory(self, scene: Scene, memories: Memories | None) -> Tensor | None:
+        """(P, B, M): what the networks remembered at the moments of a scene, if they do."""
+        return None if memories is None else self.layout.rows(scene.remembered(memories))
 
     def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
         """See `headway_algos.critics.Critic`."""
@@ -59,14 +64,16 @@ class ValueCritic:
 
         def worth(scene: Scene) -> NDArray[np.float64]:
             shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene
-            return self.values(self.rows(shown), len(scene.observations))
+            return self.values(self.rows(shown), len(shown.observations), self._memory(shown, memories))
 
-        inputs = self.rows(Scene.of_steps(trajectory))
-        values = self.values(inputs, len(trajectory.rewards))
+        scene = Scene.of_steps(trajectory)
+        inputs = self.rows(scene)
+        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
+        values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories))
         advantages, present = lambda_advantages(
             trajectory, self.view, values, worth, self.config, self.spec, self.layout.replicas
         )
-        return Estimate(advantages, values, advantages + values, present, inputs)
+        return Estimate(advantages, values, advantages + values, present, inputs, memories=memories)
 
     def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """See `headway_algos.critics.Critic`."""

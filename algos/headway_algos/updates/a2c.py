@@ -35,7 +35,7 @@ class A2C:
         mean_entropy = torch.zeros(len(advantages), device=advantages.device, dtype=advantages.dtype)
         self.optimiser.begin()
         for piece in batch.pieces(self.config.piece_samples):
-            distribution = self.actor(piece.observations, piece.masks)
+            distribution = self.actor(piece.observations, piece.masks, piece.timeline)
             entropy = distribution.entropy()
             objective = distribution.log_prob(piece.actions) * piece.advantages
             objective = objective + self.config.entropy_coeff * entropy

@@ -11,9 +11,10 @@ from torch import Tensor
 from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
-from headway_algos.experience import Layout, Piece, even_slices, minibatches
+from headway_algos.experience import Layout, Piece, even_slices
 from headway_algos.optimiser import StackedAdam
 from headway_algos.policy_rows import PolicyRows
+from headway_algos.sequences import learning_batches, over_rows
 
 
 def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
@@ -21,8 +22,10 @@ def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
     return torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
 
 
-def _old_network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
-    """Network outputs (P, B, A) at the parameters that acted, for the KL penalty."""
+def _network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
+    """Network outputs (P, B, A) of all rows."""
+    if rows.sequences is not None:
+        return over_rows(actor.network, rows.observations, rows.sequences, config.piece_samples)
     with torch.no_grad():
         pieces = even_slices(rows.observations.shape[1], len(rows.observations), config.piece_samples)
         outputs = torch.cat([actor.network(rows.observations[:, piece]) for piece in pieces], dim=2)
@@ -58,18 +61,15 @@ class PPO:
         """See `headway_algos.updates.Update`."""
         actor, config, layout = self.actor, self.config, self.layout
         penalised = config.kl_coeff > 0
-        old_outputs = _old_network_outputs(actor, rows, config) if penalised else None
+        old_outputs = _network_outputs(actor, rows, config) if penalised else None
         old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
         totals = torch.zeros(4, len(self.kl_coeff), device=layout.device, dtype=layout.dtype)
         steps = np.zeros(len(self.kl_coeff))
-        batches = minibatches(
-            rows.selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
-        )
-        for pieces, active in batches:
+        for pieces, active in learning_batches(rows.selected, rows.sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
                 masks = piece.of(rows.masks) if rows.masks is not None else None
-                distribution = actor(piece.of(rows.observations), masks)
+                distribution = actor(piece.of(rows.observations), masks, piece.timeline)
                 log_ratio = distribution.log_prob(piece.of(rows.actions)) - piece.of(rows.log_probs)
                 ratio = log_ratio.exp()
                 surrogate = clipped_surrogate(ratio, piece.of(advantages), config.clip)
@@ -142,6 +142,12 @@ def _mean_kl(
     assert old_outputs is not None
     selected = torch.from_numpy(rows.selected).to(old_outputs.device)
     total = torch.zeros(len(selected), device=old_outputs.device, dtype=old_outputs.dtype)
+    if rows.sequences is not None:
+        outputs = _network_outputs(actor, rows, config).transpose(1, 2)
+        with torch.no_grad():
+            new = actor.distribution(outputs, rows.masks)
+            kl = _kl_to_old(new, old_outputs, rows.masks, old_log_std)
+        return torch.where(selected, kl, 0).sum(1) / selected.sum(1).clamp(min=1)
     with torch.no_grad():
         for part in even_slices(selected.shape[1], len(selected), config.piece_samples):
             masks = rows.masks[:, part] if rows.masks is not None else None

@@ -37,7 +37,7 @@ class TRPO:
         """See `headway_algos.updates.Update`; there is nothing to shuffle."""
         actor, config = self.actor, self.config
         batch = WholeBatch.of(rows, advantages)
-        gradient, surrogate, entropy, outputs = self._gradient(batch)
+        gradient, surrogate, entropy, batch = self._gradient(batch)
         fisher_rows = batch.strided(round(1 / config.fisher_share))
         fisher = fisher_product(actor, fisher_rows, config.piece_samples)
 
@@ -48,25 +48,24 @@ class TRPO:
         curvature = (solution * image).sum(1, keepdim=True)
         bound = config.kl_bound * self.share**2
         step = torch.where(curvature > 0, (2 * bound / curvature).sqrt() * solution, 0)
-        info = self._search(batch, outputs, surrogate, step, (step * gradient).sum(1), bound)
+        info = self._search(batch, surrogate, step, (step * gradient).sum(1), bound)
         norm = gradient.square().sum(1).sqrt()
         return {"entropy": entropy, "gradient_norm": norm, **info}
 
-    def _gradient(self, batch: WholeBatch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of the surrogate (P, V), its value and the entropy (P,), and network outputs (P, W, A)."""
+    def _gradient(self, batch: WholeBatch) -> tuple[Tensor, Tensor, Tensor, WholeBatch]:
+        """Of the surrogate (P, V), its value and the entropy (P,), and the batch with network outputs."""
         parameters, stack = self.actor.learnable, len(batch.weight)
         gradient = torch.zeros_like(flat(parameter.detach() for parameter in parameters))
         surrogate, entropy = gradient.new_zeros(stack), gradient.new_zeros(stack)
         kept: list[Tensor] = []
         for piece in batch.pieces(self.config.piece_samples):
-            outputs = self.actor.network(piece.observations)
+            outputs = self.actor.network(piece.observations, piece.timeline)
             values, entropies = self._surrogate(self.actor, outputs, piece)
             gradient += flat(torch.autograd.grad(values.sum(), parameters))
             surrogate += values.detach()
             entropy += entropies.detach()
             kept.append(outputs.detach().transpose(1, 2))
-        joined = torch.cat(kept, dim=1) if kept else batch.observations[..., :0]
-        return gradient, surrogate, entropy, joined
+        return gradient, surrogate, entropy, batch.with_outputs(kept)
 
     def _surrogate(self, actor: Actor, outputs: Tensor, piece: WholeBatch) -> tuple[Tensor, Tensor]:
         """A piece's share of the surrogate and of the mean entropy, (P,) each."""
@@ -79,7 +78,6 @@ class TRPO:
     def _search(
         self,
         batch: WholeBatch,
-        outputs: Tensor,
         surrogate: Tensor,
         step: Tensor,
         expected: Tensor,
@@ -100,7 +98,7 @@ class TRPO:
                 for tensor, change in zip(after.learnable, changes, strict=True):
                     tensor.add_(change)
                 rows = batch if len(going) == len(step) else batch.narrow(going)
-                reached, moved = self._compare(before, after, rows, outputs[going])
+                reached, moved = self._compare(before, after, rows)
             enough = reached - surrogate[going] >= self.config.accept_ratio * size * expected[going]
             accepts = enough & (moved <= bound)
             self.actor.adopt(going[accepts], after.narrow(accepts))
@@ -108,20 +106,16 @@ class TRPO:
             going = going[~accepts]
         return {"kl": kl, "accepted_step": accepted}
 
-    def _compare(
-        self, before: Actor, after: Actor, batch: WholeBatch, old_outputs: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _compare(self, before: Actor, after: Actor, batch: WholeBatch) -> tuple[Tensor, Tensor]:
         """The surrogate of `after`, and its mean KL divergence from `before`, (P,) each."""
-        surrogate, kl = old_outputs.new_zeros(len(old_outputs)), old_outputs.new_zeros(len(old_outputs))
-        start = 0
+        surrogate, kl = batch.weight.new_zeros(len(batch.weight)), batch.weight.new_zeros(len(batch.weight))
         for piece in batch.pieces(self.config.piece_samples):
-            end = start + piece.weight.shape[1]
-            outputs = after.network(piece.observations)
+            assert piece.outputs is not None
+            outputs = after.network(piece.observations, piece.timeline)
             surrogate += self._surrogate(after, outputs, piece)[0]
-            old = before.distribution(old_outputs[:, start:end].transpose(1, 2), piece.masks)
+            old = before.distribution(piece.outputs.transpose(1, 2), piece.masks)
             new = after.distribution(outputs, piece.masks)
             kl += (new.kl_from(old) * piece.weight).sum(1)  # type: ignore[arg-type]  # both of one kind
-            start = end
         return surrogate, kl
 
     def anneal(self, share: float) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 from headway.contracts import EnvEntry, RandomRule
 from headway_envs.toy.matrix import Matrix, MatrixConfig, OptimalMatrix
+from headway_envs.toy.recall import OptimalRecall, Recall, RecallConfig
 from headway_envs.toy.tracking import OptimalTracking, Tracking, TrackingConfig
 from headway_envs.toy.trivial import OptimalTrivial, Trivial, TrivialConfig
 from headway_envs.toy.visitors import OptimalVisitors, Visitors, VisitorsConfig
@@ -27,6 +28,12 @@ def _tracking_parallel(config: TrackingConfig) -> Any:  # noqa: ANN401 - EnvEntr
     from headway_envs.toy.parallel_face import ParallelFace
 
     return ParallelFace(lambda copies: Tracking(config, copies))
+
+
+def _recall_parallel(config: RecallConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
+    from headway_envs.toy.parallel_face import ParallelFace
+
+    return ParallelFace(lambda copies: Recall(config, copies))
 
 
 def _visitors_parallel(config: VisitorsConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
@@ -56,6 +63,13 @@ ENTRIES: dict[str, EnvEntry] = {
         make=Tracking,
         parallel_env=_tracking_parallel,
         rules={"random": lambda config: RandomRule(), "optimal": OptimalTracking},
+    ),
+    "recall": EnvEntry(
+        summary="toy: a cue seen at the first step is to be named at the last, which needs memory",
+        config=RecallConfig,
+        make=Recall,
+        parallel_env=_recall_parallel,
+        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalRecall()},
     ),
     "visitors": EnvEntry(
         summary="toy: agents come, go and retire, with action masks and NaN in every absent row",

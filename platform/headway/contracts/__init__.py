@@ -4,10 +4,11 @@ Axes have one name each, here, in the engine and in the algorithms (an environme
 R replicas (seeds trained together), T steps, C copies of the environment over all replicas
 (replica-major: the copies of replica r are rows r*E to (r+1)*E), E copies of one replica, N agents,
 K policies of one replica, P = R x K stacked policies, G agents of the largest group, B = G x T x E rows of
-one policy, W viewpoints of a critic, A actions, D observation size, S state size, M episode metrics.
+one policy, W viewpoints of a critic, A actions, D observation size, S state size, M episode metrics or, of a
+policy, numbers that an agent remembers.
 """
 
-from headway.contracts.acting import ActingPolicy
+from headway.contracts.acting import ActingPolicy, RememberingPolicy
 from headway.contracts.entries import AlgoEntry, EnvEntry, Rule
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
 from headway.contracts.errors import HeadwayError
@@ -35,6 +36,7 @@ __all__ = [
     "Observed",
     "Outcome",
     "RandomRule",
+    "RememberingPolicy",
     "Rule",
     "Trajectory",
     "TrajectoryLayout",

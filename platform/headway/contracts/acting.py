@@ -1,7 +1,7 @@
 """How a worker turns observations into actions, without torch."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,3 +29,38 @@ class ActingPolicy(Protocol):
         """Actions and their log-probabilities (C, N) for a block of copies, as many of each replica
         (replica-major). Noise (C, N, ...); None acts greedily (the mode of the distribution)."""
         ...
+
+
+@runtime_checkable
+class RememberingPolicy(ActingPolicy, Protocol):
+    """An acting policy whose agents remember what they observed before, M numbers each.
+
+    Whoever plays it keeps these numbers from step to step: zeros where an agent's stream begins, and again
+    where it was terminated or truncated.
+    """
+
+    @property
+    def memory_size(self) -> int:
+        """M, at least 1."""
+        ...
+
+    @property
+    def memory_type(self) -> np.dtype[Any]:
+        """Of the numbers remembered."""
+        ...
+
+    def act_from(
+        self,
+        parameters: Parameters,
+        observed: Observed,
+        memory: NDArray[Any],
+        noise: NDArray[np.float64] | None,
+    ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
+        """As `act`, from what is remembered (C, N, M); third, what is remembered then, (C, N, M): where an
+        agent is not alive, what it was."""
+        ...
+
+
+def memory_size(policy: ActingPolicy) -> int:
+    """M: numbers that each agent remembers; 0 for a policy without memory."""
+    return policy.memory_size if isinstance(policy, RememberingPolicy) else 0

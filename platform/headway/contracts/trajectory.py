@@ -22,12 +22,15 @@ class TrajectoryLayout:
     """T"""
     copies: int
     """C, over all replicas."""
+    memory_size: int = 0
+    """M: numbers that each agent remembers; 0: none."""
 
     @property
     def arrays(self) -> dict[str, tuple[tuple[int, ...], DTypeLike]]:
         """Shape and type of every field of `Trajectory`, in order."""
         spec, t, c, n = self.spec, self.steps, self.copies, self.spec.num_agents
-        d, s = spec.observation_size, spec.state_size
+        d, s, m = spec.observation_size, spec.state_size, self.memory_size
+        remembered = 1 if m else 0
         match spec.action_space:
             case Discrete(n=num_actions):
                 actions: tuple[tuple[int, ...], DTypeLike] = (t, c, n), np.int64
@@ -48,6 +51,8 @@ class TrajectoryLayout:
             "acting": ((t, c, n), np.bool_),
             "final_observations": ((t, c, n, d), np.float32),
             "final_states": ((t, c, s), np.float32),
+            "memory": ((remembered, c, n, m), np.float64),
+            "begins": ((remembered, c, n), np.bool_),
         }
 
     @property
@@ -90,6 +95,10 @@ class Trajectory:
     """(T, C, N, D): valid where terminated or truncated."""
     final_states: NDArray[np.float32]
     """(T, C, S): valid where the copy's episode ended."""
+    memory: NDArray[np.float64]
+    """(1, C, N, M): what agents remembered before row 0; first axis 0 for policies without memory."""
+    begins: NDArray[np.bool_]
+    """(1, C, N): the agent's stream begins with row 0, whatever was before; first axis as `memory`'s."""
 
     @classmethod
     def over(cls, buffer: Any, layout: TrajectoryLayout) -> Self:  # noqa: ANN401 - anything with a buffer

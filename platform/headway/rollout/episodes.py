@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, HeadwayError, Observed, Rule, child_seeds, generator
+from headway.contracts import BatchedEnv, HeadwayError, Observed, Outcome, Rule, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.finite import NameCopy, check_finite
+from headway.rollout.blockwise import BlockwiseActing
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
-from headway.rollout.sampler import BlockwiseActing, Tally
+from headway.rollout.sampler import Tally
 
 _NOISE_STEPS = 256
 MOST_STEPS = 1_000_000
@@ -58,8 +59,10 @@ def run_episodes(
     seeds: NDArray[np.uint64],
     act: Callable[[Observed, int], NDArray[Any]],
     name_copy: NameCopy,
+    heed: Callable[[Outcome], None] = lambda outcome: None,
 ) -> list[Row]:
-    """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step.
+    """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step,
+    `heed` what the step led to.
 
     Raises HeadwayError where the environment gives a NaN or an infinity, or an episode does not end.
     """
@@ -78,6 +81,7 @@ def run_episodes(
         outcome, observed = env.step(act(observed, step))
         step += 1
         check_finite(env.spec, outcome, observed, step, name_copy)
+        heed(outcome)
         for copy, row in tally.add(outcome):
             rows.setdefault(copy, row)
     return [rows[copy] for copy in range(env.num_copies)]
@@ -93,7 +97,8 @@ def evaluate_policy(plan: RolloutPlan, parameters: Parameters, request: Evaluati
         return acting.act(parameters, observed, None if noise is None else noise.at(step))[0]
 
     with closing(env):
-        rows = run_episodes(env, np.tile(request.seeds, plan.replicas), act, request.name_copy)
+        seeds = np.tile(request.seeds, plan.replicas)
+        rows = run_episodes(env, seeds, act, request.name_copy, acting.heed)
     labelled: list[Row] = [
         {"episode_seed": request.first + i % request.count, **row} for i, row in enumerate(rows)
     ]

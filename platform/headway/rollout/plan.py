@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from headway.config import RolloutConfig
-from headway.contracts import BatchedEnv, EnvSpec, HeadwayError
-from headway.contracts.acting import ActingPolicy
+from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
+from headway.contracts.acting import ActingPolicy, memory_size
 
 EVALUATION_BLOCK = 10
 """Evaluation episodes run at once, the same on every backend."""
@@ -64,6 +64,11 @@ class RolloutPlan:
     def replicas(self) -> int:
         """R"""
         return len(self.seeds)
+
+    @property
+    def layout(self) -> TrajectoryLayout:
+        """Of the trajectory that all workers fill together."""
+        return TrajectoryLayout(self.spec, self.steps, self.replicas * self.copies, memory_size(self.policy))
 
     @property
     def evaluating_apart(self) -> "RolloutPlan":

@@ -11,7 +11,7 @@ from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
 
-from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
+from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collecting import evaluation_requests, joined, require_shards, restart_purpose
@@ -65,10 +65,9 @@ class ProcessCollector:
         self.shards = plan.shards(workers)
         self.pickled_plan = pickle.dumps(plan)
         self.needs_main = b"_main__" in self.pickled_plan
-        layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
         shapes = plan.policy.parameter_shapes(plan.replicas)
-        self.blocks = SharedBlock.create(layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
-        self.trajectory = Trajectory.over(self.blocks[0].buffer, layout)
+        self.blocks = SharedBlock.create(plan.layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
+        self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])

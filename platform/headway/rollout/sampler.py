@@ -11,6 +11,7 @@ from headway.contracts import Observed, Outcome, Trajectory, child_seeds, genera
 from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.finite import check_finite
+from headway.rollout.blockwise import BlockwiseActing
 from headway.rollout.plan import RolloutPlan
 
 
@@ -56,46 +57,6 @@ class Tally:
         return ended
 
 
-class BlockwiseActing:
-    """Actions of R x E copies (replica-major), computed in blocks of a few copies of each replica."""
-
-    def __init__(self, plan: RolloutPlan, copies: int, block: int) -> None:
-        self.plan, self.copies = plan, copies
-        self.blocks = [slice(start, min(start + block, copies)) for start in range(0, copies, block)]
-
-    def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
-    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Actions and log-probabilities (C, N, ...); noise (C, N, ...) or None for greedy."""
-        if len(self.blocks) == 1:
-            return self.plan.policy.act(parameters, observed, noise)
-        parts = [
-            self.plan.policy.act(
-                parameters,
-                Observed(
-                    self._cut(observed.observations, block),
-                    self._cut(observed.states, block),
-                    self._cut(observed.alive, block),
-                    None if observed.action_masks is None else self._cut(observed.action_masks, block),
-                ),
-                None if noise is None else self._cut(noise, block),
-            )
-            for block in self.blocks
-        ]
-        return self._join([part[0] for part in parts]), self._join([part[1] for part in parts])
-
-    def _cut(self, array: NDArray[Any], block: slice) -> NDArray[Any]:
-        if self.plan.replicas == 1:
-            return array[block]
-        split = array.reshape(self.plan.replicas, self.copies, *array.shape[1:])[:, block]
-        return split.reshape(-1, *array.shape[1:])
-
-    def _join(self, parts: list[NDArray[Any]]) -> NDArray[Any]:
-        replicas = self.plan.replicas
-        split = [part.reshape(replicas, -1, *part.shape[1:]) for part in parts]
-        return np.concatenate(split, axis=1).reshape(replicas * self.copies, *parts[0].shape[1:])
-
-
 class Sampler:
     """Copies first to first + count - 1 of every replica, and their part of the trajectory."""
 
@@ -111,6 +72,7 @@ class Sampler:
         """Start the first episodes, on seeds of the global copies."""
         seeds = [child_seeds(seed, purpose, self.first, self.count) for seed in self.plan.seeds]
         self.observed = self.env.reset(np.concatenate(seeds))
+        self.acting.forget()
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
         """Where this sampler stands between two iterations, or None if the environment cannot tell."""
@@ -120,6 +82,7 @@ class Sampler:
             "env": self.env.snapshot(),
             "lengths": self.tally.lengths.copy(),
             "returns": self.tally.returns.copy(),
+            **self.acting.snapshot(),
         }
 
     def restore(self, snapshot: Any) -> None:  # noqa: ANN401
@@ -127,6 +90,7 @@ class Sampler:
         self.observed = self.env.restore(snapshot["env"])
         self.tally.lengths[:] = snapshot["lengths"]
         self.tally.returns[:] = snapshot["returns"]
+        self.acting.restore(snapshot)
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Fill this sampler's part of the trajectory; the episodes that ended meanwhile."""
@@ -135,6 +99,9 @@ class Sampler:
         noise = self._noise(iteration)
         episodes = []
         check_finite(spec, None, observed, 0, self._name_copy)
+        if self.acting.memory is not None:
+            views["memory"][0] = self._by_replica(self.acting.memory)
+            views["begins"][0] = self._by_replica(self.acting.begins)
         for t in range(self.plan.steps):
             self._store_observed(t, observed)
             actions, log_probs = self.acting.act(parameters, observed, noise[t])
@@ -147,6 +114,7 @@ class Sampler:
             if outcome.terminated.any() or outcome.truncated.any():
                 views["final_observations"][t] = self._by_replica(outcome.final_observations)
                 views["final_states"][t] = self._by_replica(outcome.final_states)
+            self.acting.heed(outcome)
             episodes += [self._episode(copy, row) for copy, row in self.tally.add(outcome)]
         self._store_observed(self.plan.steps, observed)
         self.observed = observed

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from headway.contracts import Trajectory, TrajectoryLayout
+from headway.contracts import Trajectory
 from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collecting import evaluation_requests, joined, require_shards, restart_purpose
@@ -17,9 +17,7 @@ class SerialCollector:
     def __init__(self, plan: RolloutPlan) -> None:
         self.plan = plan
         plan.shards(1)
-        self.trajectory = Trajectory.allocate(
-            TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
-        )
+        self.trajectory = Trajectory.allocate(plan.layout)
         self.sampler = Sampler(plan, 0, plan.copies, self.trajectory)
 
     def begin(self) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Trajectory, TrajectoryLayout
+from headway.contracts import HeadwayError, Trajectory
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock
@@ -134,8 +134,7 @@ class _Service:
     def __init__(self, setup: WorkerSetup) -> None:
         plan: RolloutPlan = pickle.loads(setup.plan)
         self.plan, self.shard = plan, (setup.first, setup.count)
-        layout = TrajectoryLayout(plan.spec, plan.steps, plan.replicas * plan.copies)
-        self.trajectory = Trajectory.over(setup.trajectory.buffer, layout)
+        self.trajectory = Trajectory.over(setup.trajectory.buffer, plan.layout)
         shapes = plan.policy.parameter_shapes(plan.replicas)
         self.parameters = parameter_arrays(shapes, setup.parameters.buffer)
         self.own_usage = OwnUsage()

@@ -23,9 +23,10 @@ from headway.contracts import (
 )
 from headway.contracts.acting import Parameters
 from headway.rollout import episodes
+from headway.rollout.blockwise import BlockwiseActing
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
-from headway.rollout.sampler import BlockwiseActing, Episode, Sampler
+from headway.rollout.sampler import Episode, Sampler
 from headway_envs.toy.trivial import TrivialConfig
 from headway_envs.toy.trivial_parallel import TrivialParallel
 

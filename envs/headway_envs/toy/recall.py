@@ -1,0 +1,136 @@
+"""A task of nothing but memory: a cue shown at the first step must be named at the last.
+
+Whoever acts on the present observation alone is right by chance: when the answer is due, all observe the
+same.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+
+
+@dataclass(frozen=True)
+class RecallConfig:
+    """Its size. The best return is 1 for every agent; without memory it is 1 / `cues`."""
+
+    agents: int = 3
+    """N."""
+    steps: int = 6
+    """Steps of an episode: the cue is seen at the first, and the answer counts at the last."""
+    cues: int = 2
+    """Cues, each as likely, and as many answers."""
+
+    def __post_init__(self) -> None:
+        if self.agents < 1:
+            raise ValueError(f"agents must be at least 1, not {self.agents}")
+        if self.steps < 2:
+            raise ValueError(f"steps must be at least 2, not {self.steps}")
+        if self.cues < 2:
+            raise ValueError(f"cues must be at least 2, not {self.cues}")
+
+
+class Recall:
+    """C copies, all at the same step. Each agent observes its own cue (one-hot, at the first step only) and
+    whether the answer is due (D = cues + 1), and is paid 1 for naming its cue then."""
+
+    def __init__(self, config: RecallConfig, copies: int) -> None:
+        self._config, n = config, config.agents
+        self._spec = EnvSpec(
+            name="recall",
+            agents=tuple(f"agent_{index}" for index in range(n)),
+            observation_size=config.cues + 1,
+            action_space=Discrete(config.cues),
+            metrics=("recalled",),
+            snapshots=True,
+        )
+        self._seeds = np.zeros(copies, dtype=np.uint64)
+        self._episode = 0
+        self._step = 0
+        self._cues = np.zeros((copies, n), dtype=np.int64)
+        self._observed = Observed(
+            observations=np.zeros((copies, n, config.cues + 1), dtype=np.float32),
+            states=np.zeros((copies, 0), dtype=np.float32),
+            alive=np.ones((copies, n), dtype=np.bool_),
+        )
+        self._outcome = Outcome(
+            rewards=np.zeros((copies, n), dtype=np.float32),
+            terminated=np.zeros((copies, n), dtype=np.bool_),
+            truncated=np.zeros((copies, n), dtype=np.bool_),
+            acting=self._observed.alive,
+            episode_ended=np.zeros(copies, dtype=np.bool_),
+            final_observations=np.zeros((copies, n, config.cues + 1), dtype=np.float32),
+            final_states=np.zeros((copies, 0), dtype=np.float32),
+            metrics=np.zeros((copies, 1), dtype=np.float64),
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return len(self._seeds)
+
+    @property
+    def cues(self) -> NDArray[np.int64]:
+        """(C, N): what is to be named at the end of this episode."""
+        return self._cues
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        self._seeds[:] = seeds
+        self._begin(episode=0)
+        return self._show()
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        outcome = self._outcome
+        self._step += 1
+        ended = self._step == self._config.steps
+        outcome.terminated.fill(ended)
+        outcome.episode_ended.fill(ended)
+        outcome.rewards.fill(0)
+        if ended:
+            outcome.rewards[:] = actions == self._cues
+            outcome.metrics[:, 0] = outcome.rewards.mean(axis=1)
+            self._begin(self._episode + 1)
+        return outcome, self._show()
+
+    def snapshot(self) -> tuple[NDArray[np.uint64], int, int]:
+        return self._seeds.copy(), self._episode, self._step
+
+    def restore(self, snapshot: tuple[NDArray[np.uint64], int, int]) -> Observed:
+        seeds, episode, step = snapshot
+        self._seeds[:] = seeds
+        self._begin(episode)
+        self._step = step
+        return self._show()
+
+    def close(self) -> None:
+        pass
+
+    def _begin(self, episode: int) -> None:
+        self._episode, self._step = episode, 0
+        for copy, seed in enumerate(self._seeds):
+            draw = generator(int(seed), "recall", episode)
+            self._cues[copy] = draw.integers(0, self._config.cues, self._config.agents)
+
+    def _show(self) -> Observed:
+        observations = self._observed.observations
+        observations.fill(0)
+        if self._step == 0:
+            np.put_along_axis(observations, self._cues[..., None], 1, axis=-1)
+        observations[..., -1] = self._step == self._config.steps - 1
+        return self._observed
+
+
+class OptimalRecall:
+    """Names the cue at every step: returns 1."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        """(C, N)"""
+        if not isinstance(env, Recall):
+            raise TypeError("the optimal rule of 'recall' reads the cues of a Recall")
+        return env.cues.copy()
