@@ -107,7 +107,7 @@ class WholeBatch:
             by_step = chosen.view(len(chosen), self.length, self._count, *chosen.shape[2:])
             return by_step[:, :, which].flatten(1, 2)
 
-        parts = {name: cut(tensor) for name, tensor in tensors.items()}
+        parts: dict[str, Any] = {name: cut(tensor) for name, tensor in tensors.items()}
         return replace(self, **parts, timeline=self.timeline.part(which, policies))
 
     def with_outputs(self, parts: list[Tensor]) -> Self:

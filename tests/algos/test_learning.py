@@ -1,6 +1,7 @@
 """Learning bars: how near to a known optimum each algorithm comes in a few seconds."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -167,6 +168,25 @@ def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algori
                 policies = len(array)
                 mine = learner.acting_parameters()[name][policies : 2 * policies]
                 np.testing.assert_allclose(mine, array, rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+RECALL: dict[str, tuple[dict[str, Any], int]] = {
+    "ippo": ({"minibatches": 4, "lr": 1e-2}, 15),
+    "ia2c": ({"minibatches": 1, "lr": 2e-2}, 40),
+    "matrpo": ({"minibatches": 4, "lr": 1e-2}, 15),
+}
+"""By algorithm, one of each update: what is set, and iterations."""
+
+
+@pytest.mark.parametrize("algorithm", RECALL)
+def test_what_was_seen_at_first_is_named_at_last_by_those_who_remember(algorithm: str) -> None:
+    """Always, of two cues, by every seed; who sees no further than the present is as good as chance."""
+    settings, iterations = RECALL[algorithm]
+    task, model = {"agents": 2, "steps": 4}, ModelConfig(hidden=(16,), gru_size=16, sequence_length=12)
+    for core, bounds in (("gru", (1.0, 1.0)), ("none", (0.2, 0.8))):
+        chosen = {**settings, "model": replace(model, core=core)}
+        returns = _returns(_train("recall", task, algorithm, chosen, (0, 1, 2), (16, 24, iterations)))
+        assert bounds[0] <= min(returns) <= max(returns) <= bounds[1]
 
 
 def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> None:

@@ -59,10 +59,10 @@ def prepared(task: str) -> Prepared:
     return Prepared(entry, shared, env.spec)
 
 
-def configured(algorithm: str, policies: str) -> Any:  # noqa: ANN401 - the entry's record
+def configured(algorithm: str, policies: str, **more: Any) -> Any:  # noqa: ANN401 - the entry's record
     record = algo_entry(algorithm).config
     keys = {field.name for field in fields(record)}
-    wanted = {**SMALL, "name": algorithm, "policies": policies}
+    wanted = {**SMALL, "name": algorithm, "policies": policies, **more}
     return build(record, {key: value for key, value in wanted.items() if key in keys})
 
 
@@ -122,7 +122,6 @@ def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
 @pytest.mark.parametrize("algorithm", algo_entries())
 @pytest.mark.parametrize("task", TASKS)
 def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> None:
-    """Every policy whose agents acted moves; the trust region may keep some where they were, but not all."""
     spec, entry, config = prepared(task).spec, algo_entry(algorithm), configured(algorithm, policies)
     reason = entry.refuses(config, spec)
     assert (reason is not None) == refused(algorithm, policies, spec), reason
@@ -131,6 +130,12 @@ def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> 
         ungrouped = policies == "groups" and reason.startswith(f"{spec.name} names no groups")
         assert reason.startswith(f"{algorithm} ") or ungrouped
         return
+    assert_trains(task, entry, config, policies)
+
+
+def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) -> None:
+    """Every policy whose agents acted moves; the trust region may keep some where they were, but not all."""
+    spec = prepared(task).spec
     result = trained(task, entry, config)
     assert all(np.isfinite(array).all() for array in result.after.values())
     assert all(value.shape == (len(SEEDS),) for value in result.metrics.values())
@@ -141,6 +146,21 @@ def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> 
         assert moved.any(axis=1).all()
     else:
         assert moved[:, own][result.acted].all()
+
+
+REMEMBERING = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared"])
+@pytest.mark.parametrize("algorithm", algo_entries())
+@pytest.mark.parametrize("task", ["visitors", "tracking"])
+def test_it_trains_with_a_memory_or_says_why_not(task: str, algorithm: str, policies: str) -> None:
+    """Refused is what is refused without one, and nothing else."""
+    spec, entry = prepared(task).spec, algo_entry(algorithm)
+    config = configured(algorithm, policies, **REMEMBERING)
+    assert (entry.refuses(config, spec) is not None) == refused(algorithm, policies, spec)
+    if not refused(algorithm, policies, spec):
+        assert_trains(task, entry, config, policies)
 
 
 def test_both_kinds_of_action_and_of_presence_are_among_the_tasks() -> None:

@@ -24,8 +24,9 @@ from headway.rollout.collecting import Collector
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.processes import Notify
 from headway.rollout.sampler import Episode
-from headway_algos.acting import StackedActingPolicy
+from headway_algos.config import ModelConfig
 from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.remembering import acting_policy
 from headway_envs.toy.tracking import Tracking, TrackingConfig
 from headway_envs.toy.trivial import Trivial, TrivialConfig
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
@@ -183,11 +184,12 @@ def plan_of(
     steps: int = 20,
     block: int = 1,
     precision: Literal["float32", "float64"] = "float32",
+    core: Literal["none", "gru"] = "none",
 ) -> RolloutPlan:
     """A plan with IPPO's acting policy: one small network an agent."""
     with closing(make(config, 1)) as env:
         spec = env.spec
-    policy = StackedActingPolicy.of(IPPOConfig(precision=precision), spec)
+    policy = acting_policy(IPPOConfig(precision=precision, model=ModelConfig(core=core, gru_size=4)), spec)
     return RolloutPlan(make, (), config, spec, policy, tuple(seeds), copies, steps, block)
 
 

@@ -32,9 +32,11 @@ def job_of(
     checkpoint_every: int = 2,
     precision: Literal["float32", "float64"] = "float32",
     resume: bool = False,
+    core: Literal["none", "gru"] = "none",
 ) -> TrainingJob:
     """A job whose run folders are `folder`/seed."""
-    algo = IPPOConfig(model=ModelConfig(hidden=(8,)), epochs=2, minibatches=2, precision=precision)
+    model = ModelConfig(hidden=(8,), core=core, gru_size=4, sequence_length=6)
+    algo = IPPOConfig(model=model, epochs=2, minibatches=2, precision=precision)
     make, prepared = env
     return TrainingJob(
         make_env=make,

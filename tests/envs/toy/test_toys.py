@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, EnvEntry
 from headway_envs.toy.entry import ENTRIES
 from headway_envs.toy.matrix import MatrixConfig
+from headway_envs.toy.recall import RecallConfig
 from headway_envs.toy.tracking import SPEED, Tracking, TrackingConfig, regulator
 from headway_envs.toy.trivial import TrivialConfig
 from headway_envs.toy.visitors import VisitorsConfig
@@ -56,6 +57,22 @@ def test_the_climbing_game_is_worth_eleven() -> None:
     rewards, metrics = run_rule(ENTRIES["matrix"], MatrixConfig(), "optimal", copies=3, steps=5)
     assert (rewards == 11).all()
     assert (metrics == 1).all()
+
+
+def test_recall_pays_one_an_episode_for_the_cue_that_only_its_first_step_shows() -> None:
+    config = RecallConfig(agents=4, steps=5, cues=3)
+    rewards, metrics = run_rule(ENTRIES["recall"], config, "optimal", copies=6, steps=20)
+    assert (rewards.reshape(4, 5, 6, 4) == [[[[0]], [[0]], [[0]], [[0]], [[1]]]]).all()
+    assert (metrics == 1).all()
+    rewards, _ = run_rule(ENTRIES["recall"], config, "random", copies=100, steps=50)
+    assert rewards.sum(axis=0).mean() / 10 == pytest.approx(1 / 3, abs=4 * np.sqrt(2 / 9 / 4000))
+    env = ENTRIES["recall"].make(config, 6)
+    shown = [env.reset(seeds(6)).observations.copy()]
+    shown += [env.step(np.zeros((6, 4), dtype=np.int64))[1].observations.copy() for _ in range(4)]
+    np.testing.assert_array_equal(shown[0][..., :3].argmax(axis=-1), env.cues)  # type: ignore[attr-defined]  # a Recall
+    assert all((step[..., :3] == 0).all() for step in shown[1:])
+    assert [step[..., 3].mean() for step in shown] == [0, 0, 0, 0, 1]
+    assert len(np.unique(shown[0][..., :3].argmax(axis=-1))) == 3
 
 
 def least_cost(offset: float, velocity: float, config: TrackingConfig) -> float:
@@ -184,6 +201,9 @@ def test_episodes_differ_from_each_other(name: str) -> None:
         (TrackingConfig, {"effort": -1.0}, "effort must be within 0 and 10, not -1.0"),
         (TrackingConfig, {"noise": 0.5}, "noise must be within 0 and 0.1, not 0.5"),
         (VisitorsConfig, {"steps": 1}, "steps must be at least 2, not 1"),
+        (RecallConfig, {"agents": 0}, "agents must be at least 1, not 0"),
+        (RecallConfig, {"steps": 1}, "steps must be at least 2, not 1"),
+        (RecallConfig, {"cues": 1}, "cues must be at least 2, not 1"),
     ],
 )
 def test_impossible_arguments_are_refused(config: type, values: dict[str, Any], message: str) -> None:
