@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Tensor, nn
 
+from headway.contracts import HeadwayError
 from headway_algos.acting import layer_sizes
 from headway_algos.config import ModelConfig
 from headway_algos.networks import HIDDEN_GAIN, StackedMLP, activated_layer, stacked_matrices
@@ -75,9 +76,13 @@ class RecurrentNetwork(nn.Module):
         return outputs
 
     def memories(self, rows: Tensor, timeline: Timeline | None) -> Tensor:
-        """What is remembered right after each row, (P, M, L x n), of rows (P, L x n, in)."""
+        """What is remembered right after each row, (P, M, L x n), of rows (P, L x n, in). Raises HeadwayError
+        where nobody says what came before."""
         if timeline is None:
-            raise ValueError("a network that remembers needs to know what came before")
+            raise HeadwayError(
+                "what updates or judges policies does not tell them what came before, which they need to "
+                "remember; use algo.model.core=none"
+            )
         x = rows.transpose(1, 2)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = activated_layer(x, weight, bias, self.activation)

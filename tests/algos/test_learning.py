@@ -171,9 +171,9 @@ def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algori
 
 
 RECALL: dict[str, tuple[dict[str, Any], int]] = {
-    "ippo": ({"minibatches": 4, "lr": 1e-2}, 15),
-    "ia2c": ({"minibatches": 1, "lr": 2e-2}, 40),
-    "matrpo": ({"minibatches": 4, "lr": 1e-2}, 15),
+    "ippo": ({"minibatches": 4, "lr": 1e-2, "lr_end": 0.05}, 25),
+    "ia2c": ({"minibatches": 1, "lr": 2e-2, "lr_end": 0.1}, 40),
+    "matrpo": ({"minibatches": 4, "lr": 1e-2, "lr_end": 0.1}, 20),
 }
 """By algorithm, one of each update: what is set, and iterations."""
 

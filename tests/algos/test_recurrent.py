@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Box, Discrete, EnvSpec, Trajectory
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial import SerialCollector
 from headway_algos.actor import Actor
@@ -114,7 +114,7 @@ def test_the_units_are_those_of_torch() -> None:
 
 def test_a_network_that_remembers_says_what_it_misses() -> None:
     network = make_network(GRU, (1,), 1, "x", (3, 2), 1.0, torch.float64)
-    with pytest.raises(ValueError, match="needs to know what came before"):
+    with pytest.raises(HeadwayError, match=r"what came before.*use algo\.model\.core=none$"):
         network(torch.zeros(1, 2, 3, dtype=torch.float64))
 
 

@@ -9,7 +9,8 @@ credits the action taken with its difference to the policy's own mean,
 (Foerster et al. 2018, arXiv:1705.08926, equation 4). The baseline does not depend on u^a, so it leaves
 the policy gradient as it is. One network gives Q of all own actions at once from (s, u^-a, o^a, id_a);
 it learns TD(lambda) targets that bootstrap from a target network, copied now and then. The paper's u_t-1
-among the inputs, and recurrence, are left out.
+among the inputs is left out; recurrence, which it has in the actor alone, is a choice for actor and critic
+(`model.core`).
 
 Neighbours: MAA2C has the same step with advantages from V(s), equal for all agents of a team; MAPPO with
 `critic_actions: others` sees u^-a too, but learns from returns instead of comparing own actions.

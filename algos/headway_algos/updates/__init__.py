@@ -25,7 +25,8 @@ class Update(Protocol):
     def improve(
         self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """Move the policies along advantages (P, B), used as they come; generators (P,), for shuffling.
+        """Move the policies along advantages (P, B), used as they come; generators (P,), for shuffling. Rows
+        of policies that remember are told in which sequences they stand.
 
         Policies without a selected row stay as they were, and so does what is carried on for them. Returns
         info, each (P,).

@@ -92,7 +92,8 @@ class BlockwiseActing:
 
     def _cut(self, array: NDArray[Any], block: slice) -> NDArray[Any]:
         split = array.reshape(self.plan.replicas, self.copies, *array.shape[1:])[:, block]
-        return split.reshape(-1, *array.shape[1:])
+        # Not -1 for the rows: a state may have no component to count them by.
+        return split.reshape(split.shape[0] * split.shape[1], *array.shape[1:])
 
     def _join(self, parts: list[NDArray[Any]]) -> NDArray[Any]:
         replicas = self.plan.replicas

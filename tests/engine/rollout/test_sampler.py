@@ -203,6 +203,14 @@ def test_actions_are_computed_in_blocks_of_all_replicas(copies: int, block: int,
     np.testing.assert_array_equal(log_probs, noise)
 
 
+def test_blocks_are_cut_where_there_is_no_state_too() -> None:
+    plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5, 6), 4, 4, 2)
+    shown = np.arange(8 * AGENTS * 3, dtype=np.float32).reshape(-1, AGENTS, 3)
+    observed = Observed(shown, np.zeros((8, 0), np.float32), np.ones(shown.shape[:2], np.bool_))
+    actions, _ = BlockwiseActing(plan, 4, 2).act({}, observed, None)
+    np.testing.assert_array_equal(actions, shown[..., 2])
+
+
 def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
     made: list[Clock] = []
 
