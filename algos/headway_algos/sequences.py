@@ -1,7 +1,7 @@
 """Rows of a trajectory as sequences of a few steps, which networks with memory learn from as one.
 
-A sequence starts from what was remembered when its first step was taken: exact in the first pass, and stale by
-the steps of this one iteration after it. (The stored states of R2D2, Kapturowski et al. 2019, "Recurrent
+A sequence starts from what was remembered when its first step was taken: exact in the first pass, later stale
+by the steps of this one iteration. (The stored states of R2D2, Kapturowski et al. 2019, "Recurrent
 Experience Replay in Distributed Reinforcement Learning", section 3, are of a replay buffer, and stale by far
 more.) Gradients end at a sequence's first step (truncated backpropagation through time), and memories where
 streams end within it.
@@ -145,8 +145,8 @@ def learning_batches(
     config: AlgoConfig,
     layout: Layout,
 ) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
-    """Shuffled minibatches of selected rows (P, B), or of whole sequences that hold some; a network with fewer
-    sequences than minibatches takes fewer steps. See `headway_algos.experience.minibatches`."""
+    """Shuffled minibatches of selected rows (P, B), or of whole sequences that hold some; a network that has
+    fewer of them than minibatches takes fewer steps. See `headway_algos.experience.minibatches`."""
     if sequences is None:
         yield from minibatches(
             selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
