@@ -44,7 +44,7 @@ class _CommandModule(Protocol):
 
 _COMMANDS = {
     "run": _Command("train an experiment, all its seeds", "run", only_prints=False),
-    "sweep": _Command("train an experiment over many seeds", "run", only_prints=False),
+    "sweep": _Command("train many cells and seeds, as far as the store has not", "sweep", only_prints=False),
     "search": _Command(
         "search for hyper-parameters by a committed configuration", "search", only_prints=False
     ),

@@ -1,5 +1,6 @@
 """From names and `key=value` overrides to one validated experiment, by Hydra's composition."""
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -17,6 +18,7 @@ from headway.registry import algo_entries, algo_entry, env_entries, is_module_pa
 from headway_launch.telling import tell
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
+_SEVERAL = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -74,13 +76,30 @@ class Experiment:
         chosen = self.config.evaluation.rules
         return tuple(self.env.rules) if chosen is None else chosen
 
-    def prepare(self) -> PreparedEnv:
+    def prepare(self, known: "dict[str, PreparedEnv] | None" = None) -> PreparedEnv:
         """What all environment copies share, and what the environment is. Tells the user what its wrappers
-        cost.
+        cost. `known` keeps what has been prepared, for experiments that differ in their algorithm only.
 
         Raises HeadwayError for data that cannot be used, a rule that is unknown or cannot be played, training
         arguments that change what agents observe or do, and an algorithm that cannot run on this environment.
         """
+        kept = {} if known is None else known
+        key = self._environment_key
+        if key not in kept:
+            kept[key] = self._prepare_environment()
+        if reason := self.algo.refuses(self.algo_config, kept[key].spec):
+            raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
+        return kept[key]
+
+    @property
+    def _environment_key(self) -> str:
+        """The same for experiments of the same environment, arguments, wrappers and rules."""
+        args = [plain(self.env_config), plain(self.training_env_config)]
+        return json.dumps(
+            [self.config.env.id, self.env_mapping, args, self.rules], sort_keys=True, default=str
+        )
+
+    def _prepare_environment(self) -> PreparedEnv:
         for rule in self.rules:
             if rule not in self.env.rules:
                 raise HeadwayError(
@@ -104,8 +123,6 @@ class Experiment:
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
             tell(f"headway: {line}")
-        if reason := self.algo.refuses(self.algo_config, spec):
-            raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
         return PreparedEnv(self.env, prepared, training, spec)
 
     def _spec(self, prepared: object) -> EnvSpec:
@@ -204,7 +221,7 @@ def _prepared(override: str) -> str:
     if key not in known:
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
-        raise HeadwayError(f"{override}: one option at a time; only seed takes several values")
+        raise HeadwayError(f"{override}: one option at a time; `headway sweep` takes several")
     if value not in known[key]:
         return _option_without_file(key, value, known[key])
     return override
@@ -254,6 +271,10 @@ def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
 def _one_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     kept = [line for line in lines if not line.lower().startswith(("see https", "set the environment"))]
+    if kept and (several := _SEVERAL.match(kept[0])):
+        key = several["key"].lstrip("+")
+        values = several["value"]
+        return f"{key}={values} is several values; `headway sweep` takes them, a list is {key}=[{values}]"
     return "the configuration cannot be composed: " + "; ".join(kept[:3])
 
 

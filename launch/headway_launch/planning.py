@@ -10,7 +10,7 @@ from headway.config import BackendConfig, ExperimentConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway_launch.composing import Experiment
+from headway_launch.composing import Experiment, PreparedEnv
 
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_A_SEED = 10 * 2**20
@@ -30,6 +30,8 @@ class PlannedJob:
     seeds: tuple[int, ...]
     resumed: tuple[str, ...] = ()
     """Identities of the runs to go on with, one a seed; empty: new ones."""
+    iteration: int = 0
+    """The last durable one of the runs to go on with."""
     workers: int | None = None
     """Rollout workers that its checkpoint knows; None for a new job, which takes its share of the cores."""
 
@@ -44,12 +46,32 @@ class Shares:
     """Rollout workers of each."""
 
 
+@dataclass(frozen=True)
+class CellPlan:
+    """What a session has to do for one experiment: all seeds of one configuration."""
+
+    experiment: Experiment
+    jobs: tuple[PlannedJob, ...]
+    finished: tuple[Path, ...] = ()
+    """Folders of runs that finished in earlier sessions, and count."""
+    label: str = ""
+    """What it is called where a session has several."""
+
+
 def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
     """The jobs of a new experiment. Raises HeadwayError for what cannot run."""
-    found = experiment.prepare()
-    seeds, stack = experiment.config.seed, experiment.config.backend.stack
+    return new_jobs(experiment, experiment.config.seed)
+
+
+def new_jobs(
+    experiment: Experiment, seeds: Sequence[int], known: dict[str, PreparedEnv] | None = None
+) -> tuple[PlannedJob, ...]:
+    """The jobs of some seeds of an experiment; `known` as for `Experiment.prepare`, raises as it does."""
+    found, stack = experiment.prepare(known), experiment.config.backend.stack
     return tuple(
-        PlannedJob(experiment, found.prepared, found.training, found.spec, seeds[first : first + stack])
+        PlannedJob(
+            experiment, found.prepared, found.training, found.spec, tuple(seeds[first : first + stack])
+        )
         for first in range(0, len(seeds), stack)
     )
 
@@ -57,7 +79,7 @@ def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
 def share_cores(backend: BackendConfig, jobs: int, cores: int, stored_workers: int = 1) -> Shares:
     """As many training processes as cores (at most one a job); each has its share of the cores as workers.
     Stored jobs, whose number of workers is fixed, run side by side as far as the cores go round."""
-    parallel = min(backend.parallel or max(1, cores // stored_workers), jobs)
+    parallel = max(1, min(backend.parallel or max(1, cores // stored_workers), jobs))
     return Shares(parallel, backend.workers or max(1, cores // parallel))
 
 

@@ -1,23 +1,15 @@
-"""What a session shows while it trains: one line a training process, on stderr."""
+"""How far the jobs of a session are, each alone and all together."""
 
-import sys
-import time
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal
 
-from headway.events import EvaluationFinished, Event, IterationFinished, Started
-from headway_launch.telling import silence, tell
-
-if TYPE_CHECKING:
-    from rich.live import Live
-    from rich.table import Table
+from headway.events import EvaluationFinished, Event, Failed, IterationFinished, Started
 
 Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed"]
-_PLAIN_EVERY_S = 30.0
+ACTIVE: tuple[Status, ...] = ("starting", "training")
+ENDED: tuple[Status, ...] = ("finished", "stopped", "failed")
 
 
 @dataclass
@@ -32,6 +24,10 @@ class JobProgress:
     iteration: int = 0
     env_steps: int = 0
     evaluation_return: float | None = None
+    label: str = ""
+    """Its cell, where a session has several."""
+    failure: str = ""
+    """Why it failed, in one line."""
     _marks: deque[tuple[float, int, int]] = field(default_factory=lambda: deque(maxlen=20))
     """(training process's clock in s, iteration, environment steps) of the last iterations."""
 
@@ -47,13 +43,15 @@ class JobProgress:
             case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
                 returns = [float(row[f"evaluation_{mode}/return"]) for row in curve]
                 self.evaluation_return = sum(returns) / len(returns)
+            case Failed(line=line):
+                self.failure = line
 
     @property
     def name(self) -> str:
-        """`seed 3`, `seeds 0..4`."""
-        if len(self.seeds) == 1:
-            return f"seed {self.seeds[0]}"
-        return f"seeds {self.seeds[0]}..{self.seeds[-1]}"
+        """`seed 3`, `ippo, seeds 0..4`."""
+        last = f"..{self.seeds[-1]}" if len(self.seeds) > 1 else ""
+        seeds = f"seed{'s' if last else ''} {self.seeds[0]}{last}"
+        return f"{self.label}, {seeds}" if self.label else seeds
 
     @property
     def steps_per_second(self) -> float | None:
@@ -64,15 +62,21 @@ class JobProgress:
         return (last - first) * len(self.seeds) / max(end - begin, 1e-9)
 
     @property
-    def seconds_left(self) -> float | None:
-        """Expected time to the last iteration."""
+    def seconds_per_iteration(self) -> float | None:
+        """Over the last iterations."""
         if len(self._marks) < 2:
             return None
         (begin, first, _), (end, last, _) = self._marks[0], self._marks[-1]
-        return (end - begin) / max(last - first, 1) * (self.iterations - self.iteration)
+        return (end - begin) / max(last - first, 1)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Expected time to the last iteration."""
+        each = self.seconds_per_iteration
+        return None if each is None else each * (self.iterations - self.iteration)
 
     def cells(self) -> tuple[str, ...]:
-        """Seeds, iteration, steps, speed, last evaluation, time left."""
+        """Name, iteration, steps, speed, last evaluation, time left."""
         speed, left = self.steps_per_second, self.seconds_left
         training = self.status == "training"
         return (
@@ -92,68 +96,37 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{whole:02d}"
 
 
-class Progress:
-    """Lines that stay in place on a terminal; elsewhere a plain line a job now and then."""
+def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
+    """`12 of 30 runs ended (1 failed), 2 training, 3,210 steps/s, about 0:04:09 left`."""
+    seeds = sum(len(job.seeds) for job in jobs)
+    ended = sum(len(job.seeds) for job in jobs if job.status in ENDED)
+    failed = sum(len(job.seeds) for job in jobs if job.status == "failed")
+    active = [job for job in jobs if job.status in ACTIVE]
+    parts = [f"{ended} of {seeds} runs ended" + (f" ({failed} failed)" if failed else "")]
+    parts.append(f"{sum(len(job.seeds) for job in active)} training")
+    speeds = [speed for job in active if (speed := job.steps_per_second) is not None]
+    if speeds:
+        parts.append(f"{sum(speeds):,.0f} steps/s")
+    left = seconds_left(jobs, parallel)
+    if left is not None:
+        parts.append(f"about {duration(left)} left")
+    return ", ".join(parts)
 
-    def __init__(self, jobs: Sequence[JobProgress]) -> None:
-        self._jobs = jobs
-        self._live: Live | None = None
-        self._printed: dict[int, tuple[float, Status]] = {}
 
-    def __enter__(self) -> Self:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.live import Live
-
-            self._live = Live(
-                console=Console(stderr=True), get_renderable=self._table, refresh_per_second=4, transient=True
-            )
-            self._live.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._live:
-            with suppress(OSError):  # a terminal that is gone
-                self._live.__exit__(kind, error, trace)
-
-    def note(self, line: str) -> None:
-        """A line for the user that stays."""
-        if self._live is None:
-            tell(line)
-            return
-        try:
-            self._live.console.print(line, highlight=False, markup=False, soft_wrap=True)
-        except OSError:
-            silence(sys.stderr)
-
-    def show(self) -> None:
-        """Print what is new where lines cannot stay in place."""
-        if self._live:
-            return
-        now = time.monotonic()
-        for index, job in enumerate(self._jobs):
-            last, status = self._printed.get(index, (now, "waiting"))
-            self._printed.setdefault(index, (last, status))
-            changed = job.status != status and job.status not in ("waiting", "starting")
-            if changed or (job.status == "training" and now - last >= _PLAIN_EVERY_S):
-                self.note("  ".join(cell for cell in job.cells() if cell))
-                self._printed[index] = (now, job.status)
-
-    def _table(self) -> "Table":
-        from rich.table import Table
-
-        table = Table.grid(padding=(0, 2))
-        table.add_column()
-        for _ in range(5):
-            table.add_column(justify="right")
-        active = [job for job in self._jobs if job.status in ("starting", "training")]
-        for job in active:
-            table.add_row(*job.cells())
-        ended = sum(job.status in ("finished", "stopped", "failed") for job in self._jobs)
-        table.add_row(f"{ended} of {len(self._jobs)} ended")
-        return table
+def seconds_left(jobs: Sequence[JobProgress], parallel: int) -> float | None:
+    """Expected time to the end of all jobs, `parallel` at a time: those that have not begun take as long an
+    iteration as others of their cell, or as all. None before any speed is known."""
+    paces: dict[str, list[float]] = {}
+    for job in jobs:
+        if (pace := job.seconds_per_iteration) is not None:
+            paces.setdefault(job.label, []).append(pace)
+    known = [pace for of_cell in paces.values() for pace in of_cell]
+    remaining = [job for job in jobs if job.status not in ENDED]
+    if not known or not remaining:
+        return None
+    lengths = []
+    for job in remaining:
+        of_cell = paces.get(job.label, known)
+        pace = job.seconds_per_iteration or sum(of_cell) / len(of_cell)
+        lengths.append(pace * (job.iterations - job.iteration))
+    return max(max(lengths), sum(lengths) / parallel)

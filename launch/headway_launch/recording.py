@@ -51,8 +51,11 @@ class JobRecording:
     def take(self, event: Event) -> None:
         """Write an event into the runs. Raises HeadwayError if the store cannot be written."""
         match event:
-            case Started(process_ids=process_ids):
+            case Started(iteration=iteration, process_ids=process_ids):
                 self.process_ids = process_ids
+                if event.episodes_restarted:
+                    for run in self.runs:
+                        run.note_restart(iteration)
             case IterationFinished():
                 self.env_steps, self.used = event.env_steps, event.usage
                 # The training process's own clock: events may wait while the session is busy.

@@ -3,10 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 from headway.config import ExperimentConfig
 from headway.events import Row
+from headway.store.folder import RunRecord, read_summary
 from headway_launch.comparison import print_comparison
 from headway_launch.tables import Cell, print_table
 
@@ -27,7 +29,17 @@ _COLUMNS = (
     "kWh",
     "kg CO2eq",
 )
-_SPARE = ("CPU s", "steps/s", "kg CO2eq")
+_CELL_COLUMNS = (
+    "cell",
+    "finished",
+    "mean final reward",
+    "std",
+    AUC_HEADING,
+    "CPU s",
+    "kWh",
+    "kg CO2eq",
+)
+_SPARE = ("steps/s", "kg CO2eq")
 """Left out first on a narrow terminal."""
 
 
@@ -102,6 +114,28 @@ def seed_result(
     )
 
 
+def stored_result(directory: Path) -> SeedResult:
+    """The figures of a run that ended in an earlier session, as that kept them."""
+    record, summary = RunRecord.read(directory), read_summary(directory)
+
+    def figure(name: str) -> float | None:
+        value = summary.get(name)
+        return float(value) if isinstance(value, int | float) else None
+
+    return SeedResult(
+        seed=record.seed,
+        status=record.settled_status,
+        run_id=record.run_id,
+        directory=str(directory),
+        final_reward=figure("final_reward"),
+        auc=figure("auc"),
+        env_steps=record.durable_env_steps,
+        steps_per_second=figure("steps_per_second"),
+        use={name: figure(name) for name in _USE},
+        energy_modes={name: str(value) for name, value in summary.items() if name.startswith("energy.")},
+    )
+
+
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     """(final reward, AUC) of the evaluation curve as far as a checkpoint knows it; None where that has no
     point yet. What the log holds beyond is dropped when the run goes on."""
@@ -127,12 +161,46 @@ def print_results(
     finished = [result.cells for result in results if result.status == "FINISHED"]
     if len(finished) > 1:
         rows += [_over_seeds("mean", finished), _over_seeds("std", finished)]
-    estimated = any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
+    estimated = _estimated(results)
     columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _COLUMNS)
     print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
+
+
+def print_cells(study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]]) -> None:
+    """A row a cell (its label, its planned seeds, the results of those that ended): means over the finished
+    seeds, and what all of them used."""
+    rows: list[tuple[Cell, ...]] = []
+    for label, planned, results in cells:
+        finished = [result for result in results if result.status == "FINISHED"]
+        rewards = [result.final_reward for result in finished if result.final_reward is not None]
+        areas = [result.auc for result in finished if result.auc is not None]
+        done = f"{len({result.seed for result in finished})} of {planned}"
+        used = (_sum(results, name) for name in ("cpu_seconds", "kwh", "kg_co2"))
+        rows.append((label, done, _mean(rewards), _deviation(rewards), _mean(areas), *used))
+    estimated = any(_estimated(results) for _, _, results in cells)
+    columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _CELL_COLUMNS)
+    print_table(columns, rows, f"study {study}", ("finished",), ("kg CO2eq", AUC_HEADING))
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return fmean(values) if values else None
+
+
+def _deviation(values: Sequence[float]) -> float | None:
+    """The sample's; None where there is none."""
+    return stdev(values) if len(values) > 1 else None
+
+
+def _sum(results: Sequence[SeedResult], name: str) -> float | None:
+    known = [value for result in results if (value := result.use.get(name)) is not None]
+    return sum(known) if known else None
+
+
+def _estimated(results: Sequence[SeedResult]) -> bool:
+    return any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
 
 
 def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> list[list[Row]]:

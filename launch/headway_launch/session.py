@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice
-from headway_launch.progress import JobProgress, Progress
+from headway_launch.progress import JobProgress
 from headway_launch.training_process import TrainingProcess
+from headway_launch.watching import Progress
 
 if TYPE_CHECKING:
     from headway.training import TrainingJob
@@ -80,7 +81,7 @@ class Session:
         process is left."""
         waiting = list(range(len(self._progress)))
         try:
-            with StopRequests() as requests, Progress(self._progress) as shown:
+            with StopRequests() as requests, Progress(self._progress, self._parallel) as shown:
                 while self._running or (waiting and not requests.count):
                     while waiting and len(self._running) < self._parallel and not requests.count:
                         self._start(waiting.pop(0), shown)

@@ -32,6 +32,8 @@ class Started:
     iteration: int
     process_ids: tuple[int, ...]
     """The training process and its workers."""
+    episodes_restarted: bool = False
+    """It goes on with episodes begun anew: the environment keeps no snapshots."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,6 +104,7 @@ class _Training:
         self.iteration = 0
         self.saved_iteration = -1
         self.seconds_before = 0.0
+        self.episodes_restarted = False
         self.started = time.monotonic()
         self.own_usage = OwnUsage()
 
@@ -122,7 +123,8 @@ class _Training:
             for log in self.logs:
                 log.rewind(-1)
             self.collector.begin()
-        self.report(Started(self.iteration, (os.getpid(), *self.collector.process_ids())))
+        process_ids = (os.getpid(), *self.collector.process_ids())
+        self.report(Started(self.iteration, process_ids, self.episodes_restarted))
         if self.saved_iteration < 0:
             self._write_curve(self._labelled([{} for _ in self.job.seeds]), self._evaluate(final=False))
         while self.iteration < total and not should_stop():
@@ -234,7 +236,8 @@ class _Training:
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
         self.collector.restore(state["snapshots"], iteration)
-        if any(snapshot is None for snapshot in state["snapshots"]):
+        self.episodes_restarted = any(snapshot is None for snapshot in state["snapshots"])
+        if self.episodes_restarted:
             name = self.job.spec.name
             self.report(Notice(f"{name} keeps no snapshots: its episodes start anew after {iteration}"))
         for log in self.logs:

@@ -1,54 +1,107 @@
-"""`headway resume`: go on with runs that were stopped, killed or failed."""
+"""`headway resume`: go on with runs, or a whole study, that were stopped, killed or failed."""
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
+
+if TYPE_CHECKING:
+    from headway_launch.planning import CellPlan
+    from headway_launch.stored import StoredRun
 
 EXAMPLES = """\
 examples:
   headway resume bus-mappo-1f2e3d-s0-20260101-120000-ab12
   headway resume s0-20260101-1200          any part of the name that only one run has
-  headway resume --study bus               all killed and failed runs of a study
+  headway resume --study bus               all of a study: what was killed or failed, and what a sweep
+                                           had not begun
+
+A run goes on from its last checkpoint. Where the environment keeps snapshots (bus does), its curves are
+those of a run never stopped, to the last bit; elsewhere episodes start anew, and the run is tagged
+`episodes_restarted` with the iterations.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Runs or a study, and the store."""
     parser.add_argument("runs", metavar="RUN", nargs="*", help="identities as `headway runs` shows them")
-    parser.add_argument("--study", help="all KILLED and FAILED runs of this study")
+    parser.add_argument("--study", help="all of this study that has not finished")
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Go on; returns the worst exit code of the experiments gone on with."""
+    """Go on; returns the worst exit code of the sessions."""
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway.store.index import RunIndex
-    from headway_launch.conducting import EXIT_STOPPED, Conductor
-    from headway_launch.stored import StoredRun, jobs_to_resume
+    from headway_launch.conducting import EXIT_DONE, conduct_sessions
+    from headway_launch.stored import StoredRun
+    from headway_launch.telling import tell
 
     root = existing_store(arguments.store)
-    names = list(arguments.runs)
-    if arguments.study:
-        rows = RunIndex(root).rows(arguments.study)
-        names += [row.run_id for row in rows if row.status in ("KILLED", "FAILED")]
-    if not names:
-        missing = (
-            f"study {arguments.study} has no killed or failed runs"
-            if arguments.study
-            else "name a run or --study"
+    if not arguments.runs and not arguments.study:
+        raise HeadwayError(
+            "name a run or --study; `headway runs` shows what is KILLED or FAILED and can go on"
         )
-        raise HeadwayError(f"{missing}; `headway runs` shows what is KILLED or FAILED and can go on")
-    found = [StoredRun.find(root, name) for name in names]
+    found = [StoredRun.find(root, name) for name in arguments.runs]
     runs = list({run.directory: run for run in found}.values())
     for run in runs:
         if run.record.status == "FINISHED":
             raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
-    worst = 0
-    for jobs in jobs_to_resume(runs):
-        worst = max(worst, Conductor(jobs, arguments.debug).conduct())
-        if worst == EXIT_STOPPED:
-            break
-    return worst
+    cells = _cells_of_study(root, arguments.study, runs) if arguments.study else _cells_of(runs)
+    if not cells:
+        tell(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
+        return EXIT_DONE
+    return conduct_sessions(cells, arguments.debug, plan_kept=bool(arguments.study))
+
+
+def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
+    from headway_launch.planning import CellPlan
+    from headway_launch.stored import jobs_to_resume
+    from headway_launch.study_plan import cell_labels
+
+    batches = jobs_to_resume(runs, {})
+    experiments = [jobs[0].experiment for jobs in batches]
+    labels = cell_labels(experiments) if experiments else []
+    return [
+        CellPlan(experiment, jobs, label=label)
+        for experiment, jobs, label in zip(experiments, batches, labels, strict=True)
+    ]
+
+
+def _cells_of_study(root: Path, study: str, named: Sequence["StoredRun"]) -> list["CellPlan"]:
+    """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it."""
+    from headway.store.index import RunIndex
+    from headway_launch.commands.sweep import tell_standing
+    from headway_launch.stored import StoredRun
+    from headway_launch.study_plan import Standing, cell_labels, kept_plans, plan_cells
+
+    everything = RunIndex(root).rows()
+    rows = [row for row in everything if row.study == study]
+    planned = kept_plans(root, study)
+    if not rows and not planned:
+        studies = {row.study for row in everything}
+        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
+    standings = [Standing.of(root, experiment, rows) for experiment in planned]
+    tell_standing(study, standings)
+    covered = {run_id for standing in standings for run_id in standing.run_ids}
+    others = {
+        run.directory: run
+        for run in (
+            *named,
+            *(
+                StoredRun.read(root, Path(row.directory))
+                for row in rows
+                if row.status in ("KILLED", "FAILED") and row.run_id not in covered
+            ),
+        )
+        if run.record.run_id not in covered
+    }
+    cells = [*plan_cells(standings), *_cells_of(list(others.values()))]
+    labels = cell_labels([cell.experiment for cell in cells])
+    return [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]

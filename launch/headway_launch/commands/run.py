@@ -1,4 +1,4 @@
-"""`headway run` and `headway sweep`: train an experiment."""
+"""`headway run`: train an experiment."""
 
 import argparse
 
@@ -8,12 +8,12 @@ examples:
   headway run experiment=bus_mappo seed=0..4 algo.lr=3e-4 env_steps=1e6
   headway run experiment=bus_mappo algo=ippo preset=paper
   headway run env=trivial algo=ippo backend=serial energy=off env_steps=50_000
-  headway sweep experiment=bus_mappo seed=0..49 backend.parallel=8
 
 KEY=VALUE sets any key of the experiment: `headway list keys`, `headway list algos mappo`,
 `headway list envs bus`. GROUP=OPTION takes a file of configs/: env, algo, rollout, backend,
 store, energy, preset, experiment. Seeds: 7, 0,1,2, [0,1], 0..49 or range(0,50).
-Ctrl-C stops with a checkpoint (exit code 130); `headway resume` goes on.
+Ctrl-C stops with a checkpoint (exit code 130); `headway resume` goes on. Every `headway run` makes
+runs of its own; `headway sweep` trains only what the store does not have.
 """
 
 
@@ -29,6 +29,7 @@ def execute(arguments: argparse.Namespace) -> int:
     limit_threads()
     from headway_launch.composing import compose
     from headway_launch.conducting import Conductor
-    from headway_launch.planning import plan_jobs
+    from headway_launch.planning import CellPlan, plan_jobs
 
-    return Conductor(plan_jobs(compose(arguments.overrides)), arguments.debug).conduct()
+    experiment = compose(arguments.overrides)
+    return Conductor([CellPlan(experiment, plan_jobs(experiment))], arguments.debug).conduct()

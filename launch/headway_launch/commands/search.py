@@ -50,7 +50,7 @@ def execute(arguments: argparse.Namespace) -> int:
     limit_threads()
     from headway_launch.composing import compose
     from headway_launch.conducting import EXIT_DONE, Conductor
-    from headway_launch.planning import plan_jobs
+    from headway_launch.planning import CellPlan, plan_jobs
     from headway_launch.tables import print_table
     from headway_launch.telling import tell, to_a_reader
 
@@ -63,7 +63,7 @@ def execute(arguments: argparse.Namespace) -> int:
     results: dict[tuple[str, str], float] = {}
     for number, (place, experiment) in enumerate(plans.items(), start=1):
         tell(f"search {number}/{len(plans)}: {' '.join(place)}")
-        conductor = Conductor(plan_jobs(experiment), arguments.debug)
+        conductor = Conductor([CellPlan(experiment, plan_jobs(experiment))], arguments.debug)
         code = conductor.conduct()
         if code != EXIT_DONE:
             return code

@@ -156,6 +156,11 @@ def rules_files(root: Path, study: str) -> list[Path]:
     return sorted((root / _slug(study)).glob("*.rules.json"))
 
 
+def plans_folder(root: Path, study: str) -> Path:
+    """Where a study keeps what its sweeps set out to do."""
+    return root / _slug(study) / "sweeps"
+
+
 def run_folders(root: Path) -> Iterator[Path]:
     """Every folder under `root` that holds a run, in no order."""
     try:

@@ -51,6 +51,10 @@ class RunFollower:
         self._curve.add(rows)
         tracker.points(self._child, self._record.started, self._curve.durable(iteration))
 
+    def tag(self, tracker: Tracker, name: str, text: str) -> None:
+        """Set a tag of the run."""
+        tracker.tag(self._child, name, text)
+
     def complete(self, tracker: Tracker) -> None:
         """Send the summary, the files and the status of a run that has ended."""
         record = RunRecord.read(self.directory)

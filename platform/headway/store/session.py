@@ -29,6 +29,8 @@ from headway.store.index import RunIndex
 from headway.store.provenance import provenance
 from headway.store.tracking import Tracker
 
+EPISODES_RESTARTED = "episodes_restarted"
+"""Tag of a run that was resumed where its environment keeps no snapshots: after which iterations."""
 _LOCK_SECONDS = 30.0
 _CLOSE_SECONDS = 120.0
 _BEHIND = "the runs' folders hold everything, and the next `headway browse` brings MLflow up to date"
@@ -200,6 +202,15 @@ class Run:
         self.record.write(self.directory)
         self._energy.write_if_due()
         self._store.follow(lambda tracker: self._follower.advance(tracker, ready, iteration))
+
+    def note_restart(self, iteration: int) -> None:
+        """Tag the run: its episodes were begun anew after `iteration`, so that its curves are not those of a
+        run never stopped. Raises HeadwayError if the record of that cannot be written."""
+        before = self.record.tags.get(EPISODES_RESTARTED)
+        after = f"{before}, {iteration}" if before else str(iteration)
+        self.record = replace(self.record, tags={**self.record.tags, EPISODES_RESTARTED: after})
+        self.record.write(self.directory)
+        self._store.follow(lambda tracker: self._follower.tag(tracker, EPISODES_RESTARTED, after))
 
     def energy(self, sample: Row) -> None:
         """Take one energy sample of this run (a row of `energy.parquet`): its energy so far, that of

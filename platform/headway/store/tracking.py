@@ -82,6 +82,9 @@ class Tracker:
         if found:
             child = str(found[0].info.run_id)
             self._ask("update_run", child, status="RUNNING")
+            for name, text in tags.items():
+                if found[0].data.tags.get(name) != text[:_TEXT]:
+                    self.tag(child, name, text)
         else:
             marked = {**_cut(tags), "mlflow.parentRunId": parent, _RUN_TAG: run_id}
             moment = milliseconds(started)
@@ -89,6 +92,10 @@ class Tracker:
             child = str(created.info.run_id)
         self._parameters(child, parameters)
         return child
+
+    def tag(self, child: str, name: str, text: str) -> None:
+        """Set a tag of a run."""
+        self._ask("set_tag", child, name, text[:_TEXT])
 
     def points(self, child: str, started: str, points: Sequence[Point]) -> None:
         """Send points of the curve. MLflow only appends: each point is to be sent once."""

@@ -1,0 +1,138 @@
+"""One cell in a session: its runs in the store, what its training processes are given, its rules."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean
+
+from headway.events import Row
+from headway.store import CHECKPOINTS, Status
+from headway.store.checkpoint import latest_iteration
+from headway.store.durable import read_json
+from headway.store.folder import rules_file
+from headway.store.session import Cell, Run, SessionStore
+from headway.training import TrainingJob
+from headway_launch.comparison import rule_episodes
+from headway_launch.planning import (
+    CellPlan,
+    PlannedJob,
+    Shares,
+    cell_parameters,
+    full_mapping,
+    workers_of,
+)
+from headway_launch.results import SeedResult, stored_result
+
+Rules = Mapping[str, list[Row]]
+
+
+class CellWork:
+    """What a session does for one cell."""
+
+    def __init__(self, store: SessionStore, plan: CellPlan) -> None:
+        experiment = plan.experiment
+        self.plan, self.experiment, self.config = plan, experiment, experiment.config
+        self.results: list[SeedResult] = [stored_result(folder) for folder in plan.finished]
+        """One a seed that has ended, in this session or before it."""
+        self.rules: Rules = {}
+        self.touched = bool(plan.jobs)
+        """Whether the session adds to it."""
+        self._store = store
+        self._cell: Cell = store.begin_cell(
+            self.config.study, self.config.env.id, experiment.algo_name, cell_parameters(experiment)
+        )
+
+    def runs(self, planned: PlannedJob, shares: Shares) -> list[Run]:
+        """The runs of a job, made or taken up again, one a seed. Raises HeadwayError where the store cannot
+        be written or another session has taken them."""
+        if planned.resumed:
+            return [self._store.resume(run_id) for run_id in planned.resumed]
+        import yaml
+
+        experiment = planned.experiment
+        plan = {
+            "stack": list(planned.seeds),
+            "rollout": full_mapping(experiment, ())["rollout"],
+            "workers": workers_of(planned, shares),
+        }
+        return [
+            self._cell.begin_run(
+                seed,
+                yaml.safe_dump(full_mapping(experiment, [seed]), sort_keys=False),
+                plan,
+                iterations=self.config.iterations,
+                policies=str(getattr(experiment.algo_config, "policies", "")),
+            )
+            for seed in planned.seeds
+        ]
+
+    def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: Shares) -> TrainingJob:
+        """What the training process of a job is given."""
+        experiment = planned.experiment
+        with_checkpoint = any(_has_checkpoint(run.directory) for run in runs)
+        return TrainingJob(
+            make_env=experiment.env.make,
+            preload=experiment.env.preload,
+            prepared=planned.prepared,
+            spec=planned.spec,
+            make_policy=experiment.algo.acting_policy,
+            make_learner=experiment.algo.learner,
+            algo_config=experiment.algo_config,
+            seeds=planned.seeds,
+            config=replace(experiment.config, seed=planned.seeds),
+            workers=workers_of(planned, shares),
+            directories=tuple(str(run.directory) for run in runs),
+            resume=bool(planned.resumed) and with_checkpoint,
+            training_prepared=planned.training_prepared,
+        )
+
+    def play_rules(self, played: dict[str, Rules]) -> None:
+        """Let the rules play beside the finished seeds, once for all cells of the same environment (in
+        `played`), and keep what they did. Where nothing was trained, what is kept already will do."""
+        if not any(result.status == "FINISHED" for result in self.results):
+            return
+        kept = self._kept_rules()
+        if not self.plan.jobs and kept is not None:
+            self.rules = kept
+            return
+        evaluation = self.config.evaluation
+        days = evaluation.last_episodes
+        key = json.dumps(
+            [self.experiment.reported_on, evaluation.seed, days, self.experiment.rules], default=str
+        )
+        if key not in played:
+            jobs = self.plan.jobs
+            prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
+            played[key] = rule_episodes(
+                self.experiment, prepared, self.experiment.rules, evaluation.seed, days
+            )
+        self.rules, self.touched = played[key], True
+        self._cell.keep_rules(self.rules)
+
+    def finish(self, statuses: Sequence[Status], figures: Mapping[str, float]) -> None:
+        """End the cell in MLflow, with the session's figures; `statuses` are those of its jobs."""
+        status: Status = "FINISHED" if set(statuses) <= {"FINISHED"} else "KILLED"
+        rules = {
+            f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
+            for rule, rows in self.rules.items()
+        }
+        self._cell.finish("FAILED" if "FAILED" in statuses else status, {**figures, **rules})
+
+    def in_order(self) -> list[SeedResult]:
+        """The results, in the order of the experiment's seeds."""
+        order = {seed: place for place, seed in enumerate(self.config.seed)}
+        return sorted(self.results, key=lambda result: order.get(result.seed, 0))
+
+    def _kept_rules(self) -> Rules | None:
+        """What earlier sessions kept of all its rules and days; None if something is missing."""
+        path = rules_file(Path(self.config.store.root), self.config.study, self._cell.name)
+        kept = read_json(path) if path.exists() else {}
+        days = self.config.evaluation.last_episodes
+        if any(len(kept.get(rule, ())) != days for rule in self.experiment.rules):
+            return None
+        return {rule: kept[rule] for rule in self.experiment.rules}
+
+
+def _has_checkpoint(directory: Path) -> bool:
+    return latest_iteration(directory / CHECKPOINTS) is not None

@@ -1,0 +1,145 @@
+"""What a session shows while it trains, on stderr: a screen that stays in place, or a line now and then."""
+
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from headway_launch.progress import ACTIVE, ENDED, JobProgress, Status, overall
+from headway_launch.telling import silence, tell
+
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.table import Table
+
+_FEW = 4
+"""So many jobs have a plain line each now and then; more have one together."""
+_PLAIN_EVERY_S, _PLAIN_AT_MOST_EVERY_S = 30.0, 600.0
+_PLAIN_SHARE = 0.1
+"""Of the time passed: plain lines come more and more rarely."""
+
+
+class Progress:
+    """Lines that stay in place on a terminal, never more than it has rows; elsewhere a plain line for each
+    job that begins or ends, and now and then one on how far things are."""
+
+    def __init__(self, jobs: Sequence[JobProgress], parallel: int = 1) -> None:
+        self._jobs, self._parallel = jobs, parallel
+        self._live: Live | None = None
+        self._statuses: list[Status] = ["waiting" for _ in jobs]
+        self._began = self._printed = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._began = self._printed = time.monotonic()
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.live import Live
+
+            console = Console(stderr=True)
+
+            def drawn() -> "Table":
+                return self.screen(console.width, console.height)
+
+            self._live = Live(console=console, get_renderable=drawn, refresh_per_second=4, transient=True)
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live:
+            with suppress(OSError):  # a terminal that is gone
+                self._live.__exit__(kind, error, trace)
+
+    def note(self, line: str) -> None:
+        """A line for the user that stays."""
+        if self._live is None:
+            tell(line)
+            return
+        try:
+            self._live.console.print(line, highlight=False, markup=False, soft_wrap=True)
+        except OSError:
+            silence(sys.stderr)
+
+    def show(self) -> None:
+        """Print what is new where lines cannot stay in place."""
+        if self._live:
+            return
+        for index, job in enumerate(self._jobs):
+            if job.status != self._statuses[index] and job.status not in ("waiting", "starting"):
+                self._statuses[index] = job.status
+                self._print(job)
+        now = time.monotonic()
+        if now - self._printed < self._pause(now):
+            return
+        self._printed = now
+        training = [job for job in self._jobs if job.status == "training"]
+        for job in training if len(training) <= _FEW else ():
+            self._print(job)
+        if len(self._jobs) > 1:
+            self.note(overall(self._jobs, self._parallel))
+
+    def screen(self, width: int, height: int) -> "Table":
+        """All there is to see, for a terminal of so many columns and rows: everything together, each cell,
+        each job that runs; what has no room is counted."""
+        from rich.table import Table
+
+        rows = max(height - 1, 3)
+        screen = Table.grid()
+        screen.add_column(no_wrap=True, overflow="ellipsis", max_width=width)
+        active = [job for job in self._jobs if job.status in ACTIVE]
+        labels = list(dict.fromkeys(job.label for job in self._jobs))
+        lines = [overall(self._jobs, self._parallel)] if len(self._jobs) > 1 else []
+        if len(labels) > 1:
+            room = max(1, (rows - 1) // 2, rows - 1 - len(active))
+            lines += _fitting([self._of_cell(label) for label in labels], room, "cells")
+        lines += _fitting(_aligned([_cells(job, width) for job in active]), rows - len(lines), "training")
+        for line in lines:
+            screen.add_row(line)
+        return screen
+
+    def _of_cell(self, label: str) -> str:
+        jobs = [job for job in self._jobs if job.label == label]
+        ended = sum(len(job.seeds) for job in jobs if job.status in ENDED)
+        failed = sum(len(job.seeds) for job in jobs if job.status == "failed")
+        returns = [job.evaluation_return for job in jobs if job.evaluation_return is not None]
+        mean = f", return {sum(returns) / len(returns):.4g}" if returns else ""
+        seeds = sum(len(job.seeds) for job in jobs)
+        return f"{label}: {ended} of {seeds} ended" + (f", {failed} failed" if failed else "") + mean
+
+    def _pause(self, now: float) -> float:
+        return min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * (now - self._began)), _PLAIN_AT_MOST_EVERY_S)
+
+    def _print(self, job: JobProgress) -> None:
+        self.note("  ".join(cell for cell in job.cells() if cell))
+
+
+def _cells(job: JobProgress, width: int) -> tuple[str, ...]:
+    """Of a narrow line the total of steps goes, which the iterations tell already."""
+    name, iteration, steps, *others = job.cells()
+    return (name, iteration, *((steps,) if width >= 100 else ()), *others)
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Names to the left, figures to the right, one column below the other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if place == 0 else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+            if width
+        )
+        for row in rows
+    ]
+
+
+def _fitting(lines: list[str], room: int, kind: str) -> list[str]:
+    if len(lines) <= room:
+        return lines
+    shown = max(room - 1, 0)
+    return [*lines[:shown], f"... and {len(lines) - shown} more {kind}"][:room]

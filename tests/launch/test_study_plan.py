@@ -1,0 +1,143 @@
+"""What the store has of a sweep, and what is left to do."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from headway.contracts.errors import HeadwayError
+from headway.store import RunIndex, RunRecord, Status
+from headway.store.folder import Process, cell_name, create_run_folder, now, plans_folder
+from headway_launch.command_line import run
+from headway_launch.composing import Experiment
+from headway_launch.planning import cell_parameters, full_mapping
+from headway_launch.study_plan import Standing, keep_plan, kept_plans, plan_cells
+from headway_launch.sweeping import compose_sweep
+
+BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
+ELSEWHERE = Process("elsewhere", 1, 0.0)
+"""A session that may live."""
+
+
+def keep_run(root: Path, experiment: Experiment, seed: int, status: Status, iteration: int = 0) -> str:
+    parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
+    cell = cell_name("trivial", experiment.algo_name, parameters)
+    run_id, directory = create_run_folder(root, "toys", cell, seed)
+    record = RunRecord(
+        run_id,
+        "toys",
+        "trivial",
+        experiment.algo_name,
+        seed,
+        1,
+        now(),
+        ELSEWHERE,
+        status,
+        parameters=parameters,
+    )
+    replace(record, durable_iteration=iteration).write(directory)
+    (directory / "config.yaml").write_text(yaml.safe_dump(full_mapping(experiment, [seed])))
+    (directory / "plan.json").write_text(json.dumps({"stack": [seed], "workers": 1}))
+    return run_id
+
+
+def standing(root: Path, *overrides: str) -> Standing:
+    [experiment] = compose_sweep([*BASE, f"store.root={root}", *overrides])
+    return Standing.of(root, experiment, RunIndex(root).rows("toys"))
+
+
+def test_each_seed_stands_where_its_best_run_does(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    finished = keep_run(tmp_path, experiment, 0, "FINISHED")
+    keep_run(tmp_path, experiment, 0, "KILLED", 9)
+    keep_run(tmp_path, experiment, 1, "KILLED", 3)
+    farthest = keep_run(tmp_path, experiment, 1, "FAILED", 5)
+    held = keep_run(tmp_path, experiment, 2, "RUNNING")
+    found = standing(tmp_path, "algo=ippo", "seed=0..4")
+    assert [each.record.run_id for each in found.finished] == [finished]
+    assert [each.record.run_id for each in found.unfinished] == [farthest]
+    assert [each.record.run_id for each in found.elsewhere] == [held]
+    assert found.new == (3, 4)
+    assert len(found.run_ids) == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ("backend.parallel=3", True),
+        ("backend=process", True),
+        ("energy.country=FRA", True),
+        ("store.checkpoint_every=3", True),
+        ("algo.lr=1e-3", False),
+        ("env.args.agents=3", False),
+        ("evaluation.episodes=3", False),
+        ("env_steps=8192", False),
+        ("algo=ia2c", False),
+    ],
+)
+def test_a_changed_configuration_is_new_and_another_way_to_run_it_is_not(
+    tmp_path: Path, change: str, same: bool
+) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    keep_run(tmp_path, experiment, 0, "FINISHED")
+    found = standing(tmp_path, "algo=ippo", change)
+    assert (len(found.finished), len(found.new)) == ((1, 0) if same else (0, 1))
+
+
+def test_what_goes_on_takes_the_session_of_the_command_and_the_backend_of_its_checkpoints(
+    tmp_path: Path,
+) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    run_id = keep_run(tmp_path, experiment, 0, "KILLED", 7)
+    [cell] = plan_cells(
+        [standing(tmp_path, "algo=ippo", "backend=process", "backend.parallel=5", "seed=0,1")]
+    )
+    going_on, new = cell.jobs
+    assert (going_on.resumed, going_on.iteration, going_on.workers) == ((run_id,), 7, 1)
+    assert going_on.experiment.config.backend.name == "serial"
+    assert going_on.experiment.config.backend.parallel == 5
+    assert going_on.experiment.config.store.root == str(tmp_path)
+    assert (new.resumed, new.seeds, new.experiment.config.backend.name) == ((), (1,), "process")
+
+
+def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:
+    experiments = compose_sweep([*BASE, "algo=ippo,ia2c", "seed=0..2"])
+    keep_plan(tmp_path, "toys", experiments)
+    keep_plan(tmp_path, "toys", experiments)
+    keep_plan(tmp_path, "toys", compose_sweep([*BASE, "algo=ippo", "seed=2..4"]))
+    assert len(list(plans_folder(tmp_path, "toys").iterdir())) == 2
+    kept = {experiment.algo_name: experiment for experiment in kept_plans(tmp_path, "toys")}
+    assert set(kept) == {"ippo", "ia2c"}
+    assert sorted(kept["ippo"].config.seed) == [0, 1, 2, 3, 4]
+    assert kept["ippo"].config.store.root == str(tmp_path)
+    assert kept["ia2c"].algo_config == experiments[1].algo_config
+
+
+def test_a_broken_plan_is_one_line(tmp_path: Path) -> None:
+    plans_folder(tmp_path, "toys").mkdir(parents=True)
+    (plans_folder(tmp_path, "toys") / "x.json").write_text('{"cells": [1]}')
+    with pytest.raises(HeadwayError, match=r"x\.json is no plan of a sweep"):
+        kept_plans(tmp_path, "toys")
+
+
+def test_a_finished_sweep_is_left_alone_and_its_table_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = [*BASE, "algo=ippo,ia2c", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
+    for experiment in compose_sweep(sweep):
+        for seed in (0, 1):
+            run_id = keep_run(tmp_path, experiment, seed, "FINISHED")
+            summary = {"final_reward": 2.0 + seed, "auc": 0.5, "cpu_seconds": 10.0, "kwh": None}
+            (tmp_path / "toys" / run_id / "summary.json").write_text(json.dumps(summary))
+    assert run(["sweep", *sweep]) == 0
+    told = capsys.readouterr()
+    assert "of 4 runs of study toys, 4 have finished and are left alone\n" in told.err
+    rows = [line.split("\t") for line in told.out.splitlines()]
+    assert rows[1][:6] == ["ippo", "2 of 2", "2.5", "0.707107", "0.5", "20"]
+    assert rows[2][0] == "ia2c"
+    assert len(RunIndex(tmp_path).rows()) == 4
+    assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0
+    assert run(["resume", "--study", "tyos", "--store", str(tmp_path)]) == 2
+    assert "did you mean toys?" in capsys.readouterr().err

@@ -1,0 +1,95 @@
+"""What a session shows: on a screen of any size, and in plain lines."""
+
+import pytest
+from rich.console import Console
+
+from headway.events import EvaluationFinished, Failed, IterationFinished, Started, Usage
+from headway_launch.progress import JobProgress, overall, seconds_left
+from headway_launch.watching import Progress
+
+
+def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:
+    steps = 1000 * iteration
+    row = {"iteration": iteration, "env_steps": steps, "wall_s": seconds_each * iteration}
+    return IterationFinished(iteration, steps, Usage(), (row,))
+
+
+def evaluated(value: float) -> EvaluationFinished:
+    row = {"wall_s": 0.0, "evaluation_greedy/return": value}
+    return EvaluationFinished(0, 0, "greedy", False, Usage(), (row,))
+
+
+def job(seed: int, label: str = "ippo", iterations: int = 0, seconds_each: float = 2.0) -> JobProgress:
+    """One that has done so many of ten iterations; none: it waits."""
+    progress = JobProgress((seed,), 10, "greedy", label=label)
+    if iterations:
+        progress.take(Started(0, ()))
+        progress.take(evaluated(350.0))
+        for iteration in range(1, iterations + 1):
+            progress.take(at(iteration, seconds_each))
+    return progress
+
+
+def lines_of(jobs: list[JobProgress], width: int, height: int) -> list[str]:
+    console = Console(width=width, height=height, force_terminal=False)
+    with console.capture() as shown:
+        console.print(Progress(jobs, 64).screen(width, height))
+    return [line.rstrip() for line in shown.get().splitlines()]
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (100, 50), (40, 10), (80, 4)])
+def test_hundreds_of_runs_fit_any_screen(width: int, height: int) -> None:
+    labels = [f"an_algorithm_{place}, algo.lr 0.{place:04d}" for place in range(45)]
+    jobs = [job(seed, label, iterations=5 if seed < 3 else 0) for label in labels for seed in range(10)]
+    jobs[0].status = "finished"
+    jobs[1].status = "failed"
+    lines = lines_of(jobs, width, height)
+    assert len(lines) < height
+    assert max(map(len, lines)) <= width
+    assert lines[0].startswith("2 of 450 runs ended (1 failed), 133 tr")
+    assert any("more training" in line for line in lines)
+    if height >= 10:
+        assert any("more cells" in line for line in lines)
+
+
+def test_few_runs_have_a_line_each_with_speed_and_time_left() -> None:
+    jobs = [job(0, "ippo", 5), job(1, "ippo", 2), job(0, "mappo")]
+    lines = lines_of(jobs, 80, 24)
+    assert lines[0] == "0 of 3 runs ended, 2 training, 1,000 steps/s, about 0:00:20 left"
+    assert lines[1:3] == ["ippo: 0 of 2 ended, return 350", "mappo: 0 of 1 ended"]
+    assert [line.split() for line in lines[3:]] == [
+        ["ippo,", "seed", "0", "5/10", "500", "steps/s", "return", "350", "0:00:10", "left"],
+        ["ippo,", "seed", "1", "2/10", "500", "steps/s", "return", "350", "0:00:16", "left"],
+    ]
+
+
+def test_time_left_counts_what_waits_at_the_pace_of_its_cell() -> None:
+    slow, fast = job(0, "slow", 5, seconds_each=10.0), job(0, "fast", 5, seconds_each=1.0)
+    waiting = [job(seed, "fast") for seed in (1, 2)]
+    assert seconds_left([slow, fast, *waiting], parallel=2) == pytest.approx(50.0)
+    assert seconds_left([fast, *waiting], parallel=2) == pytest.approx((5 + 10 + 10) / 2)
+    assert seconds_left([job(0)], parallel=2) is None
+    fast.status = "finished"
+    assert seconds_left([fast], parallel=2) is None
+
+
+def test_elsewhere_many_jobs_have_one_line_together(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moment = [0.0]
+    monkeypatch.setattr("headway_launch.watching.time.monotonic", lambda: moment[0])
+    jobs = [job(seed, iterations=3) for seed in range(6)]
+    shown = Progress(jobs, 6)
+    shown.show()
+    assert len(capsys.readouterr().err.splitlines()) == 6  # each has begun
+    shown.show()
+    assert capsys.readouterr().err == ""
+    moment[0] = 31.0
+    shown.show()
+    assert capsys.readouterr().err == overall(jobs, 6) + "\n"
+    jobs[0].take(Failed("out of memory", ""))
+    jobs[0].status = "failed"
+    shown.show()
+    assert "seed 0" in (line := capsys.readouterr().err)
+    assert line.rstrip().endswith("failed")
+    assert jobs[0].failure == "out of memory"
