@@ -50,6 +50,7 @@ _COMMANDS = {
     ),
     "resume": _Command("go on with runs that were stopped, killed or failed", "resume", only_prints=False),
     "runs": _Command("table of the runs in the store", "runs"),
+    "diff": _Command("two runs beside each other: settings and figures that differ", "diff"),
     "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),
     "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
     "plot": _Command("picture of a study's learning curves", "plot"),

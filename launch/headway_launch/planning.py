@@ -126,14 +126,15 @@ def cell_parameters(experiment: Experiment) -> dict[str, Any]:
     """What makes runs the same but for the seed: flat, dotted names."""
     whole = full_mapping(experiment, ())
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
-    return dict(_flat(kept))
+    return dict(flat(kept))
 
 
-def _flat(mapping: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
+def flat(mapping: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
+    """Nested mappings as (dotted name, value)."""
     items: list[tuple[str, Any]] = []
     for key, value in mapping.items():
         if isinstance(value, Mapping):
-            items += _flat(value, f"{path}{key}.")
+            items += flat(value, f"{path}{key}.")
         else:
             items.append((f"{path}{key}", value))
     return items

@@ -11,6 +11,7 @@ from headway.config import StoreConfig
 from headway.configuration import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.folder import STATUSES
+from headway_launch.choosing import in_order, parse_conditions
 from headway_launch.results import AUC_HEADING
 from headway_launch.tables import Cell, print_table
 
@@ -23,8 +24,12 @@ examples:
   headway runs --study bus --algo mappo --status FINISHED
   headway runs --seed 0..4 --format csv > runs.csv
   headway runs --format json | jq '.[].final_reward'
+  headway runs --where 'final_reward>300 and algo.lr<1e-3' --sort 'final_reward desc'
+  headway diff RUN RUN                             two runs: what was set otherwise, what came of it
 
-The table is for reading, and numbers in it are rounded; csv and json have the fields' names and all digits.
+Fields are those of --format csv; parameters have dots, as algo.lr. On a narrow terminal columns are left
+out, and a line says which. The table is for reading, and numbers in it are rounded; csv and json have the
+fields' names and all digits.
 AUC is normalised by the range of each run's own curve: it says how early a run learns, not how well.
 """
 
@@ -39,18 +44,33 @@ _FIELDS = (
     "env_steps",
     "final_reward",
     "auc",
+    "cpu_seconds",
     "kwh",
     "kg_co2",
     "duration_s",
     "run_id",
 )
+_ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
 # The identity names environment, algorithm and seed already.
-_ON_TERMINAL = ("run_id", "study", "status", "env_steps", "final_reward", "auc", "kwh", "kg_co2")
-_SPARE_ON_TERMINAL = ("kg_co2", "kwh", "study", "env_steps", "auc")
+_SPARE_ON_TERMINAL = (
+    "duration_s",
+    "iterations",
+    "policies",
+    "environment",
+    "algorithm",
+    "seed",
+    "kg_co2",
+    "kwh",
+    "cpu_seconds",
+    "study",
+    "env_steps",
+    "auc",
+)
 _HEADINGS = {
     "env_steps": "env steps",
     "final_reward": "final reward",
     "auc": AUC_HEADING,
+    "cpu_seconds": "CPU s",
     "kwh": "kWh",
     "kg_co2": "kg CO2eq",
     "duration_s": "seconds",
@@ -66,6 +86,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--algo", help="only runs of this algorithm")
     parser.add_argument("--seed", help="only these seeds: 7, 0,1,2 or 0..49")
     parser.add_argument("--status", help="only runs with this status: " + ", ".join(STATUSES))
+    parser.add_argument(
+        "--where",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="such as 'final_reward>300'; repeatable",
+    )
+    parser.add_argument("--sort", default="", metavar="FIELDS", help="such as 'final_reward desc, seed'")
     parser.add_argument("--format", choices=("table", "json", "csv"), default="table")
     add_store_argument(parser)
 
@@ -84,6 +112,7 @@ def execute(arguments: argparse.Namespace) -> int:
     status = arguments.status.upper() if arguments.status else None
     _require_known("status", status, set(STATUSES))
     seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
+    conditions = parse_conditions(arguments.where)
     rows = [
         row
         for row in everything
@@ -92,8 +121,9 @@ def execute(arguments: argparse.Namespace) -> int:
         and arguments.algo in (None, row.algorithm)
         and status in (None, row.status)
         and (seeds is None or row.seed in seeds)
+        and all(condition.holds(row) for condition in conditions)
     ]
-    _print(rows, arguments.format)
+    _print(in_order(rows, arguments.sort), arguments.format)
     return 0
 
 

@@ -26,7 +26,7 @@ from headway.store.folder import (
 )
 
 _NAME = "index.sqlite"
-_VERSION = 2
+_VERSION = 3
 _WAIT_SECONDS = 5.0
 
 
@@ -47,6 +47,8 @@ class RunRow:
     env_steps: int
     final_reward: float | None
     auc: float | None
+    cpu_seconds: float | None
+    """Of its training process and workers, in all sessions."""
     kwh: float | None
     kg_co2: float | None
     started: str
@@ -150,6 +152,7 @@ def _row(folder: Path) -> RunRow:
         env_steps=record.durable_env_steps,
         final_reward=_figure(summary, "final_reward"),
         auc=_figure(summary, "auc"),
+        cpu_seconds=_figure(summary, "cpu_seconds"),
         kwh=_figure(summary, "kwh"),
         kg_co2=_figure(summary, "kg_co2"),
         started=record.started,

@@ -1,0 +1,90 @@
+"""`headway diff`: two runs beside each other: what was set otherwise, and what came of it."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from headway_launch.commands.runs import add_store_argument, existing_store
+
+if TYPE_CHECKING:
+    from headway_launch.stored import StoredRun
+    from headway_launch.tables import Cell
+
+EXAMPLES = """\
+examples:
+  headway diff ippo-108c7d-s0 mappo-437ec5-s0      any part of a name that only one run has
+
+First what differs in their configurations, versions and hardware; then status and figures of both, and B
+minus A: the summary, and the means of the last evaluation's episodes.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Two runs and the store."""
+    parser.add_argument("first", metavar="A", help="identity as `headway runs` shows it")
+    parser.add_argument("second", metavar="B", help="the one to compare with it")
+    add_store_argument(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Print both tables."""
+    from headway_launch.stored import StoredRun
+    from headway_launch.tables import print_table
+
+    root = existing_store(arguments.store)
+    pair = [StoredRun.find(root, name) for name in (arguments.first, arguments.second)]
+    first, second = (_settings(run) for run in pair)
+    names = [run.record.run_id for run in pair]
+    rows: list[tuple[Cell, ...]] = [
+        (name, first.get(name), second.get(name))
+        for name in dict.fromkeys((*first, *second))
+        if first.get(name) != second.get(name)
+    ]
+    print_table(("setting", "A", "B"), rows, f"A {names[0]}\nB {names[1]}")
+    if not rows:
+        print("their settings are the same")
+    print()
+    figures: list[tuple[Cell, ...]] = [("status", *(run.record.settled_status for run in pair), None)]
+    known = [_figures(run) for run in pair]
+    for name in dict.fromkeys((*known[0], *known[1])):
+        a, b = known[0].get(name), known[1].get(name)
+        figures.append((name, a, b, None if a is None or b is None else b - a))
+    print_table(("figure", "A", "B", "B minus A"), figures)
+    return 0
+
+
+def _settings(run: "StoredRun") -> Mapping[str, str]:
+    """Flat, dotted names; where it is kept is no setting."""
+    from headway_launch.planning import flat
+
+    mapping = {name: value for name, value in run.mapping.items() if name != "store"}
+    return {**{name: str(value) for name, value in flat(mapping)}, **run.record.tags}
+
+
+def _figures(run: "StoredRun") -> Mapping[str, float]:
+    from headway.store.folder import read_summary
+
+    figures: dict[str, Any] = {"iterations": run.record.durable_iteration, **read_summary(run.directory)}
+    figures["duration_s"] = run.record.duration_s
+    numbers = {name: value for name, value in figures.items() if isinstance(value, int | float)}
+    return {**numbers, **_last_evaluation(run.directory)}
+
+
+def _last_evaluation(directory: Path) -> dict[str, float]:
+    """Means over the episodes of each mode's last evaluation, by `last evaluation, greedy: return`."""
+    from headway.events import LABELS
+    from headway.store.log import read_rows
+
+    by_mode: dict[str, list[Mapping[str, float | int | str]]] = {}
+    for row in read_rows(directory, "evaluation"):
+        rows = by_mode.setdefault(str(row["mode"]), [])
+        if rows and rows[-1]["iteration"] != row["iteration"]:
+            rows.clear()
+        rows.append(row)
+    return {
+        f"last evaluation, {mode}: {name}": sum(float(row[name]) for row in rows) / len(rows)
+        for mode, rows in by_mode.items()
+        for name in rows[0]
+        if name not in LABELS and all(name in row for row in rows)
+    }
