@@ -55,6 +55,7 @@ _COMMANDS = {
     "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
     "plot": _Command("picture of a study's learning curves", "plot"),
     "browse": _Command("browse the store in MLflow's pages", "browse"),
+    "sync": _Command("bring MLflow up to date with the run folders", "sync"),
     "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
 

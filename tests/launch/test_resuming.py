@@ -136,7 +136,7 @@ def test_a_study_goes_on_with_what_failed_too(tmp_path: Path, monkeypatch: pytes
         _end_as_killed(str(_stored(tmp_path / "runs", number, number).directory), status)
     resumed: list[str] = []
 
-    def note(runs: list[StoredRun]) -> list[object]:
+    def note(runs: list[StoredRun], known: object) -> list[object]:
         resumed.extend(run.record.run_id for run in runs)
         return []
 

@@ -70,6 +70,10 @@ class EnergyMeter:
             meter._starting.start()
         return meter
 
+    def wait(self) -> None:
+        """Wait until it measures, or is known not to: for what is too short to do without."""
+        self._ready(_START_SECONDS)
+
     def sample(self, jobs: Mapping[str, JobUsage]) -> dict[str, Energy]:
         """Measure now, with what the jobs that run have used as far as known, and give each one's energy
         so far (of the whole stack: see `Energy.per_seed`). To be called every `interval_s` seconds."""

@@ -6,7 +6,7 @@ Importing this costs neither MLflow nor pandas, pyarrow or torch.
 
 from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.folder import CHECKPOINTS, RunRecord, Status, find_run
-from headway.store.following import sync
+from headway.store.following import sync, sync_each
 from headway.store.index import RunIndex, RunRow
 from headway.store.log import RunLog, Table, read
 from headway.store.provenance import provenance
@@ -29,4 +29,5 @@ __all__ = [
     "read",
     "save_checkpoint",
     "sync",
+    "sync_each",
 ]

@@ -20,6 +20,7 @@ from typing import Any, Literal, Self, get_args
 
 import psutil
 
+from headway.config import StoreConfig
 from headway.contracts import HeadwayError
 from headway.store.durable import make_folder, read_json, write_json
 
@@ -83,6 +84,10 @@ class RunRecord:
     durable_env_steps: int = 0
     parameters: Mapping[str, str] = field(default_factory=dict)
     tags: Mapping[str, str] = field(default_factory=dict)
+    tracking_uri: str | None = None
+    """Where MLflow is to know of it; None: SQLite in the store's root."""
+    curve_points: int = StoreConfig.curve_points
+    """Points of each metric's curve that MLflow is to have."""
 
     @property
     def cell(self) -> str:

@@ -2,19 +2,20 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from headway.config import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
 from headway.store.checkpoint import latest_iteration
 from headway.store.curve import ThinnedCurve
-from headway.store.durable import read_json, write_json
-from headway.store.folder import CHECKPOINTS, RunRecord, now, read_summary, run_folders
+from headway.store.durable import locked, read_json, write_json
+from headway.store.folder import CHECKPOINTS, Process, RunRecord, now, read_summary, run_folders
 from headway.store.log import read_rows
-from headway.store.tracking import Tracker
+from headway.store.tracking import Tracker, database_uri
 
+_SYNC_SECONDS = 600.0
 _STATE = "tracking.json"
 _FILES = ("config.yaml", "plan.json", "run.json", "summary.json", "*.parquet", "*.png", "*.svg", "*.html")
 
@@ -28,75 +29,150 @@ class RunFollower:
         self._record = RunRecord.read(directory)
         self._curve = ThinnedCurve(self._record.iterations, curve_points)
         self._child = ""
+        """Its run in MLflow; empty before `begin`, and where something was not sent."""
 
     def begin(self, tracker: Tracker) -> None:
         """Find or create the run in MLflow, and send what its folder holds already."""
-        record = self._record
+        self._record = record = RunRecord.read(self.directory)
+        self._curve = ThinnedCurve(record.iterations, self._curve_points)
         experiment, parent = tracker.cell(record.study, record.cell, record.parameters, _cell_tags(record))
-        self._child = tracker.child(
+        child = tracker.child(
             experiment, parent, record.run_id, record.started, record.parameters, _run_tags(record)
         )
-        state = {"uri": tracker.uri, "experiment": experiment, "parent": parent, "run": self._child}
-        write_json(self.directory / _STATE, state | {"complete": False})
+        state = {"uri": tracker.uri, "experiment": experiment, "parent": parent, "run": child}
+        write_json(_state_file(self.directory, tracker.uri, tracker.local), state | {"complete": False})
         iteration = _durable_iteration(self.directory, record)
         curve = read_rows(self.directory, "curve")
         rows = [row for row in curve if int(row.get("iteration", 0)) <= iteration]
         if rows:
             self._curve.add(rows)
-            sent = tracker.sent_steps(self._child)
-            tracker.points(self._child, record.started, self._curve.durable(iteration, sent))
+            tracker.points(child, record.started, self._curve.durable(iteration, tracker.sent_steps(child)))
+        self._child = child
+
+    def forget(self) -> None:
+        """Something was not sent: what follows begins anew, with what the folder holds."""
+        self._child = ""
+
+    def catch_up(self, tracker: Tracker) -> None:
+        """Send all that is missing."""
+        self.begin(tracker)
+        if RunRecord.read(self.directory).settled_status != "RUNNING":
+            self.complete(tracker)
 
     def advance(self, tracker: Tracker, rows: Iterable[Row], iteration: int) -> None:
         """Take new rows and send the points up to `iteration`, which the run's log holds durably."""
+        if not self._child:
+            self.begin(tracker)
+            return
         self._curve.add(rows)
         tracker.points(self._child, self._record.started, self._curve.durable(iteration))
 
     def tag(self, tracker: Tracker, name: str, text: str) -> None:
         """Set a tag of the run."""
+        if not self._child:
+            self.begin(tracker)
         tracker.tag(self._child, name, text)
 
     def complete(self, tracker: Tracker) -> None:
-        """Send the summary, the files and the status of a run that has ended."""
+        """Send the files and the status of a run that has ended, and the summary of one that has finished:
+        another's may yet change, and MLflow only appends."""
+        if not self._child:
+            self.begin(tracker)
         record = RunRecord.read(self.directory)
         files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
-        figures = _figures(read_summary(self.directory))
-        tracker.finish(self._child, record.settled_status, record.ended or now(), figures, files)
-        write_json(self.directory / _STATE, read_json(self.directory / _STATE) | {"complete": True})
+        status = record.settled_status
+        figures = _figures(read_summary(self.directory)) if status == "FINISHED" else {}
+        tracker.finish(self._child, status, record.ended or now(), figures, files)
+        path = _state_file(self.directory, tracker.uri, tracker.local)
+        write_json(path, read_json(path) | {"complete": _end(record)})
 
 
-def sync(
-    root: Path, tracking_uri: str | None = None, curve_points: int = StoreConfig.curve_points
-) -> tuple[str, ...]:
-    """Bring MLflow up to date with every run folder under `root`, but those whose session still runs.
+def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
+    """Bring MLflow (None: the database in the root) up to date with every run folder under `root`, but those
+    whose session still runs.
 
     Safe to repeat: nothing is sent twice. Returns one line for each run brought up to date or unreadable.
     Raises HeadwayError if MLflow fails.
     """
-    lines = []
-    tracker: Tracker | None = None
-    for directory in sorted(run_folders(root)):
-        try:
-            record = RunRecord.read(directory)
-        except HeadwayError as error:
-            lines.append(str(error))
-            continue
-        if record.settled_status == "RUNNING":
-            continue
-        tracker = tracker or Tracker(root, tracking_uri)
-        if _is_complete(directory, tracker.uri):
-            continue
-        follower = RunFollower(directory, curve_points)
-        follower.begin(tracker)
-        follower.complete(tracker)
-        lines.append(f"{record.run_id} is up to date in MLflow")
+    runs, lines = _ended_runs(root)
+    missing = [folder for folder, _ in runs if not _is_complete(folder, root, tracking_uri)]
+    if not missing:
+        return tuple(lines)
+    return (*lines, *_send(root, Tracker(root, tracking_uri), missing))
+
+
+def sync_each(root: Path) -> tuple[str, ...]:
+    """As `sync`, each run to where it was to be sent when it was trained."""
+    runs, lines = _ended_runs(root)
+    for uri in dict.fromkeys(record.tracking_uri for _, record in runs):
+        missing = [
+            folder
+            for folder, record in runs
+            if record.tracking_uri == uri and not _is_complete(folder, root, uri)
+        ]
+        if missing:
+            lines += _send(root, Tracker(root, uri), missing)
     return tuple(lines)
 
 
-def _is_complete(directory: Path, uri: str) -> bool:
-    if not (directory / _STATE).exists():
+def behind(root: Path, tracking_uri: str | None) -> list[Path]:
+    """Folders of ended runs that MLflow at this URI was to know of and does not know all of."""
+    return [
+        folder
+        for folder, record in _ended_runs(root)[0]
+        if record.tracking_uri == tracking_uri and not _is_complete(folder, root, tracking_uri)
+    ]
+
+
+def deliver(root: Path, tracker: Tracker) -> None:
+    """Send what is `behind` at a tracker's URI. Raises HeadwayError if MLflow fails."""
+    _send(root, tracker, behind(root, None if tracker.local else tracker.uri))
+
+
+def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> list[str]:
+    """One session at a time, so that no run is created twice."""
+    lines = []
+    with locked(root / ".sync.lock", _SYNC_SECONDS, "MLflow was brought up to date"):
+        for folder in folders:
+            record = RunRecord.read(folder)
+            if not _is_complete(folder, root, None if tracker.local else tracker.uri):
+                RunFollower(folder, record.curve_points).catch_up(tracker)
+                lines.append(f"{record.run_id} is up to date in MLflow")
+    return lines
+
+
+def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
+    """Runs that no other living session may be telling MLflow of; a line for each unreadable one."""
+    runs, lines = [], []
+    for folder in sorted(run_folders(root)):
+        try:
+            record = RunRecord.read(folder)
+        except HeadwayError as error:
+            lines.append(str(error))
+            continue
+        own = record.session == Process.current()
+        if record.settled_status != "RUNNING" and (own or not record.session.may_live()):
+            runs.append((folder, record))
+    return runs, lines
+
+
+def _state_file(folder: Path, uri: str, local: bool) -> Path:
+    """What is known of the run at one MLflow: `tracking.json` for the database in the root."""
+    return folder / (_STATE if local else f"tracking-{sha256(uri.encode()).hexdigest()[:8]}.json")
+
+
+def _is_complete(folder: Path, root: Path, tracking_uri: str | None) -> bool:
+    uri = tracking_uri or database_uri(root)
+    path = _state_file(folder, uri, tracking_uri is None)
+    if not path.exists():
         return False
-    state = read_json(directory / _STATE)
-    return bool(state.get("complete")) and state.get("uri") == uri
+    state = read_json(path)
+    return state.get("uri") == uri and state.get("complete") == _end(RunRecord.read(folder))
+
+
+def _end(record: RunRecord) -> str:
+    """Tells one end of a run from another: a run may be resumed and end again."""
+    return f"{record.settled_status} {record.ended or ''} {record.durable_iteration}"
 
 
 def _durable_iteration(directory: Path, record: RunRecord) -> int:

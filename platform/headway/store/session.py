@@ -1,7 +1,5 @@
 """What the session process uses: cells, runs, and MLflow following behind in a thread of its own."""
 
-import queue
-import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -11,6 +9,7 @@ from typing import Any, Self
 from headway.config import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
+from headway.store.courier import Courier, Errand
 from headway.store.durable import locked, make_folder, read_json, write_json, write_text
 from headway.store.energy_log import EnergyLog
 from headway.store.folder import (
@@ -24,7 +23,7 @@ from headway.store.folder import (
     now,
     rules_file,
 )
-from headway.store.following import RunFollower
+from headway.store.following import RunFollower, behind, deliver
 from headway.store.index import RunIndex
 from headway.store.provenance import provenance
 from headway.store.tracking import Tracker
@@ -33,7 +32,6 @@ EPISODES_RESTARTED = "episodes_restarted"
 """Tag of a run that was resumed where its environment keeps no snapshots: after which iterations."""
 _LOCK_SECONDS = 30.0
 _CLOSE_SECONDS = 120.0
-_BEHIND = "the runs' folders hold everything, and the next `headway browse` brings MLflow up to date"
 
 
 class SessionStore:
@@ -44,12 +42,17 @@ class SessionStore:
         self.root = Path(config.root).resolve()
         self.curve_points = config.curve_points
         make_folder(self.root)
-        self._mlflow = _Follower(self.root, config.tracking_uri)
+        self.tracking_uri = config.tracking_uri
+        self._mlflow = Courier(self.root, config.tracking_uri)
 
     @classmethod
     def open(cls, config: StoreConfig) -> Self:
-        """Open (or create) the store. Raises HeadwayError if its root cannot be written."""
-        return cls(config)
+        """Open (or create) the store. Raises HeadwayError if its root cannot be written, or a tracking URI
+        is given that does not answer."""
+        store = cls(config)
+        if config.tracking_uri is not None:
+            store._mlflow.connect()
+        return store
 
     def begin_cell(
         self,
@@ -75,7 +78,14 @@ class SessionStore:
                 raise HeadwayError(f"run {record.run_id} is being run by {holder}: stop that one first")
             if record.status == "FINISHED":
                 raise HeadwayError(f"run {record.run_id} has finished: there is nothing to resume")
-            record = replace(record, status="RUNNING", ended=None, session=Process.current())
+            record = replace(
+                record,
+                status="RUNNING",
+                ended=None,
+                session=Process.current(),
+                tracking_uri=self.tracking_uri,
+                curve_points=self.curve_points,
+            )
             record.write(directory)
         return Run(self, directory, record)
 
@@ -88,14 +98,20 @@ class SessionStore:
         """Lines for the user since the last call."""
         return self._mlflow.notices()
 
-    def follow(self, step: Callable[[Tracker], object]) -> None:
-        """Let the MLflow thread do `step`, after all given to it before."""
-        self._mlflow.submit(step)
+    def follow(self, errand: Errand) -> None:
+        """Let the MLflow thread do it, after all given to it before."""
+        self._mlflow.submit(errand)
 
     def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
-        """Wait (at most so long) until MLflow is up to date; returns the last notices."""
+        """Wait (at most so long) until MLflow is up to date, also with what earlier sessions left; returns
+        the last notices."""
+        if behind(self.root, self.tracking_uri):
+            self.follow(Errand(self._deliver, lambda: None, self._deliver))
         self._mlflow.close(seconds)
         return self.notices()
+
+    def _deliver(self, tracker: Tracker) -> None:
+        deliver(self.root, tracker)
 
 
 class Cell:
@@ -140,6 +156,8 @@ class Cell:
             policies=policies,
             parameters=self._parameters,
             tags={**self._tags, **(tags or {})},
+            tracking_uri=self._store.tracking_uri,
+            curve_points=self._store.curve_points,
         )
         write_text(directory / "config.yaml", config_yaml)
         write_json(directory / "plan.json", plan)
@@ -163,7 +181,7 @@ class Cell:
             _, parent = tracker.cell(self._study, self.name, self._parameters, {})
             tracker.finish(parent, status, ended, sent, ())
 
-        self._store.follow(end)
+        self._store.follow(Errand(end, lambda: None, end))
 
 
 class Run:
@@ -177,7 +195,7 @@ class Run:
         self._rows: list[Row] = []
         self._energy = EnergyLog(directory)
         self._follower = RunFollower(directory, store.curve_points)
-        store.follow(self._follower.begin)
+        self._tell(self._follower.begin)
 
     @property
     def run_id(self) -> str:
@@ -201,7 +219,7 @@ class Run:
         )
         self.record.write(self.directory)
         self._energy.write_if_due()
-        self._store.follow(lambda tracker: self._follower.advance(tracker, ready, iteration))
+        self._tell(lambda tracker: self._follower.advance(tracker, ready, iteration))
 
     def note_restart(self, iteration: int) -> None:
         """Tag the run: its episodes were begun anew after `iteration`, so that its curves are not those of a
@@ -210,7 +228,7 @@ class Run:
         after = f"{before}, {iteration}" if before else str(iteration)
         self.record = replace(self.record, tags={**self.record.tags, EPISODES_RESTARTED: after})
         self.record.write(self.directory)
-        self._store.follow(lambda tracker: self._follower.tag(tracker, EPISODES_RESTARTED, after))
+        self._tell(lambda tracker: self._follower.tag(tracker, EPISODES_RESTARTED, after))
 
     def energy(self, sample: Row) -> None:
         """Take one energy sample of this run (a row of `energy.parquet`): its energy so far, that of
@@ -230,54 +248,11 @@ class Run:
         ended = self.record.ended_as(status)
         self.record = replace(ended, duration_s=ended.duration_s + _seconds_since(self._resumed_at))
         self.record.write(self.directory)
-        self._store.follow(self._follower.complete)
+        self._tell(self._follower.complete)
+
+    def _tell(self, step: Callable[[Tracker], object]) -> None:
+        self._store.follow(Errand(step, self._follower.forget, self._follower.catch_up))
 
 
 def _seconds_since(moment: str) -> float:
     return (datetime.fromisoformat(now()) - datetime.fromisoformat(moment)).total_seconds()
-
-
-class _Follower:
-    """A thread that does what MLflow is to be told, in order; at the first failure it stops doing so."""
-
-    def __init__(self, root: Path, tracking_uri: str | None) -> None:
-        self._root, self._uri = root, tracking_uri
-        self._steps: queue.SimpleQueue[Callable[[Tracker], object] | None] = queue.SimpleQueue()
-        self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
-        self._abandoned = threading.Event()
-
-    def submit(self, step: Callable[[Tracker], object]) -> None:
-        if self._abandoned.is_set():
-            return
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="headway-mlflow", daemon=True)
-            self._thread.start()
-        self._steps.put(step)
-
-    def notices(self) -> tuple[str, ...]:
-        lines = []
-        while not self._notices.empty():
-            lines.append(self._notices.get())
-        return tuple(lines)
-
-    def close(self, seconds: float) -> None:
-        if self._thread is None:
-            return
-        self._steps.put(None)
-        self._thread.join(seconds)
-        if self._thread.is_alive():
-            self._abandoned.set()
-            self._notices.put(f"MLflow was not up to date after {seconds:g} s: {_BEHIND}")
-        self._thread = None
-
-    def _work(self) -> None:
-        tracker: Tracker | None = None
-        try:
-            while (step := self._steps.get()) is not None and not self._abandoned.is_set():
-                tracker = tracker or Tracker(self._root, self._uri)
-                step(tracker)
-        except Exception as error:  # whatever it is, it must not end the session
-            self._abandoned.set()
-            kind = "" if isinstance(error, HeadwayError) else f"{type(error).__name__}: "
-            self._notices.put(f"MLflow is behind ({kind}{error}): {_BEHIND}")

@@ -7,7 +7,6 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +16,7 @@ from headway.store.durable import locked, make_folder, sync_folder
 from headway.store.folder import Status, milliseconds
 
 _Result = TypeVar("_Result")
+_ANSWER_SECONDS = 5.0
 _BATCH = 1000  # MLflow's limit of metrics in one request
 _PARAMETERS = 100  # and of parameters
 _TEXT = 5000  # longest tag; parameters take 6000
@@ -30,6 +30,9 @@ _QUIET = {
     "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING": "false",
     "MLFLOW_LOGGING_LEVEL": "CRITICAL",
     "GIT_PYTHON_REFRESH": "quiet",
+    # A server that is gone is told of soon, and tried again later.
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",
 }
 
 
@@ -40,12 +43,13 @@ class Tracker:
 
     def __init__(self, root: Path, tracking_uri: str | None = None, wait_s: float = 60.0) -> None:
         self.root = root.resolve()
-        self._local = tracking_uri is None
-        self.uri = tracking_uri or f"sqlite:///{self.root / _DATABASE}"
+        self.local = tracking_uri is None
+        """Whether it is the database in the root."""
+        self.uri = tracking_uri or database_uri(root)
         self._wait_s = wait_s
         make_folder(self.root)
         _import_quietly()
-        if self._local:
+        if self.local:
             self._create_database()
         self._client = _within(wait_s, self.uri, lambda: _client(self.uri))
         self._ask("search_experiments", max_results=1)
@@ -119,11 +123,16 @@ class Tracker:
     def finish(
         self, run: str, status: Status, ended: str, figures: Mapping[str, float], files: Sequence[Path]
     ) -> None:
-        """Send summary figures and files of a run, then its status."""
+        """Send summary figures, those that MLflow does not have, and files of a run, then its status."""
         from mlflow.entities import Metric
 
         moment = milliseconds(ended)
-        metrics = [Metric(f"summary/{name}", value, moment, 0) for name, value in figures.items()]
+        known = self._ask("get_run", run).data.metrics
+        metrics = [
+            Metric(f"summary/{name}", value, moment, 0)
+            for name, value in figures.items()
+            if known.get(f"summary/{name}") != value
+        ]
         self._metrics(run, metrics)
         for file in files:
             self._ask("log_artifact", run, str(file))
@@ -150,7 +159,7 @@ class Tracker:
             if found.lifecycle_stage == "deleted":
                 self._ask("restore_experiment", found.experiment_id)
             return str(found.experiment_id)
-        location = (self.root / "mlflow-artifacts").as_uri() if self._local else None
+        location = (self.root / "mlflow-artifacts").as_uri() if self.local else None
         return str(self._ask("create_experiment", study, artifact_location=location))
 
     def _metrics(self, run: str, metrics: list[Any]) -> None:
@@ -165,13 +174,38 @@ class Tracker:
             self._ask("log_batch", run, params=params[first : first + _PARAMETERS])
 
     def _alone(self, purpose: str) -> Any:  # noqa: ANN401 - a context that gives nothing
-        if not self._local:
-            return nullcontext()
         return locked(self.root / ".mlflow.lock", self._wait_s, purpose)
 
     def _ask(self, method: str, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - MLflow is not typed
         ask = getattr(self._client, method)
         return _within(self._wait_s, self.uri, lambda: ask(*arguments, **named))
+
+
+def database_uri(root: Path) -> str:
+    """The tracking URI of the database in a store's root."""
+    return f"sqlite:///{root.resolve() / _DATABASE}"
+
+
+def require_answer(uri: str) -> None:
+    """Raise HeadwayError if the server of an `http` URI cannot be reached; of others nothing is known before
+    MLflow is asked."""
+    from urllib.error import HTTPError
+    from urllib.parse import urlsplit
+    from urllib.request import urlopen
+
+    if urlsplit(uri).scheme not in ("http", "https"):
+        return
+    try:
+        with urlopen(uri.rstrip("/") + "/health", timeout=_ANSWER_SECONDS):
+            return
+    except HTTPError:
+        return  # something answers; MLflow finds out what it is
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "reason", None) or error
+        raise HeadwayError(
+            f"MLflow's server at {uri} cannot be reached ({reason}): start it, give another, or leave out "
+            "store.tracking_uri to keep runs here"
+        ) from error
 
 
 def _import_quietly() -> None:

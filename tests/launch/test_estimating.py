@@ -1,0 +1,56 @@
+"""What a dry run says: the runs, and what they would take."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from headway_launch.command_line import run
+from headway_launch.composing import compose
+from headway_launch.estimating import Pace, makespan
+
+PACE = Pace(
+    start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
+    kwh=1e-6, kg_co2=1e-7,
+)  # fmt: skip
+
+
+def test_jobs_take_the_places_that_become_free() -> None:
+    assert makespan([3.0, 1.0, 1.0, 1.0], 2) == 3.0
+    assert makespan([1.0, 1.0, 1.0, 3.0], 2) == 4.0
+    assert makespan([], 2) == 0.0
+
+
+def test_a_job_takes_its_start_iterations_and_evaluations() -> None:
+    config = compose(
+        ["env=trivial", "rollout.copies=4", "rollout.steps=25", "env_steps=1000", "evaluation.every=300"]
+    ).config
+    config = replace(config, evaluation=replace(config.evaluation, episodes=10, final_episodes=30))
+    # Ten iterations of 100 steps; evaluations at 300, 600, 900, and the last of three times the episodes.
+    whole = PACE.of_job(config, 0)
+    assert whole.seconds == pytest.approx(3.0 + 10 * 0.5 + (3 + 3) * 2.0)
+    assert whole.cpu_s == pytest.approx(4.0 + 10 * 1.0 + (3 + 3) * 2.0 * 2.0)
+    assert whole.kwh == pytest.approx(whole.cpu_s * 1e-6)
+    rest = PACE.of_job(config, 7)
+    assert rest.seconds == pytest.approx(3.0 + 3 * 0.5 + (1 + 3) * 2.0)
+    assert replace(PACE, kwh=None).of_job(config, 0).kwh is None
+
+
+def test_a_dry_run_lists_estimates_and_keeps_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout=short", "env_steps=1e6",
+             "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
+    sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
+    assert run([*sweep, "--dry-run"]) == 0
+    told = capsys.readouterr()
+    lines = told.out.splitlines()
+    rows = [line.split("\t") for line in lines[1:7]]
+    assert [row[:3] for row in rows] == [
+        [algo, str(seed), "begins"] for algo in ("ippo", "ia2c") for seed in range(3)
+    ]
+    assert all(float(row[3]) > 1 and float(row[4]) > 1 and row[5] == "" for row in rows)
+    assert "6 trainings" in told.out
+    assert "energy not measured" in told.out
+    assert "rests on" in told.out
+    assert not (tmp_path / "runs").exists()
