@@ -179,6 +179,7 @@ class Conductor:
             tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
         if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
             tell(f"beside the rules, with intervals: {own_name()} compare {study}{option}")
+        self._say_what_tracking_took()
         self._say_what_failed()
         unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
         never_begun = sum(len(job.planned.seeds) for job in self._jobs if job.recording is None)
@@ -190,6 +191,17 @@ class Conductor:
             )
             kinds = f"{never_begun} runs have not begun; " if never_begun else ""
             tell(f"headway: {kinds}to go on: {own_name()} resume {named}{option}")
+
+    def _say_what_tracking_took(self) -> None:
+        """Of all that training processes did, and this process beside them, how much was for the store."""
+        recordings = [job.recording for job in self._jobs if job.recording is not None]
+        trained = sum(recording.trained_s for recording in recordings)
+        if trained:
+            kept, own = sum(recording.store_s for recording in recordings), time.process_time()
+            tell(
+                f"tracking: {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
+                f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
+            )
 
     def _say_what_failed(self) -> None:
         failed = [job for job in self._jobs if job.progress.status == "failed"]

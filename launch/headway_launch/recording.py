@@ -1,5 +1,6 @@
 """What one job reports goes into the runs of its seeds."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -43,6 +44,12 @@ class JobRecording:
     used: Usage = field(default_factory=Usage)
     """In this session, all seeds of the job together."""
     process_ids: tuple[int, ...] = ()
+    began: float | None = None
+    """When training began, on the session's monotonic clock."""
+    trained_s: float = 0.0
+    """How long it went on; 0 where its process could not tell of its end."""
+    store_s: float = 0.0
+    """Seconds of that on the log and checkpoints."""
     status: "Status" = "RUNNING"
     failure: Failed | None = None
     _first: tuple[float, int] | None = None
@@ -52,7 +59,7 @@ class JobRecording:
         """Write an event into the runs. Raises HeadwayError if the store cannot be written."""
         match event:
             case Started(iteration=iteration, process_ids=process_ids):
-                self.process_ids = process_ids
+                self.process_ids, self.began = process_ids, time.monotonic()
                 if event.episodes_restarted:
                     for run in self.runs:
                         run.note_restart(iteration)
@@ -70,6 +77,8 @@ class JobRecording:
                     run.durable(iteration)
             case Finished(stopped=stopped, usage=usage):
                 self.used = usage or self.used
+                if self.began is not None and usage is not None:
+                    self.trained_s, self.store_s = time.monotonic() - self.began, event.store_s
                 self.status = "KILLED" if stopped else "FINISHED"
                 self._find_checkpoint()
             case Failed():
@@ -89,8 +98,8 @@ class JobRecording:
             process_ids=self.process_ids,
         )
 
-    def keep_energy(self, time: float, energy: "Energy") -> Sequence[Row]:
-        """Give each run a sample of what its training has used by `time` (seconds since 1970), over all
+    def keep_energy(self, moment: float, energy: "Energy") -> Sequence[Row]:
+        """Give each run a sample of what its training has used by `moment` (seconds since 1970), over all
         sessions, where `energy` is the job's in this one; the samples, one a seed."""
         seeds = len(self.runs)
         share = {**energy.per_seed(seeds).as_row(), "cpu_seconds": self.used.cpu_seconds / seeds}
@@ -98,7 +107,7 @@ class JobRecording:
         for run, before in zip(self.runs, self.before or (dict[str, float](),) * seeds, strict=True):
             earlier = {name: float(value) for name, value in before.items() if name != "time"}
             sums = {name: earlier.get(name, 0.0) + share.get(name, 0.0) for name in {**earlier, **share}}
-            samples.append({"time": time, **sums})
+            samples.append({"time": moment, **sums})
             run.energy(samples[-1])
         return samples
 

@@ -86,6 +86,8 @@ class Finished:
     stopped: bool
     usage: Usage | None = None
     """Of the training process and its workers; None where it was killed and could not tell."""
+    store_s: float = 0.0
+    """Seconds that it spent on its log and checkpoints."""
 
 
 @dataclass(frozen=True, slots=True)

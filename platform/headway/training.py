@@ -105,6 +105,7 @@ class _Training:
         self.saved_iteration = -1
         self.seconds_before = 0.0
         self.episodes_restarted = False
+        self.store_s = 0.0
         self.started = time.monotonic()
         self.own_usage = OwnUsage()
 
@@ -133,7 +134,8 @@ class _Training:
                 self._checkpoint()
         if self.saved_iteration < self.iteration:
             self._checkpoint()
-        self.report(Finished(self.iteration, stopped=self.iteration < total, usage=self._usage()))
+        stopped = self.iteration < total
+        self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
     def _iterate(self, total: int) -> None:
         began = time.monotonic()
@@ -199,17 +201,22 @@ class _Training:
     def _write_curve(
         self, rows: list[dict[str, float | int | str]], evaluated: list[dict[str, float | int | str]] | None
     ) -> None:
+        began = time.monotonic()
         for r, log in enumerate(self.logs):
             log.append("curve", [{**rows[r], **(evaluated[r] if evaluated else {})}])
+        self.store_s += time.monotonic() - began
 
     def _log_episodes(self, episodes: list[Episode]) -> None:
+        began = time.monotonic()
         label = {"iteration": self.iteration, "env_steps": self.env_steps}
         for r, log in enumerate(self.logs):
             log.append("episodes", [{**label, **e.row} for e in episodes if e.replica == r])
+        self.store_s += time.monotonic() - began
 
     def _checkpoint(self) -> None:
         """All logs first: a checkpoint never knows more than they hold. Each seed's folder gets the same
         one, of the whole stack, and one may be all there is when a stack is killed between two writes."""
+        began = time.monotonic()
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
@@ -223,6 +230,7 @@ class _Training:
         for directory in self.job.checkpoints:
             write_checkpoint(directory, self.iteration, content)
         self.saved_iteration = self.iteration
+        self.store_s += time.monotonic() - began
         self.report(CheckpointSaved(self.iteration))
 
     def _resume(self) -> None:

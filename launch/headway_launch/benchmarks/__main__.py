@@ -1,11 +1,16 @@
-"""Run every benchmark, or those named: `python -m headway_launch.benchmarks [training kernel lightness]`."""
+"""Run every benchmark, or those named: `python -m headway_launch.benchmarks [training kernel store ...]`."""
 
 import platform
 import sys
 
-from headway_launch.benchmarks import kernel, lightness, training
+from headway_launch.benchmarks import kernel, lightness, store, training
 
-REPORTS = {"training": training.report, "kernel": kernel.report, "lightness": lightness.report}
+REPORTS = {
+    "training": training.report,
+    "kernel": kernel.report,
+    "lightness": lightness.report,
+    "store": store.report,
+}
 
 
 def main() -> None:

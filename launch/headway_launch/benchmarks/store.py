@@ -1,0 +1,80 @@
+"""The store: how fast it answers when it is large, and what tracking costs while training."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+from headway.store import RunLog, RunRecord
+from headway.store.folder import Process, cell_name, create_run_folder, now
+
+RUNS, POINTS = 450, 400
+"""A study of nine algorithms and fifty seeds, and the points of each curve."""
+ROUNDS = 5
+TRAINING = (
+    "experiment=bus_mappo",
+    "seed=0,1",
+    "env_steps=200_000",
+    "evaluation.rules=[]",
+    "store.checkpoint_every=20",
+)
+
+
+def report() -> None:
+    """Print both."""
+    print(f"\n## Store: {RUNS} runs of {POINTS} points\n")
+    with tempfile.TemporaryDirectory() as folder:
+        make_store(Path(folder))
+        for name, arguments in (
+            ("runs", []),
+            ("runs, filtered and sorted", ["--where", "final_reward>300", "--sort", "final_reward desc"]),
+        ):
+            command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder, *arguments]
+            first, *others = [_seconds(command) for _ in range(1 + ROUNDS)]
+            print(f"headway {name}: {median(others):.2f} s, the first time {first:.2f} s")
+        (Path(folder) / "index.sqlite").unlink()
+        command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder]
+        print(f"headway runs with the index lost: {_seconds(command):.2f} s", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "headway_launch", "run", *TRAINING, f"store.root={folder}"]
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+        print(next(line for line in told.splitlines() if line.startswith("tracking")), flush=True)
+
+
+def make_store(root: Path, runs: int = RUNS, points: int = POINTS) -> None:
+    """Fill a store with finished runs that were never trained: nine cells, as many seeds each as it takes."""
+    for number in range(runs):
+        algorithm, seed = f"algorithm_{number % 9}", number // 9
+        parameters = {f"algo.parameter_{index}": str(index) for index in range(40)}
+        run_id, directory = create_run_folder(root, "large", cell_name("bus", algorithm, parameters), seed)
+        record = RunRecord(
+            run_id, "large", "bus", algorithm, seed, points, now(), Process.current(), "FINISHED",
+            "shared", now(), 60.0, points, points * 4096, parameters,
+        )  # fmt: skip
+        replace(record, session=Process("elsewhere", 1, 0.0)).write(directory)
+        summary = {"final_reward": 250.0 + number % 100, "auc": 0.7, "cpu_seconds": 60.0, "kwh": 0.001}
+        (directory / "summary.json").write_text(json.dumps({**summary, "kg_co2": 1e-4}))
+        (directory / "config.yaml").write_text(json.dumps({"seed": [seed], "algo": {"name": algorithm}}))
+        (directory / "plan.json").write_text(json.dumps({"stack": [seed], "workers": 1}))
+        log = RunLog(directory)
+        rows = [
+            {
+                "iteration": at,
+                "env_steps": 4096 * at,
+                "wall_s": 0.15 * at,
+                "evaluation_greedy/return": float(at),
+            }
+            for at in range(points)
+        ]
+        log.append("curve", rows)
+        log.commit(points)
+
+
+def _seconds(command: list[str]) -> float:
+    began = time.perf_counter()
+    subprocess.run(command, capture_output=True, check=True)
+    return time.perf_counter() - began
