@@ -47,7 +47,8 @@ class CellWork:
         """The runs of a job, made or taken up again, one a seed. Raises HeadwayError where the store cannot
         be written or another session has taken them."""
         if planned.resumed:
-            return [self._store.resume(run_id) for run_id in planned.resumed]
+            stacked = len(planned.seeds) > 1
+            return [self._store.resume(run_id, of_a_stack=stacked) for run_id in planned.resumed]
         import yaml
 
         experiment = planned.experiment

@@ -54,6 +54,8 @@ class Standing:
                 continue
             row, run = max(found, key=lambda one: (_RANKS[one[0].status], one[0].iterations, one[0].started))
             standing[_KINDS[row.status]].append(run)
+        _keep_stacks_whole(standing["finished"], standing["unfinished"], new)
+        new.sort(key=list(by_seed).index)
         return cls(
             experiment,
             finished=tuple(standing["finished"]),
@@ -76,6 +78,20 @@ class Standing:
         if self.new:
             jobs += new_jobs(self.experiment, self.new, known)
         return CellPlan(self.experiment, tuple(jobs), tuple(run.directory for run in self.finished), label)
+
+
+def _keep_stacks_whole(finished: list[StoredRun], unfinished: list[StoredRun], new: list[int]) -> None:
+    """Seeds of a stack go on together. A session that was killed while it ended them one after another has
+    left finished ones among them, and they go on too, for nothing but their end; one that was killed while it
+    began them has left seeds without a run, and all begin anew."""
+    for stack in {run.stack for run in unfinished}:
+        if not set(stack).isdisjoint(new):
+            new += [run.record.seed for run in unfinished if run.stack == stack]
+            unfinished[:] = [run for run in unfinished if run.stack != stack]
+            continue
+        ended = [run for run in finished if run.record.seed in stack and run.stack == stack]
+        unfinished += ended
+        finished[:] = [run for run in finished if run not in ended]
 
 
 _RANKS = {"FAILED": 0, "KILLED": 0, "RUNNING": 1, "FINISHED": 2}

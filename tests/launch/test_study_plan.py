@@ -21,7 +21,14 @@ ELSEWHERE = Process("elsewhere", 1, 0.0)
 """A session that may live."""
 
 
-def keep_run(root: Path, experiment: Experiment, seed: int, status: Status, iteration: int = 0) -> str:
+def keep_run(
+    root: Path,
+    experiment: Experiment,
+    seed: int,
+    status: Status,
+    iteration: int = 0,
+    stack: tuple[int, ...] = (),
+) -> str:
     parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
     cell = cell_name("trivial", experiment.algo_name, parameters)
     run_id, directory = create_run_folder(root, "toys", cell, seed)
@@ -39,7 +46,7 @@ def keep_run(root: Path, experiment: Experiment, seed: int, status: Status, iter
     )
     replace(record, durable_iteration=iteration).write(directory)
     (directory / "config.yaml").write_text(yaml.safe_dump(full_mapping(experiment, [seed])))
-    (directory / "plan.json").write_text(json.dumps({"stack": [seed], "workers": 1}))
+    (directory / "plan.json").write_text(json.dumps({"stack": list(stack or (seed,)), "workers": 1}))
     return run_id
 
 
@@ -100,6 +107,21 @@ def test_what_goes_on_takes_the_session_of_the_command_and_the_backend_of_its_ch
     assert going_on.experiment.config.backend.parallel == 5
     assert going_on.experiment.config.store.root == str(tmp_path)
     assert (new.resumed, new.seeds, new.experiment.config.backend.name) == ((), (1,), "process")
+
+
+def test_seeds_of_a_stack_go_on_together_or_begin_together(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo", "backend.stack=2"])
+    for seed, status in ((0, "FINISHED"), (1, "KILLED")):  # killed while it ended them
+        keep_run(tmp_path, experiment, seed, status, 9, (0, 1))  # type: ignore[arg-type]
+    keep_run(tmp_path, experiment, 2, "KILLED", 0, (2, 3))  # killed while it began them
+    for seed in (4, 5):
+        keep_run(tmp_path, experiment, seed, "FINISHED", 9, (4, 5))
+    found = standing(tmp_path, "algo=ippo", "backend.stack=2", "seed=0..5")
+    assert sorted(run.record.seed for run in found.unfinished) == [0, 1]
+    assert [run.record.seed for run in found.finished] == [4, 5]
+    assert found.new == (2, 3)
+    [cell] = plan_cells([found])
+    assert [(job.seeds, bool(job.resumed)) for job in cell.jobs] == [((0, 1), True), ((2, 3), False)]
 
 
 def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:

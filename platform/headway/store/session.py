@@ -67,16 +67,16 @@ class SessionStore:
         texts = {name: str(value) for name, value in parameters.items()}
         return Cell(self, study, environment, algorithm, texts, {**provenance(), **(tags or {})})
 
-    def resume(self, run_id: str) -> "Run":
-        """Take up a run that was killed or failed. Raises HeadwayError if there is none, it has finished,
-        or another session runs it."""
+    def resume(self, run_id: str, of_a_stack: bool = False) -> "Run":
+        """Take up a run that was killed or failed. Raises HeadwayError if there is none, it has finished
+        (and is not of a stack, whose other seeds may not have), or another session runs it."""
         directory = find_run(self.root, run_id)
         with locked(self.root / ".resume.lock", _LOCK_SECONDS, "a run was resumed"):
             record = RunRecord.read(directory)
             if record.settled_status == "RUNNING":
                 holder = f"process {record.session.pid} on {record.session.host}"
                 raise HeadwayError(f"run {record.run_id} is being run by {holder}: stop that one first")
-            if record.status == "FINISHED":
+            if record.status == "FINISHED" and not of_a_stack:
                 raise HeadwayError(f"run {record.run_id} has finished: there is nothing to resume")
             record = replace(
                 record,
