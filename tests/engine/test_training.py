@@ -50,6 +50,7 @@ def _of(kind: type[Event], events: list[Event]) -> list[Any]:
 
 def _end(events: list[Event]) -> tuple[int, bool]:
     assert isinstance(events[-1], Finished)
+    assert events[-1].store_s > 0  # checkpoints take time
     return events[-1].iteration, events[-1].stopped
 
 
@@ -104,6 +105,7 @@ def test_events_come_in_order(tmp_path: Path) -> None:
     events = trained(job_of(tmp_path, backend="process"))
     assert isinstance(events[0], Started)
     assert len(events[0].process_ids) == 3
+    assert not events[0].episodes_restarted
     assert _end(events) == (6, False)
     assert [e.iteration for e in _of(IterationFinished, events)] == [1, 2, 3, 4, 5, 6]
     assert [e.iteration for e in _of(CheckpointSaved, events)] == [2, 4, 6]
@@ -310,6 +312,7 @@ def test_without_snapshots_a_resumed_run_says_so_and_sees_new_episodes(tmp_path:
     trained(job, stop_after=2)
     events = trained(replace(job, resume=True), stop_after=2)
     assert "start anew" in _of(Notice, events)[0].line
+    assert _of(Started, events)[0].episodes_restarted
     trained(replace(job, resume=True))
     first = [
         [row for row in log_of(tmp_path / "5")["episodes"] if row["iteration"] in iterations]

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from headway.config import StoreConfig
-from headway.events import Event, Failed, Finished, IterationFinished, Usage
-from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, SessionStore, save_checkpoint
+from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
+from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, RunRecord, SessionStore, save_checkpoint
 from headway_launch.recording import JobRecording
 from headway_launch.results import seed_result
 
@@ -57,3 +57,12 @@ def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
     recording.take(Finished(8, stopped=True))
     result = seed_result(runs[0], recording, "greedy", {}, {})
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
+
+
+def test_runs_whose_episodes_began_anew_are_tagged_with_every_time(runs: Sequence[Run]) -> None:
+    JobRecording(runs).take(Started(0, ()))
+    assert "episodes_restarted" not in runs[0].record.tags
+    for iteration in (3, 7):
+        JobRecording(runs).take(Started(iteration, (), episodes_restarted=True))
+    for run in runs:
+        assert RunRecord.read(run.directory).tags["episodes_restarted"] == "3, 7"

@@ -118,6 +118,7 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(tmp_path: Path) -> None:
     assert [row[0] for row in table[3:5]] == ["mean", "std"]
     assert any(row[0] == "rule optimal" and float(row[2]) == 20.0 for row in table)
     assert "headway browse" in done.stderr
+    assert re.search(r"tracking: [\d.]+% of the training processes' \d+ s", done.stderr)
     assert [(row.seed, row.status, row.env_steps) for row in runs(tmp_path)] == [
         (3, "FINISHED", 256),
         (4, "FINISHED", 256),

@@ -135,18 +135,24 @@ def test_a_resumed_run_repeats_no_point(root: Path) -> None:
     run = _begin(first)
     _train(run, 1, 25)
     run.energy({"kwh": 0.25})
-    run.finish("KILLED", {})
+    run.finish("KILLED", {"final_reward": 0.5})
     first.close()
 
     second = SessionStore.open(config)
     resumed = second.resume(run.run_id)
     assert resumed.energy_so_far == {"kwh": 0.25}
     RunLog(resumed.directory).rewind(20)
+    resumed.note_restart(20)
     _train(resumed, 21, ITERATIONS)
     resumed.finish("FINISHED", {"final_reward": 1.0})
     assert second.close() == ()
     expected = [(100 * i, float(i)) for i in range(1, ITERATIONS + 1)]
     assert _histories(root, run)["train/reward"] == expected
+    # Of the end that was not the last there is no summary that could be taken for the result.
+    assert _histories(root, run)["summary/final_reward"] == [(0, 1.0)]
+    assert _mlflow(root).get_run(read_json(run.directory / "tracking.json")["run"]).data.tags[
+        "episodes_restarted"
+    ] == "20"  # fmt: skip
     [row] = RunIndex(root).rows()
     assert (row.status, row.iterations, row.final_reward) == ("FINISHED", ITERATIONS, 1.0)
     with pytest.raises(HeadwayError, match="has finished"):
@@ -192,6 +198,13 @@ def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     histories = _histories(root, run)
     assert histories["train/loss"][-1] == (4000, 1 / 40)
     assert histories["summary/final_reward"] == [(0, 2.0)]
+
+    # A run that a killed session had finished, and not sent, is sent by the next one at its end.
+    (run.directory / "tracking.json").unlink()
+    other = SessionStore.open(StoreConfig(root=str(root)))
+    assert other.close() == ()
+    assert sync(root) == ()
+    assert _histories(root, run) == histories
 
     # As after a crash between sending and noting it: nothing is sent twice.
     (run.directory / "tracking.json").unlink()
