@@ -151,8 +151,9 @@ def _print_totals(expected: Sequence[Expectation], parallel: int, paces: Sequenc
         f"\n{len(expected)} trainings, {parallel} at once: about {duration(wall)}, {cpu:,.0f} CPU s{energy}"
     )
     fewest = min(pace.iterations for pace in paces)
+    cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
     print(
-        f"The estimate rests on {fewest} iterations or more and one evaluation of each of {len(paces)} cells,"
+        f"The estimate rests on {fewest} iterations or more and one evaluation of {cells},"
         f" measured just now with {parallel} processes at once; later iterations are taken to be as long and "
         "this machine to be as busy."
     )
@@ -216,7 +217,7 @@ def _calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pac
     later will: the first cells again, where there are fewer."""
     for env in {id(cell.experiment.env): cell.experiment.env for cell in cells}.values():
         compile_kernels(env)
-    tell(f"headway: measuring {len(cells)} cells, {shares.parallel} processes at once; nothing is kept")
+    tell(f"headway: measuring, cells: {len(cells)}, processes at once: {shares.parallel}; nothing is kept")
     missing = max(shares.parallel - len(cells), 0)
     waiting = deque([*cells, *(cells[place % len(cells)] for place in range(missing))])
     paces: dict[int, Pace] = {}

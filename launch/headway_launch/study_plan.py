@@ -133,14 +133,14 @@ def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
 
 
 def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Each experiment once: those that differ in their seeds only are one."""
+    """Each experiment once: those that train the same but for their seeds are one, kept and measured as the
+    last of them says."""
     merged: dict[str, Experiment] = {}
     for experiment in experiments:
         key = identity(full_mapping(experiment, ()))
         if key in merged:
             seeds = dict.fromkeys((*merged[key].config.seed, *experiment.config.seed))
-            config = replace(merged[key].config, seed=tuple(seeds))
-            experiment = replace(merged[key], config=config)
+            experiment = replace(experiment, config=replace(experiment.config, seed=tuple(seeds)))
         merged[key] = experiment
     return list(merged.values())
 
@@ -159,10 +159,12 @@ def keep_plan(root: Path, study: str, experiments: Sequence[Experiment]) -> None
 
 
 def kept_plans(root: Path, study: str) -> list[Experiment]:
-    """The experiments that sweeps of a study set out to do, each once. Raises HeadwayError for a file that
-    cannot be read, or that this version refuses."""
+    """The experiments that sweeps of a study set out to do, each once, as the newest says.
+
+    Raises HeadwayError for a file that cannot be read, or that this version refuses.
+    """
     experiments = []
-    for path in sorted(plans_folder(root, study).glob("*.json")):
+    for path in sorted(plans_folder(root, study).glob("*.json"), key=lambda path: path.stat().st_mtime_ns):
         for cell in _cells(path):
             mapping = {**cell["config"], "seed": cell["seeds"]}
             # The store may have been moved since.

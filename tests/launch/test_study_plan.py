@@ -128,12 +128,13 @@ def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:
     experiments = compose_sweep([*BASE, "algo=ippo,ia2c", "seed=0..2"])
     keep_plan(tmp_path, "toys", experiments)
     keep_plan(tmp_path, "toys", experiments)
-    keep_plan(tmp_path, "toys", compose_sweep([*BASE, "algo=ippo", "seed=2..4"]))
+    keep_plan(tmp_path, "toys", compose_sweep([*BASE, "algo=ippo", "seed=2..4", "backend.parallel=7"]))
     assert len(list(plans_folder(tmp_path, "toys").iterdir())) == 2
     kept = {experiment.algo_name: experiment for experiment in kept_plans(tmp_path, "toys")}
     assert set(kept) == {"ippo", "ia2c"}
     assert sorted(kept["ippo"].config.seed) == [0, 1, 2, 3, 4]
     assert kept["ippo"].config.store.root == str(tmp_path)
+    assert kept["ippo"].config.backend.parallel == 7  # the newest word on it
     assert kept["ia2c"].algo_config == experiments[1].algo_config
 
 

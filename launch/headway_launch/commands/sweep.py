@@ -41,11 +41,15 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.conducting import Conductor
     from headway_launch.study_plan import Standing, distinct, keep_plan, plan_cells
     from headway_launch.sweeping import compose_sweep
+    from headway_launch.telling import tell
 
     experiments = distinct(compose_sweep(arguments.overrides))
     config = experiments[0].config
     root = Path(config.store.root)
-    rows = RunIndex(root).rows(config.study)
+    index = RunIndex(root)
+    rows = index.rows(config.study)
+    for notice in index.notices:
+        tell(f"headway: {notice}")
     if arguments.fresh:
         standings = [Standing.untouched(experiment) for experiment in experiments]
     else:
@@ -55,9 +59,10 @@ def execute(arguments: argparse.Namespace) -> int:
         from headway_launch.estimating import print_estimate
 
         return print_estimate(standings, cells)
+    conductor = Conductor(cells, arguments.debug, plan_kept=True)
     keep_plan(root, config.study, experiments)
     tell_standing(config.study, standings)
-    return Conductor(cells, arguments.debug, plan_kept=True).conduct()
+    return conductor.conduct()
 
 
 def tell_standing(study: str, standings: Sequence["Standing"]) -> None:
