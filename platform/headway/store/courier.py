@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from headway.contracts import HeadwayError
-from headway.store.tracking import Tracker, require_answer
+from headway.store.tracking import Tracker, require_answer, without_password
 
 _RETRY_SECONDS = 30.0
 _CONNECT_SECONDS = 120.0
@@ -47,7 +47,7 @@ class Courier:
             require_answer(self._uri)
         self._start()
         if not self._connected.wait(_CONNECT_SECONDS):
-            raise HeadwayError(f"MLflow at {self._uri} did not answer within {_CONNECT_SECONDS:g} s")
+            raise HeadwayError(f"MLflow at {self._where} did not answer within {_CONNECT_SECONDS:g} s")
         if self._problem is not None:
             raise self._problem
 
@@ -132,7 +132,7 @@ class Courier:
 
     @property
     def _where(self) -> str:
-        return self._uri or "its database"
+        return without_password(self._uri) if self._uri else "its database"
 
 
 _LATER = "the runs' folders hold everything, and the next session or `headway sync` brings MLflow up to date"

@@ -5,6 +5,7 @@ Everything here can be done again: what MLflow already has is asked for, never a
 
 import logging
 import os
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -186,6 +187,11 @@ def database_uri(root: Path) -> str:
     return f"sqlite:///{root.resolve() / _DATABASE}"
 
 
+def without_password(uri: str) -> str:
+    """A URI as it may be shown."""
+    return re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:...@", uri)
+
+
 def require_answer(uri: str) -> None:
     """Raise HeadwayError if the server of an `http` URI cannot be reached; of others nothing is known before
     MLflow is asked."""
@@ -203,8 +209,8 @@ def require_answer(uri: str) -> None:
     except (OSError, ValueError) as error:
         reason = getattr(error, "reason", None) or error
         raise HeadwayError(
-            f"MLflow's server at {uri} cannot be reached ({reason}): start it, give another, or leave out "
-            "store.tracking_uri to keep runs here"
+            f"MLflow's server at {without_password(uri)} cannot be reached ({reason}): start it, give another"
+            " one, or leave out store.tracking_uri to keep runs here"
         ) from error
 
 
@@ -231,10 +237,11 @@ def _within(seconds: float, uri: str, ask: Callable[[], _Result]) -> _Result:
         except Exception as error:  # MLflow lets its libraries' exceptions through
             line = " ".join(str(error).split())[:300]
             if "database is locked" not in line:
-                raise HeadwayError(f"MLflow at {uri} failed: {line}") from error
+                raise HeadwayError(f"MLflow at {without_password(uri)} failed: {line}") from error
             if time.monotonic() >= deadline:
                 raise HeadwayError(
-                    f"MLflow's database {uri} stayed locked for {seconds:g} s: close what else writes to it"
+                    f"MLflow's database {without_password(uri)} stayed locked for {seconds:g} s: "
+                    "close what else writes to it"
                 ) from error
             time.sleep(0.1)
 

@@ -19,7 +19,7 @@ from headway.config import StoreConfig
 from headway.contracts import HeadwayError
 from headway.store import Run, RunLog, SessionStore, courier, sync_each
 from headway.store.checkpoint import save_checkpoint
-from headway.store.tracking import Tracker, database_uri
+from headway.store.tracking import Tracker, database_uri, require_answer
 
 ITERATIONS = 40
 PATIENCE_S = 300.0
@@ -210,3 +210,5 @@ def test_a_server_that_is_not_there_is_one_line_before_anything_starts(
     assert not list(tmp_path.rglob("run.json"))
     with pytest.raises(HeadwayError):
         SessionStore.open(StoreConfig(root=str(tmp_path), tracking_uri="ftp://nowhere"))
+    with pytest.raises(HeadwayError, match=r"at http://me:\.\.\.@127\.0\.0\.1:\d+ cannot be reached"):
+        require_answer(uri.replace("//", "//me:secret@"))
