@@ -10,13 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.configuration import build
-from headway.contracts import AlgoEntry, Box, EnvEntry, EnvSpec
+from headway.contracts import AlgoEntry, Box, EnvEntry, EnvSpec, HeadwayError
 from headway.registry import algo_entries, algo_entry, env_entries, env_entry
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial import SerialCollector
 
 ITERATIONS, SEEDS, COPIES = 2, (3, 8), 2
-SMALL: Mapping[str, Any] = {"model": {"hidden": [8]}, "epochs": 2, "minibatches": 2, "kl_bound": 0.1}
+SMALL: Mapping[str, Any] = {
+    "model": {"hidden": [8]}, "epochs": 2, "minibatches": 2, "kl_bound": 0.1,
+    "learning_starts": 1, "batch_size": 8, "updates": 3,
+}  # fmt: skip
 """Settings of whatever algorithm has such keys."""
 
 
@@ -69,7 +72,8 @@ def configured(algorithm: str, policies: str, **more: Any) -> Any:  # noqa: ANN4
 def refused(algorithm: str, policies: str, spec: EnvSpec) -> bool:
     """The table of who cannot run where, written down a second time."""
     return (
-        (algorithm == "coma" and isinstance(spec.action_space, Box))
+        (algorithm in ("coma", "madqn") and isinstance(spec.action_space, Box))
+        or (algorithm == "ddpg" and not isinstance(spec.action_space, Box))
         or (algorithm in ("happo", "hatrpo") and policies != "independent")
         or (policies == "groups" and not spec.groups)
     )
@@ -95,8 +99,9 @@ class Trained:
 
     @property
     def moved(self) -> NDArray[np.bool_]:
-        """(P,): a network is not what it was. Normalisers follow whatever is observed, and do not count."""
-        names = [name for name in self.before if not name.startswith("observation_")]
+        """(P,): a network is not what it was. Normalisers follow whatever is observed, and exploration its
+        schedule: they do not count."""
+        names = [name for name in self.before if not name.startswith(("observation_", "exploration"))]
         moves = [self.before[name] != self.after[name] for name in names]
         return np.any([move.reshape(len(move), -1).any(axis=1) for move in moves], axis=0)
 
@@ -134,7 +139,8 @@ def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> 
 
 
 def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) -> None:
-    """Every policy whose agents acted moves; the trust region may keep some where they were, but not all."""
+    """Every policy whose agents acted moves. The trust region may keep some where they were, but not all; who
+    replays learns from a decision once its agent came to the next one, which not every bus does here."""
     spec = prepared(task).spec
     result = trained(task, entry, config)
     assert all(np.isfinite(array).all() for array in result.after.values())
@@ -142,17 +148,19 @@ def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) ->
     assert all(np.isfinite(value).all() for value in result.metrics.values())
     moved, own = result.moved.reshape(len(SEEDS), -1), followed(policies, spec)
     assert result.acted.any(axis=1).all()
-    if getattr(config, "update", "") == "trpo":
+    if getattr(config, "update", "") == "trpo" or (task == "bus" and hasattr(config, "capacity")):
         assert moved.any(axis=1).all()
     else:
         assert moved[:, own][result.acted].all()
 
 
 REMEMBERING = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
+WITH_CORES = [name for name in algo_entries() if hasattr(algo_entry(name).config().model, "core")]
+"""Who replays single transitions cannot learn what to remember."""
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared"])
-@pytest.mark.parametrize("algorithm", algo_entries())
+@pytest.mark.parametrize("algorithm", WITH_CORES)
 @pytest.mark.parametrize("task", ["visitors", "tracking"])
 def test_it_trains_with_a_memory_or_says_why_not(task: str, algorithm: str, policies: str) -> None:
     """Refused is what is refused without one, and nothing else."""
@@ -161,6 +169,12 @@ def test_it_trains_with_a_memory_or_says_why_not(task: str, algorithm: str, poli
     assert (entry.refuses(config, spec) is not None) == refused(algorithm, policies, spec)
     if not refused(algorithm, policies, spec):
         assert_trains(task, entry, config, policies)
+
+
+@pytest.mark.parametrize("algorithm", sorted(set(algo_entries()) - set(WITH_CORES)))
+def test_a_memory_is_no_setting_of_who_replays(algorithm: str) -> None:
+    with pytest.raises(HeadwayError, match=r"core is not a key of .*; there is: activation, hidden"):
+        configured(algorithm, "shared", **REMEMBERING)
 
 
 def test_both_kinds_of_action_and_of_presence_are_among_the_tasks() -> None:

@@ -1,0 +1,80 @@
+"""The registry's part of algorithms that learn from a replay memory. Importing it imports no torch."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
+from headway_algos.offpolicy.acting import EpsilonGreedyPolicy, WanderingPolicy
+from headway_algos.offpolicy.config import ReplayConfig
+from headway_algos.recipes import ddpg, madqn
+
+
+def _madqn(config: madqn.MADQNConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
+    from headway_algos.offpolicy.learner import ReplayLearner
+    from headway_algos.offpolicy.value_method import ValueMethod
+
+    return ReplayLearner(config, spec, seeds, device, ValueMethod)
+
+
+def _ddpg(config: ddpg.DDPGConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
+    from headway_algos.offpolicy.gradient_method import DeterministicMethod
+    from headway_algos.offpolicy.learner import ReplayLearner
+
+    return ReplayLearner(config, spec, seeds, device, DeterministicMethod)
+
+
+def _ungrouped(config: ReplayConfig, spec: EnvSpec) -> str | None:
+    if config.policies == "groups" and not spec.groups:
+        return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
+    return None
+
+
+def _kind(spec: EnvSpec) -> str:
+    return type(spec.action_space).__name__
+
+
+def _madqn_refuses(config: madqn.MADQNConfig, spec: EnvSpec) -> str | None:
+    if not isinstance(spec.action_space, Discrete):
+        instead = "; use algo=ddpg" if isinstance(spec.action_space, Box) else ""
+        return (
+            f"{config.name} takes Discrete actions, whose values it compares, and {spec.name} has "
+            f"{_kind(spec)} ones{instead}"
+        )
+    return _ungrouped(config, spec)
+
+
+def _ddpg_refuses(config: ddpg.DDPGConfig, spec: EnvSpec) -> str | None:
+    space = spec.action_space
+    if not isinstance(space, Box):
+        instead = "; use algo=madqn" if isinstance(space, Discrete) else ""
+        return (
+            f"{config.name} takes Box actions, by which its critic is differentiated, and {spec.name} has "
+            f"{_kind(spec)} ones{instead}"
+        )
+    if not np.isfinite((space.low, space.high)).all():
+        return (
+            f"{config.name} takes Box actions with bounds, to which it scales them, and {spec.name} has some "
+            "without; use an algorithm with Gaussian actions, such as algo=ippo"
+        )
+    return _ungrouped(config, spec)
+
+
+def _epsilon_greedy(config: madqn.MADQNConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
+    if (line := _madqn_refuses(config, spec)) is not None:
+        raise HeadwayError(line)
+    return EpsilonGreedyPolicy.of(config, spec)
+
+
+def _wandering(config: ddpg.DDPGConfig, spec: EnvSpec) -> WanderingPolicy:
+    if (line := _ddpg_refuses(config, spec)) is not None:
+        raise HeadwayError(line)
+    return WanderingPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
+
+
+OFF_POLICY = {
+    "ddpg": AlgoEntry(ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses),
+    "madqn": AlgoEntry(
+        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses
+    ),
+}
