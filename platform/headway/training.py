@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.config import ExperimentConfig
-from headway.contracts import BatchedEnv, EnvSpec, Learner
+from headway.contracts import BatchedEnv, EnvSpec, Learner, ReplayingLearner
 from headway.contracts.acting import ActingPolicy
 from headway.events import (
     LABELS,
@@ -30,7 +30,13 @@ from headway.rollout.fitting import require_fitting
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
 from headway.rollout.usage import OwnUsage
-from headway.store.checkpoint import checkpoint_bytes, load_latest, write_checkpoint
+from headway.store.checkpoint import (
+    checkpoint_bytes,
+    load_to_go_on,
+    remove_experience,
+    write_checkpoint,
+    write_experience,
+)
 from headway.store.folder import CHECKPOINTS
 from headway.store.log import RunLog
 
@@ -215,26 +221,36 @@ class _Training:
 
     def _checkpoint(self) -> None:
         """All logs first: a checkpoint never knows more than they hold. Each seed's folder gets the same
-        one, of the whole stack, and one may be all there is when a stack is killed between two writes."""
+        one, of the whole stack, and one may be all there is when a stack is killed between two writes. What
+        a learner replays is written once, before the checkpoint that needs it, and goes when training is
+        over."""
         began = time.monotonic()
+        learner, first = self.learner, self.job.checkpoints[0]
+        going_on = self.iteration < self.config.iterations
+        experience = learner.experience() if isinstance(learner, ReplayingLearner) and going_on else None
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
             "snapshots": self.collector.snapshot(),
             "iteration": self.iteration,
             "seconds": self.seconds_before + time.monotonic() - self.started,
+            "has_experience": experience is not None,
         }
         for log in self.logs:
             log.commit(self.iteration)
         content = checkpoint_bytes(state)
+        if experience is not None:
+            write_experience(first, self.iteration, checkpoint_bytes(experience))
         for directory in self.job.checkpoints:
             write_checkpoint(directory, self.iteration, content)
+        if not going_on:
+            remove_experience(first)
         self.saved_iteration = self.iteration
         self.store_s += time.monotonic() - began
         self.report(CheckpointSaved(self.iteration))
 
     def _resume(self) -> None:
-        iteration, state, notices = load_latest(*self.job.checkpoints)
+        iteration, state, notices = load_to_go_on(*self.job.checkpoints)
         for line in notices:
             self.report(Notice(line))
         job, policy = self.job, self.job.make_policy(self.job.algo_config, self.job.spec)
@@ -243,6 +259,8 @@ class _Training:
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
+        if isinstance(self.learner, ReplayingLearner) and state["experience"] is not None:
+            self.learner.load_experience(state["experience"])
         self.collector.restore(state["snapshots"], iteration)
         self.episodes_restarted = any(snapshot is None for snapshot in state["snapshots"])
         if self.episodes_restarted:

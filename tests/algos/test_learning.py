@@ -21,8 +21,8 @@ ROOT, EPISODES = 77, 20
 ALGORITHMS = list(ENTRIES)
 CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
 """Those that take Box actions."""
-UPDATE = {name: entry.config().update for name, entry in ENTRIES.items()}
-IN_TURNS = {name for name, entry in ENTRIES.items() if entry.config().order == "sequential"}
+UPDATE = {name: getattr(entry.config(), "update", "") for name, entry in ENTRIES.items()}
+IN_TURNS = {name for name, entry in ENTRIES.items() if getattr(entry.config(), "order", "") == "sequential"}
 """They need a policy for each agent, which then learns from its own experience alone."""
 
 

@@ -40,7 +40,8 @@ class ExploringStack:
         flat = self.flat
         features = flat.hidden_features(parameters, flat.rows(parameters, observed))
         by_row = flat.outputs(parameters, features)
-        return flat.grouping.scatter(by_row, flat.replicas(parameters), steps=1)[0]
+        by_agent: NDArray[Any] = flat.grouping.scatter(by_row, flat.replicas(parameters), steps=1)[0]
+        return by_agent
 
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
         """That of each agent, (C, N)."""

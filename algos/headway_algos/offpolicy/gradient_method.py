@@ -1,7 +1,7 @@
 """Deterministic policy gradients over stacks of actors and critics (Lillicrap et al. 2016)."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -28,7 +28,12 @@ class DeterministicMethod:
     """Actors mu(o) and critics Q(o, u), with a slow copy of each (see
     `headway_algos.offpolicy.learner.Method`). Networks see actions in units of the bounds: -1 to 1."""
 
-    METRICS = ("critic/loss", "critic/value", "critic/grad_norm", "policy/grad_norm")
+    METRICS: ClassVar[tuple[str, ...]] = (
+        "critic/loss",
+        "critic/value",
+        "critic/grad_norm",
+        "policy/grad_norm",
+    )
 
     def __init__(
         self, config: DDPGConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device
@@ -66,7 +71,7 @@ class DeterministicMethod:
         values = _values(self.critic, batch.observations, taken)
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
         self.critic_optimiser.begin()
-        loss.sum().backward()
+        loss.sum().backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         critic_norm = self.critic_optimiser.step(active)
         actor_norm = self._improve_actors(batch.observations, active)
         self.slow_actor.follow(active, self.actor_optimiser.counts)
@@ -84,7 +89,7 @@ class DeterministicMethod:
         asked = actions.detach().requires_grad_()
         (slopes,) = torch.autograd.grad(_values(self.critic, observations, asked).sum(), asked)
         self.actor_optimiser.begin()
-        actions.backward(-slopes / slopes.shape[1])
+        actions.backward(-slopes / slopes.shape[1])  # type: ignore[no-untyped-call]  # torch leaves it untyped
         return self.actor_optimiser.step(active)
 
     def anneal(self, share: float) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from headway_algos.offpolicy.transitions import TransitionMaker
 class Method(Protocol):
     """How a stack of policies is improved from batches of transitions."""
 
-    METRICS: tuple[str, ...]
+    METRICS: ClassVar[tuple[str, ...]]
     """Names of what `learn` reports."""
     network: StackedMLP
     """The one that acts."""

@@ -82,7 +82,7 @@ class ReplayMemory:
         """Places (U, P, b) for U = shape[0] batches of b = shape[1], each policy's uniform over what it holds
         and by its own generator; place 0 of a policy that is not `active` (P,)."""
         drawn = np.zeros((len(self.filled), *shape), np.int64)
-        for p in np.flatnonzero(active):
+        for p in np.flatnonzero(active).tolist():
             drawn[p] = generators[p].integers(0, self.filled[p], shape)
         return np.moveaxis(drawn, 0, 1)
 

@@ -1,7 +1,7 @@
 """Deep Q-learning over a stack of networks (Mnih et al. 2015; double: van Hasselt et al. 2016)."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ class ValueMethod:
     """Networks Q(o, .), whose highest value acts, and targets from a copy (see
     `headway_algos.offpolicy.learner.Method`)."""
 
-    METRICS = ("critic/loss", "critic/value", "critic/grad_norm")
+    METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/grad_norm")
 
     def __init__(
         self, config: MADQNConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device
@@ -56,7 +56,7 @@ class ValueMethod:
         values = self.network(batch.observations).gather(1, batch.actions[:, None])[:, 0]
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
         self.optimiser.begin()
-        loss.sum().backward()
+        loss.sum().backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         norm = self.optimiser.step(active)
         self.target.follow(active, self.optimiser.counts)
         value = mean_over_batch(values, active)
@@ -68,7 +68,7 @@ class ValueMethod:
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, targets and the optimiser."""
-        parts = {"network": self.network, "target": self.target, "optimiser": self.optimiser}
+        parts: dict[str, Any] = {"network": self.network, "target": self.target, "optimiser": self.optimiser}
         return {name: part.state_dict() for name, part in parts.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

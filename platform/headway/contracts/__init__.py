@@ -12,7 +12,7 @@ from headway.contracts.acting import ActingPolicy, RememberingPolicy
 from headway.contracts.entries import AlgoEntry, EnvEntry, Rule
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
 from headway.contracts.errors import HeadwayError
-from headway.contracts.learning import Learner
+from headway.contracts.learning import Learner, ReplayingLearner
 from headway.contracts.random_rule import RandomRule
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
 from headway.contracts.streams import child_seeds, generator
@@ -37,6 +37,7 @@ __all__ = [
     "Outcome",
     "RandomRule",
     "RememberingPolicy",
+    "ReplayingLearner",
     "Rule",
     "Trajectory",
     "TrajectoryLayout",

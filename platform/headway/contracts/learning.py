@@ -1,6 +1,6 @@
 """What the training loop asks of an algorithm."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,3 +31,18 @@ class Learner(Protocol):
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None: ...
+
+
+@runtime_checkable
+class ReplayingLearner(Learner, Protocol):
+    """A learner that keeps its experience and learns from it again.
+
+    Experience can be a thousand times as large as all else, and is of no use once training is over: it is
+    kept in a file of its own, only as long as a run may go on.
+    """
+
+    def experience(self) -> dict[str, Any]:
+        """What is needed to go on exactly besides `state_dict`, of the same kinds of value."""
+        ...
+
+    def load_experience(self, experience: dict[str, Any]) -> None: ...

@@ -1,12 +1,13 @@
 """Checkpoints: whole or recognised as broken, and loadable without running anything from the file.
 
-A file is a magic line, the SHA-256 of the rest, and what `torch.save` wrote.
+A file is a magic line, the SHA-256 of the rest, and what `torch.save` wrote. The experience that a learner
+replays, which can be large, stands in a file of its own beside the checkpoint, as long as the run may go on.
 """
 
 import hashlib
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from headway.contracts import HeadwayError
 from headway.store.durable import make_folder, remove_partial, sync_folder, write_durably
 
 _MAGIC = b"headway checkpoint 1\n"
-_NAME = re.compile(r"checkpoint-(\d{6,})\.pt")
+_NAMES = {kind: re.compile(rf"{kind}-(\d{{6,}})\.pt") for kind in ("checkpoint", "experience")}
 _KEPT = 2
 _KIND = "__headway__"
 
@@ -45,14 +46,35 @@ def write_checkpoint(directory: Path, iteration: int, content: bytes) -> Path:
 
     Raises HeadwayError if it cannot be written, and then the earlier checkpoints are untouched.
     """
-    path = directory / f"checkpoint-{iteration:06d}.pt"
+    return _write(directory, "checkpoint", iteration, content)
+
+
+def write_experience(directory: Path, iteration: int, content: bytes) -> Path:
+    """The same for the experience that the checkpoint of `iteration`, to be written after it, needs."""
+    return _write(directory, "experience", iteration, content)
+
+
+def remove_experience(directory: Path) -> None:
+    """Delete all experience: a run that has finished needs it no more."""
+    for _, path in _files(directory, "experience"):
+        path.unlink(missing_ok=True)
+
+
+def _write(directory: Path, kind: str, iteration: int, content: bytes) -> Path:
+    path = directory / f"{kind}-{iteration:06d}.pt"
     make_folder(directory)
-    remove_partial(directory, "checkpoint-")
+    remove_partial(directory, f"{kind}-")
     write_durably(path, lambda stream: stream.write(content))
-    for _, older in _checkpoints(directory)[_KEPT:]:
+    for _, older in _files(directory, kind)[_KEPT:]:
         older.unlink(missing_ok=True)
     sync_folder(directory)
     return path
+
+
+def load_to_go_on(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
+    """`load_latest` of those whose experience, if they have any, is whole too: it stands in the state as
+    `experience`, else None. A stack's experience stands in one of its folders."""
+    return _newest_whole(directories, _with_experience(directories))
 
 
 def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
@@ -61,12 +83,35 @@ def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...
 
     A notice is one line about a checkpoint that had to be passed over. Raises HeadwayError if none is whole.
     """
+    return _newest_whole(directories, _load)
+
+
+def _with_experience(directories: Sequence[Path]) -> Callable[[Path], dict[str, Any]]:
+    def load(path: Path) -> dict[str, Any]:
+        state = _load(path)
+        if not state.get("has_experience", False):
+            return {**state, "experience": None}
+        name = path.name.replace("checkpoint", "experience")
+        found = [directory / name for directory in directories if (directory / name).exists()]
+        if not found:
+            raise ValueError(f"{name}, which it needs, is not there")
+        try:
+            return {**state, "experience": _load(found[0])}
+        except ValueError as error:
+            raise ValueError(f"{name}, which it needs, is broken: {error}") from error
+
+    return load
+
+
+def _newest_whole(
+    directories: Sequence[Path], load: Callable[[Path], dict[str, Any]]
+) -> tuple[int, dict[str, Any], tuple[str, ...]]:
     notices: list[str] = []
-    found = [entry for directory in directories for entry in _checkpoints(directory)]
+    found = [entry for directory in directories for entry in _files(directory, "checkpoint")]
     # The sort is stable: of one iteration, the first folder's comes first.
     for iteration, path in sorted(found, key=lambda entry: -entry[0]):
         try:
-            return iteration, _load(path), tuple(notices)
+            return iteration, load(path), tuple(notices)
         except (OSError, ValueError) as error:
             notices.append(f"checkpoint {path.name} is broken ({error}) and was passed over")
     where = " or ".join(str(directory) for directory in directories)
@@ -77,12 +122,13 @@ def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...
 
 def latest_iteration(directory: Path) -> int | None:
     """Iteration of the newest checkpoint by name, without reading it; None if there is none."""
-    checkpoints = _checkpoints(directory)
+    checkpoints = _files(directory, "checkpoint")
     return checkpoints[0][0] if checkpoints else None
 
 
-def _checkpoints(directory: Path) -> list[tuple[int, Path]]:
-    matches = ((_NAME.fullmatch(path.name), path) for path in directory.glob("checkpoint-*.pt"))
+def _files(directory: Path, kind: str) -> list[tuple[int, Path]]:
+    """(iteration, path) of the files of a kind, the newest first."""
+    matches = ((_NAMES[kind].fullmatch(path.name), path) for path in directory.glob(f"{kind}-*.pt"))
     return sorted(((int(match[1]), path) for match, path in matches if match), reverse=True)
 
 
