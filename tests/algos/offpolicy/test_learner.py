@@ -3,14 +3,14 @@
 import io
 from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, ReplayingLearner, Trajectory
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, HeadwayError, ReplayingLearner, Trajectory
 from headway_algos.entries import ENTRIES
 from headway_algos.offpolicy.config import NetworkConfig, ReplayConfig
 from headway_algos.offpolicy.learner import ReplayLearner
@@ -18,6 +18,7 @@ from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
 
 Fabricate = Callable[..., Trajectory]
+Policies = Literal["independent", "shared", "groups"]
 AGENTS = ("a", "b", "c")
 DISCRETE = EnvSpec(
     "made", AGENTS, 4, Discrete(3), groups=("x", "y", "x"), has_action_mask=True, agents_come_and_go=True,
@@ -86,7 +87,7 @@ def _of_agents(made: Trajectory, agents: slice) -> Trajectory:
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
-    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Any
+    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Policies
 ) -> None:
     config = replace(config, policies=policies)
     among, alone = _learner(config, spec, (4, 5, 6)), _learner(config, spec, (5,))
@@ -123,7 +124,7 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
     poisoned: Callable[[Trajectory], Trajectory],
     config: ReplayConfig,
     spec: EnvSpec,
-    policies: Any,
+    policies: Policies,
 ) -> None:
     clean, bad = (_learner(replace(config, policies=policies), spec, (1, 2)) for _ in range(2))
     for iteration in (1, 2):
@@ -229,7 +230,7 @@ def test_policies_that_are_no_longer_finite_are_named(
 def test_an_absurd_learning_rate_ends_in_one_line(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
 ) -> None:
-    wild = replace(config, lr=1e30, precision="float32", grad_clip=None)
+    wild = replace(config, lr=1e30, precision="float32", grad_clip=None, loss="squared")
     learner = _learner(wild if wild.name == "madqn" else replace(wild, critic_lr=1e30), spec, (1,))
 
     def learn() -> None:
@@ -264,7 +265,7 @@ def test_an_absurd_learning_rate_ends_in_one_line(
     ],
 )
 @pytest.mark.parametrize("config", [MADQNConfig, DDPGConfig])
-def test_impossible_numbers_are_named(config: Any, wrong: dict[str, Any], named: str) -> None:
+def test_impossible_numbers_are_named(config: type[Any], wrong: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=f"^{named} must"):
         config(**wrong)
 
@@ -279,7 +280,7 @@ def test_impossible_numbers_are_named(config: Any, wrong: dict[str, Any], named:
         (NetworkConfig, {"hidden": (8, 0)}, "hidden"),
     ],
 )
-def test_impossible_numbers_of_one_are_named(config: Any, wrong: dict[str, Any], named: str) -> None:
+def test_impossible_numbers_of_one_are_named(config: type[Any], wrong: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=f"^{named}"):
         config(**wrong)
 
@@ -292,7 +293,7 @@ def test_impossible_numbers_of_one_are_named(config: Any, wrong: dict[str, Any],
         ("ddpg", Box((-1.0,), (np.inf,)), "ddpg takes Box actions with bounds, .*algo=ippo"),
     ],
 )
-def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: Any, line: str) -> None:
+def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: ActionSpace, line: str) -> None:
     entry, spec = ENTRIES[name], replace(BOX, action_space=space)
     reason = entry.refuses(entry.config(), spec)
     assert reason is not None
