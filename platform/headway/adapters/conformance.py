@@ -9,6 +9,7 @@ Each check raises AssertionError with what was broken.
 
 import pickle
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -25,6 +26,7 @@ Make = Callable[[int], BatchedEnv]
 Check = Callable[[Make, Recording], None]
 
 COPIES = 3
+"""Or as many as the environment allows in a process."""
 FIRST_SEED = 5
 LONGEST = 1500
 """Steps of a recording, unless every copy has ended two episodes before."""
@@ -35,8 +37,12 @@ def seeds_from(first: int, count: int) -> NDArray[np.uint64]:
     return np.arange(first, first + count, dtype=np.uint64)
 
 
-def play(make: Make, copies: int = COPIES, first_seed: int = FIRST_SEED, longest: int = LONGEST) -> Recording:
-    """Random play from `reset`, with shapes, types and numbers checked at each step."""
+def play(
+    make: Make, copies: int | None = None, first_seed: int = FIRST_SEED, longest: int = LONGEST
+) -> Recording:
+    """Random play from `reset`, with shapes, types and numbers checked at each step; `copies` None: COPIES,
+    or as many as the environment allows."""
+    copies = _copies(make) if copies is None else copies
     env, seeds = make(copies), seeds_from(first_seed, copies)
     recording = record(env, env.reset(seeds), RandomPlay(seeds), longest, episodes=2)
     env.close()
@@ -50,8 +56,9 @@ def check_spec(make: Make, recording: Recording) -> None:
     assert len(spec.groups) in (0, spec.num_agents), "groups name each agent's group, or are empty"
     assert len(set(spec.metrics)) == len(spec.metrics), "metrics need names of their own"
     assert spec.observation_size > 0, "observations need at least one component"
-    env = make(2)
-    assert env.num_copies == 2, "num_copies is the number asked for"
+    copies = min(_copies(make), 2)
+    env = make(copies)
+    assert env.num_copies == copies, "num_copies is the number asked for"
     assert env.spec == spec, "the spec depends on the number of copies"
     env.close()
 
@@ -91,8 +98,9 @@ def check_shared_reward(make: Make, recording: Recording) -> None:
 
 def check_determinism(make: Make, recording: Recording) -> None:
     """The same seeds and actions give the same, in a new environment and after `reset` of a used one."""
-    env, seeds = make(COPIES), seeds_from(FIRST_SEED, COPIES)
-    others = seeds_from(FIRST_SEED + 100, COPIES)
+    copies = _copies(make)
+    env, seeds = make(copies), seeds_from(FIRST_SEED, copies)
+    others = seeds_from(FIRST_SEED + 100, copies)
     record(env, env.reset(others), RandomPlay(others), longest=7, episodes=2)
     assert_same(recording, record(env, env.reset(seeds), RandomPlay(seeds), LONGEST, episodes=2))
     env.close()
@@ -100,15 +108,16 @@ def check_determinism(make: Make, recording: Recording) -> None:
 
 def check_copies(make: Make, recording: Recording) -> None:
     """A copy is the same whatever stands beside it, later episodes included."""
-    for copy in range(COPIES):
+    for copy in range(_copies(make)):
         alone = play(make, copies=1, first_seed=FIRST_SEED + copy)
         assert_same(alone, recording.of_copy(copy, steps=alone.steps))
 
 
 def check_snapshots(make: Make, recording: Recording) -> None:
     """A snapshot kept in a checkpoint goes on bit for bit, from mid-episode and across an episode's end."""
-    seeds = seeds_from(FIRST_SEED, COPIES)
-    env = make(COPIES)
+    copies = _copies(make)
+    seeds = seeds_from(FIRST_SEED, copies)
+    env = make(copies)
     play_on = RandomPlay(seeds)
     before = record(env, env.reset(seeds), play_on, longest=max(recording.steps // 3, 1), episodes=2)
     if not recording.spec.snapshots:
@@ -116,18 +125,25 @@ def check_snapshots(make: Make, recording: Recording) -> None:
             env.snapshot()
         except HeadwayError:
             return
+        finally:
+            env.close()
         raise AssertionError("snapshots is false in the spec, and snapshot() raises no HeadwayError")
     snapshot, play_elsewhere = _through_a_checkpoint(env.snapshot()), pickle.loads(pickle.dumps(play_on))
     on = record(env, env.restore(env.snapshot()), play_on, LONGEST, episodes=2)
     env.close()
-    other = make(COPIES)
+    other = make(copies)
     observed = other.restore(snapshot)
     np.testing.assert_array_equal(observed.alive, before.trajectory.alive[-1], "alive")
     assert_same(on, record(other, observed, play_elsewhere, LONGEST, episodes=2))
-    for copy in range(COPIES):
+    for copy in range(copies):
         rest = min(on.steps, recording.steps - before.steps)
         assert_same(on.of_copy(copy, steps=rest), recording.of_copy(copy, before.steps, rest))
     other.close()
+
+
+def _copies(make: Make) -> int:
+    with closing(make(1)) as env:
+        return min(COPIES, env.spec.max_copies_per_process or COPIES)
 
 
 def _through_a_checkpoint(snapshot: Any) -> Any:  # noqa: ANN401 - opaque to the engine

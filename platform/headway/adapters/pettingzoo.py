@@ -2,8 +2,10 @@
 
 What PettingZoo has no place for travels in an agent's info, where present:
 `alive` (bool: the agent exists now; default: it is in `env.agents`), `acting` (bool: the action just given
-was used; default: the agent was alive), `action_mask` (bool, A: allowed now) and, when the episode ends,
-`episode_metrics` (name -> number, in any agent's info). `metadata["episode_metrics"]` names the metrics and
+was used; default: the agent was alive), `action_mask` (bool, A: allowed now), `slot_ended` (`terminated` or
+`truncated`: of agents that are slots, whoever had this one is gone, and observes its last in this step;
+another may come to it later) and, when the episode ends, `episode_metrics` (name -> number, in any agent's
+info). `metadata["episode_metrics"]` names the metrics and
 `metadata["agents_come_and_go"]` says that agents may leave before the episode ends.
 """
 
@@ -351,8 +353,23 @@ class ParallelEnvBatch:
                 alive[index] &= bool(info["alive"])
             if "acting" in info and not fresh:
                 acting[index] &= bool(info["acting"])
+            if "slot_ended" in info and not fresh:
+                self._end_slot(copy, index, info["slot_ended"])
             if masks is not None and "action_mask" in info:
                 masks[copy, index] = info["action_mask"]
+
+    def _end_slot(self, copy: int, index: int, how: str) -> None:
+        """The stream of a slot's agent ends, and the slot stays."""
+        outcome = self._outcome
+        if how not in ("terminated", "truncated"):
+            raise HeadwayError(
+                f"environment '{self._spec.name}' gave {how!r} as slot_ended of agent "
+                f"'{self._spec.agents[index]}'; write terminated or truncated"
+            )
+        if outcome.terminated[copy, index] or outcome.truncated[copy, index]:
+            return
+        (outcome.terminated if how == "terminated" else outcome.truncated)[copy, index] = True
+        outcome.final_observations[copy, index] = self._observed.observations[copy, index]
 
     def _check(self) -> None:
         alive, masks = self._observed.alive, self._observed.action_masks

@@ -31,6 +31,7 @@ class EnvSpec:
     metrics: tuple[str, ...] = ()
     """Names of the M episode metrics."""
     max_copies_per_process: int | None = None
+    """Copies that a process can hold, over all batches in it; None: any number."""
     snapshots: bool = False
     """`snapshot` and `restore` work, so that resuming and re-collection are exact."""
 
@@ -64,8 +65,8 @@ class Outcome:
     `final_observations`, which hold the last observation before any reset and are valid exactly where
     `truncated` or `terminated` is set. An agent that is merely not alive for a while (a bus at the
     depot) sets neither: its stream goes on when it returns. The two are never both set; where an
-    environment says both, the agent is terminated. A slot whose agent was terminated may hold a new agent,
-    with a new stream, later in the episode.
+    environment says both, the agent is terminated. A slot whose agent was terminated or truncated may hold
+    a new agent, with a new stream, later in the episode.
 
     A copy whose episode ended has every agent marked, those that are away too, and what `step` returns as
     Observed is already the next episode's start. Where `truncated` is set, `final_observations` are finite:

@@ -1,8 +1,10 @@
 """Every registered environment, native and through its ParallelEnv, keeps the contract."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from functools import partial
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -13,22 +15,30 @@ from headway.adapters.conformance import CHECKS, Make, play
 from headway.adapters.gymnasium import GymnasiumBatch
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
 from headway.adapters.recording import Recording
-from headway.contracts import EnvEntry
 from headway_envs.entries import ENTRIES
 
 WITH_PARALLEL_ENV = [name for name, entry in ENTRIES.items() if entry.parallel_env is not None]
+SHORT: Mapping[str, Mapping[str, Any]] = {"intersection": {"horizon": 400}}
+"""Arguments of environments whose episodes are long."""
 
 
-def native(entry: EnvEntry) -> Make:
-    return lambda copies: entry.make(entry.prepare(entry.config()), copies)
+def config_of(name: str) -> Any:  # noqa: ANN401 - the entry's record
+    return ENTRIES[name].config(**SHORT.get(name, {}))
+
+
+def native(name: str) -> Make:
+    entry = ENTRIES[name]
+    return lambda copies: entry.make(entry.prepare(config_of(name)), copies)
 
 
 def adapted(name: str) -> Make:
-    entry = ENTRIES[name]
-    config, parallel_env = entry.config(), entry.parallel_env
+    config, parallel_env = config_of(name), ENTRIES[name].parallel_env
     assert parallel_env is not None
-    shared = native(entry)(1).spec.shared_reward
-    return lambda copies: ParallelEnvBatch(lambda: parallel_env(config), copies, name, shared_reward=shared)
+    with closing(native(name)(1)) as env:
+        shared, limit = env.spec.shared_reward, env.spec.max_copies_per_process
+    return lambda copies: ParallelEnvBatch(
+        lambda: parallel_env(config), copies, name, shared_reward=shared, max_copies_per_process=limit
+    )
 
 
 def gymnasium_batch(name: str) -> Make:
@@ -36,7 +46,7 @@ def gymnasium_batch(name: str) -> Make:
 
 
 CASES: dict[str, Callable[[], Make]] = {
-    **{name: partial(native, entry) for name, entry in ENTRIES.items()},
+    **{name: partial(native, name) for name in ENTRIES},
     **{f"{name} adapted": partial(adapted, name) for name in WITH_PARALLEL_ENV},
     **{name: partial(gymnasium_batch, name) for name in ("CartPole-v1", "Pendulum-v1")},
 }
@@ -58,10 +68,10 @@ def test_keeps_the_contract(case: str, check: str) -> None:
 @pytest.mark.parametrize("name", WITH_PARALLEL_ENV)
 def test_batched_and_parallel_env_are_the_same_game(name: str) -> None:
     """Episode i of the adapter is episode 0 of the batch with the seed that the adapter derives for i."""
-    config = ENTRIES[name].config()
-    env = native(ENTRIES[name])(1)
+    config = config_of(name)
     through = recorded(f"{name} adapted").of_copy(0)
     track, start = through.trajectory, 0
+    env = native(name)(1)
     for episode in range(int(through.episode_ended.sum())):
         observed = env.reset(np.array([episode_seed(5, episode)], dtype=np.uint64))
         gone = np.zeros(env.spec.num_agents, dtype=np.bool_)
@@ -86,15 +96,17 @@ def test_batched_and_parallel_env_are_the_same_game(name: str) -> None:
                 np.testing.assert_array_equal(outcome.metrics, through.metrics[step])
                 start = step + 1
                 break
+    env.close()
     assert start > 0, f"no episode of {config} ended within the recording"
 
 
 @pytest.mark.parametrize("name", WITH_PARALLEL_ENV)
 def test_passes_pettingzoos_own_tests(name: str) -> None:
-    entry = ENTRIES[name]
-    parallel_env, config = entry.parallel_env, entry.config()
+    config, parallel_env = config_of(name), ENTRIES[name].parallel_env
     assert parallel_env is not None
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), closing(native(name)(1)) as env:
         warnings.simplefilter("error")
-        parallel_api_test(parallel_env(config), num_cycles=300)
-        parallel_seed_test(lambda: parallel_env(config), num_cycles=50)
+        with closing(parallel_env(config)) as face:
+            parallel_api_test(face, num_cycles=300)
+        if env.spec.max_copies_per_process is None:  # it plays two at once
+            parallel_seed_test(lambda: parallel_env(config), num_cycles=50)

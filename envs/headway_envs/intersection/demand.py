@@ -1,0 +1,40 @@
+"""Who wants to drive where: SUMO's vehicle types, routes and flows."""
+
+from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.intersection.network import APPROACHES, LINKS, TURNS, exit_of
+
+AV, HDV = "av", "hdv"
+MIN_GAP_M = 2.5
+_COMMON = f'minGap="{MIN_GAP_M}" maxSpeed="30" speedFactor="1" speedDev="0.1" sigma="0.5" impatience="0.5"'
+_TYPES = f"""\
+  <vType id="{HDV}" carFollowModel="IDM" accel="2.6" decel="4.5" tau="1" {_COMMON}/>
+  <vType id="{AV}" carFollowModel="IDM" accel="3" decel="3" tau="1" {_COMMON}/>"""
+
+
+def routes_xml(config: IntersectionConfig) -> str:
+    """SUMO's route file. A vehicle is bound for one of the two turns of its lane, with even chances, so that
+    nobody ever needs another lane. Route ids are `approach_turn`, those of vehicles begin with their type."""
+    lines = ["<routes>", _TYPES]
+    for index, approach in enumerate(APPROACHES):
+        for turn in TURNS:
+            edges = f"{approach}_in {exit_of(index, turn)}_out"
+            lines.append(f'  <route id="{approach}_{turn}" edges="{edges}"/>')
+        for lane in (0, 1):
+            turns = " ".join(f"{approach}_{turn}" for turn, of_lane in LINKS if of_lane == lane)
+            name = f"{approach}{lane}"
+            lines.append(f'  <routeDistribution id="{name}" routes="{turns}" probabilities="1 1"/>')
+    for approach in APPROACHES:
+        for lane in (0, 1):
+            lines += _flows(config, f"{approach}{lane}", lane)
+    return "\n".join([*lines, "</routes>\n"])
+
+
+def _flows(config: IntersectionConfig, name: str, lane: int) -> list[str]:
+    """Poisson arrivals from the first second on, human-driven at 10 m/s and automated at 5 m/s."""
+    kinds = ((HDV, config.vph_per_lane_hdv, 10), (AV, config.vph_per_lane_av, 5))
+    return [
+        f'  <flow id="{kind}.{name}" type="{kind}" route="{name}" begin="1" period="exp({rate / 3600:.9f})" '
+        f'departLane="{lane}" departSpeed="{speed}"/>'
+        for kind, rate, speed in kinds
+        if rate > 0
+    ]

@@ -1,0 +1,76 @@
+"""The intersection's entry in the registry. Imports nothing heavy, and SUMO not at all."""
+
+from typing import TYPE_CHECKING, Any
+
+from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
+from headway_envs.intersection.config import IntersectionConfig
+
+if TYPE_CHECKING:
+    from headway_envs.intersection.prepared import Prepared
+
+
+def _prepare(config: IntersectionConfig) -> "Prepared":
+    from headway_envs.intersection.prepared import prepare
+
+    return prepare(config)
+
+
+def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
+    from headway_envs.intersection.env import IntersectionBatchedEnv
+
+    return IntersectionBatchedEnv(prepared, copies)
+
+
+def _parallel_env(config: Any) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    from headway_envs.intersection.parallel import IntersectionSlotsParallelEnv
+
+    return IntersectionSlotsParallelEnv(config)
+
+
+def _human(prepared: "Prepared") -> Rule:
+    from headway_envs.intersection.rules import ALL_CHECKS, Humans
+
+    return Humans(ALL_CHECKS)
+
+
+def _human_mode1(prepared: "Prepared") -> Rule:
+    from headway_envs.intersection.rules import SAFE_GAP_ONLY, Humans
+
+    return Humans(SAFE_GAP_ONLY)
+
+
+def _zero(prepared: "Prepared") -> Rule:
+    from headway_envs.intersection.rules import Constant
+
+    return Constant(0.0)
+
+
+def _full_throttle(prepared: "Prepared") -> Rule:
+    from headway_envs.intersection.env import STRONGEST
+    from headway_envs.intersection.rules import Constant
+
+    return Constant(STRONGEST)
+
+
+def _reservation(prepared: "Prepared") -> Rule:
+    from headway_envs.intersection.rules import Reservation
+
+    return Reservation()
+
+
+ENTRY = EnvEntry(
+    summary="Automated vehicles among human drivers at a crossing without signals (SUMO)",
+    config=IntersectionConfig,
+    make=_make,
+    prepare=_prepare,
+    parallel_env=_parallel_env,
+    rules={
+        "human": _human,
+        "human_mode1": _human_mode1,
+        "zero": _zero,
+        "full_throttle": _full_throttle,
+        "random": lambda prepared: RandomRule(),
+        "reservation": _reservation,
+    },
+    preload=("headway_envs.intersection.kernel", "headway_envs.intersection.env"),
+)

@@ -1,0 +1,219 @@
+"""The batched face of the intersection: one copy, which is all that a process can hold."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Box, EnvSpec, HeadwayError, Observed, Outcome, generator
+from headway_envs.intersection import kernel
+from headway_envs.intersection.config import STEP_S, IntersectionConfig
+from headway_envs.intersection.kernel import STATE_SIZE
+from headway_envs.intersection.prepared import Prepared
+from headway_envs.intersection.reporting import METRICS, Ledger
+from headway_envs.intersection.simulation import Simulation
+from headway_envs.intersection.street import Street
+
+STRONGEST = 3.0
+"""Bound of a commanded acceleration, m/s^2."""
+
+
+def paid_share(config: IntersectionConfig) -> bool:
+    """Whether the team's reward stands in every slot."""
+    return config.reward.kind == "scaled"
+
+
+class IntersectionBatchedEnv:
+    """One crossing; implements `headway.contracts.BatchedEnv`.
+
+    Agents are slots for automated vehicles: one that enters takes the lowest free slot, and leaves it when it
+    leaves the road or crashes; another may have it from the next step on. Actions are accelerations within 3
+    m/s^2. A vehicle that crashes is terminated; one that leaves ends as `at_exit` says, with what it observed
+    last; at the horizon all are truncated.
+    """
+
+    def __init__(self, prepared: Prepared, copies: int) -> None:
+        """Raises HeadwayError unless `copies` is 1. SUMO is loaded by `reset`."""
+        if copies != 1:
+            raise HeadwayError(
+                f"a process can hold 1 copy of the intersection, not {copies}; let rollout.block=1, with a "
+                "worker process for each copy"
+            )
+        config = self.config = prepared.config
+        self.prepared = prepared
+        self._street: Street | None = None
+        extended = config.observation == "extended"
+        self._seen = kernel.empty_seen(config.slots, extended)
+        size = self._seen.observations.shape[1]
+        self._spec = EnvSpec(
+            name="intersection",
+            agents=tuple(f"av_{slot}" for slot in range(config.slots)),
+            observation_size=size,
+            action_space=Box((-STRONGEST,), (STRONGEST,)),
+            state_size=STATE_SIZE,
+            shared_reward=paid_share(config),
+            agents_come_and_go=True,
+            metrics=METRICS,
+            max_copies_per_process=1,
+        )
+        self._weights = np.array(config.reward.weights)
+        self.events: dict[int, str] = {}
+        """Slots whose vehicle left or crashed in the last step: `arrived` or `collided`."""
+        self._seed, self._episode = 0, 0
+        self.ledger = Ledger(config)
+        self._observed = Observed(
+            self._seen.observations[None], self._seen.state[None], self._seen.alive[None]
+        )
+        flags = [np.zeros((1, config.slots), np.bool_) for _ in range(3)]
+        self._outcome = Outcome(
+            rewards=np.zeros((1, config.slots), np.float32),
+            terminated=flags[0],
+            truncated=flags[1],
+            acting=flags[2],
+            episode_ended=np.zeros(1, np.bool_),
+            final_observations=np.zeros((1, config.slots, size), np.float32),
+            final_states=np.zeros((1, STATE_SIZE), np.float32),
+            metrics=np.zeros((1, len(METRICS))),
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return 1
+
+    @property
+    def street(self) -> Street:
+        """The vehicles, for rules and pictures; there is one from the first `reset` on."""
+        if self._street is None:
+            prepared = self.prepared
+            simulation = Simulation(prepared.network.path, prepared.routes, STEP_S)
+            self._street = Street(prepared.config, prepared.network, simulation)
+        return self._street
+
+    @property
+    def steps_taken(self) -> int:
+        """In the running episode."""
+        return self.ledger.steps
+
+    def observed(self) -> Observed:
+        """What the agents face now."""
+        return self._observed
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        """Begin episode 0 of a seed, (1,). Raises HeadwayError where another environment of this process has
+        its simulation."""
+        if len(seeds) != 1:
+            raise ValueError(f"seeds must have shape (1,), not {np.shape(seeds)}")
+        self._seed, self._episode = int(seeds[0]), 0
+        self._begin()
+        return self._observed
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        """0.1 s; accelerations (1, N, 1) in m/s^2, cut at 3."""
+        outcome, seen, ledger, street = self._outcome, self._seen, self.ledger, self.street
+        outcome.acting[0] = seen.alive
+        before = seen.alive.copy()
+        outcome.terminated.fill(False)
+        outcome.truncated.fill(False)
+        street.command(np.clip(actions[0, :, 0], -STRONGEST, STRONGEST))
+        changes = street.advance(ledger.steps + 1)
+        self._let_go(changes.left, outcome.truncated[0] if self._cut_at_exit else outcome.terminated[0])
+        self._let_go(changes.crashed, outcome.terminated[0])
+        self.events = {**dict.fromkeys(changes.left, "arrived"), **dict.fromkeys(changes.crashed, "collided")}
+        ledger.count(changes.entered, changes.arrived)
+        ledger.crashes += changes.crashes
+        ledger.avs += changes.avs
+        ledger.without_slot += changes.without_slot
+        ledger.pending += changes.pending
+        for approach, seconds in changes.travels:
+            ledger.through[approach] += 1
+            ledger.travel_s.append(seconds)
+        passed = ledger.steps / self.config.horizon
+        kernel.take_in(
+            street.crossing,
+            street.roster.traffic,
+            len(street.roster),
+            kernel.Happened(
+                changes.arrived,
+                changes.crashes,
+                changes.lane_changes,
+                ledger.outflow_vph,
+                changes.pending,
+                passed,
+            ),
+            seen,
+        )
+        self._pay(before & seen.alive & ~outcome.terminated[0] & ~outcome.truncated[0])
+        over = changes.crashes > 0 and self.config.on_collision == "end_episode"
+        outcome.episode_ended[0] = over or ledger.steps >= self.config.horizon
+        if outcome.episode_ended[0]:
+            self._end(crashed=over)
+        return outcome, self._observed
+
+    def hand_over(self, speed_mode: int) -> None:
+        """Let SUMO drive all vehicles as humans, with this speed mode; actions are ignored from now on."""
+        self.street.hand_over(speed_mode)
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
+        """Raises HeadwayError: a state that SUMO saves does not go on exactly."""
+        raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
+
+    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+        """Raises HeadwayError, as `snapshot`."""
+        raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
+
+    def close(self) -> None:
+        """Let another environment of this process have the simulation."""
+        if self._street is not None:
+            self._street.close()
+
+    @property
+    def _cut_at_exit(self) -> bool:
+        return self.config.at_exit == "truncated"
+
+    def _begin(self) -> None:
+        self.ledger = Ledger(self.config)
+        self._seen.sums.fill(0)
+        self._seen.present.fill(0)
+        draw = generator(self._seed, "intersection", self._episode)
+        self.street.begin(int(draw.integers(2**31 - 1)), draw)
+        self._seen.observations.fill(0)
+        self._seen.alive.fill(False)
+        self._seen.state.fill(0)
+
+    def _let_go(self, slots: Sequence[int], flags: NDArray[np.bool_]) -> None:
+        """Streams that ended, with what they observed last."""
+        for slot in slots:
+            flags[slot] = True
+            self._outcome.final_observations[0, slot] = self._seen.observations[slot]
+
+    def _pay(self, there: NDArray[np.bool_]) -> None:
+        """`there` (N,): acted, and still is on the road."""
+        seen, ledger, rewards = self._seen, self.ledger, self._outcome.rewards[0]
+        combined, velocity, headway = seen.paper[:6].sum(), seen.paper[0], seen.paper[6]
+        paper = 0.2 * combined + velocity + 0.5 * headway
+        ledger.paper_return += paper * int(there.sum())
+        if self._spec.shared_reward:
+            reward = float(self._weights @ seen.scaled)
+            rewards[:] = reward
+            ledger.terms += seen.scaled
+        else:
+            reward = float(paper)
+            rewards[:] = np.where(there, reward, 0.0)
+            ledger.terms += seen.paper
+        ledger.team_return += reward
+
+    def _end(self, crashed: bool) -> None:
+        """Every slot's stream ends, and the next episode begins."""
+        outcome, seen = self._outcome, self._seen
+        rest = ~(outcome.terminated[0] | outcome.truncated[0])
+        (outcome.terminated if crashed else outcome.truncated)[0, rest] = True
+        outcome.final_observations[0, rest] = seen.observations[rest]
+        outcome.final_states[0] = seen.state
+        outcome.metrics[0] = self.ledger.metrics(seen.sums, seen.present)
+        self._episode += 1
+        self._begin()

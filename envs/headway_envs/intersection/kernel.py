@@ -1,0 +1,360 @@
+"""What follows from where all vehicles are: observations, reward terms and sums for the metrics; compiled.
+
+All compiled functions stand in this one file, since numba's cache notices changes of the file it is called
+in only. Axes: V vehicles, N slots, L = 16 links (ways through the junction), D, S.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, ParamSpec, TypeVar, cast
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.intersection.config import STEP_S
+from headway_envs.intersection.demand import MIN_GAP_M
+from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
+"""Of the reward. The paper has no term for collisions: its velocity term is 0 in such a step."""
+SUMS = (
+    "steps_all", "steps_av", "steps_hdv", "vehicles", "speed", "speed_av", "speed_hdv", "acceleration_av",
+    "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel", "standing",
+)  # fmt: skip
+"""What is added up for the metrics: steps with vehicles of a kind, and means over these."""
+PAPER_SIZE = 6
+NEIGHBOURS = 3
+"""Vehicles on crossing ways that an extended observation shows."""
+NEIGHBOUR_SIZE = 6
+EXTENDED_SIZE = PAPER_SIZE + 8 + NEIGHBOURS * NEIGHBOUR_SIZE
+CELLS = 4
+"""Of 50 m on each approach, in the state."""
+STATE_SIZE = 4 * (3 * CELLS + 2 + 2) + 2
+TARGET_SPEED = 20.0
+_LONGEST_S = 20.0
+"""Times of arrival are cut here, s."""
+_PAPER_GAINS = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.0)
+_EPSILON = 1e-5
+
+
+class Crossing(NamedTuple):
+    """What does not change."""
+
+    link_length: Floats
+    """(L,)"""
+    foes: NDArray[np.bool_]
+    """(L, L)"""
+    yields: NDArray[np.bool_]
+    """(L, L)"""
+    total_length: float
+    extended: bool
+
+
+class Traffic(NamedTuple):
+    """All vehicles, in rows 0 to V - 1 of arrays that are longer."""
+
+    position: Floats
+    """Front along the whole way: the stop line is at ROAD_M."""
+    speed: Floats
+    before: Floats
+    """Speed one step before."""
+    fuel: Floats
+    """ml/s"""
+    link: Whole
+    slot: Whole
+    """-1: driven by SUMO."""
+    leader: Whole
+    """Row of the vehicle ahead; -1: none. Valid where there is a slot, as the next three."""
+    lead_gap: Floats
+    follower: Whole
+    follow_gap: Floats
+
+
+class Happened(NamedTuple):
+    """What the step brought, beside places and speeds."""
+
+    arrived: int
+    crashes: int
+    """Pairs of vehicles."""
+    lane_changes: int
+    """Of AVs."""
+    outflow_vph: float
+    """Since the episode's beginning."""
+    pending: int
+    """Vehicles that wait to enter."""
+    passed: float
+    """Share of the episode."""
+
+
+class Seen(NamedTuple):
+    """What is written."""
+
+    observations: NDArray[np.float32]
+    """(N, D)"""
+    alive: NDArray[np.bool_]
+    """(N,)"""
+    state: NDArray[np.float32]
+    """(S,)"""
+    scaled: Floats
+    """(8,): terms in [-1, 1], in the order of TERMS."""
+    paper: Floats
+    """(8,): the paper's terms with their gains."""
+    sums: Floats
+    """(len(SUMS),)"""
+    present: Floats
+    """(4,): steps that AVs have spent here, by approach."""
+
+
+def _compiled(function: Callable[P, R]) -> Callable[P, R]:
+    return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+@_compiled
+def _until_line(traffic: Traffic, row: int) -> float:
+    """Time to the stop line at the speed of now, s, cut; 0 for who has passed it."""
+    distance = max(ROAD_M - traffic.position[row], 0.0)
+    seconds: float = distance / max(traffic.speed[row], 0.1)
+    return min(seconds, _LONGEST_S)
+
+
+@_compiled
+def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[np.float32]) -> None:
+    """Section 5.2 of the paper: own place on its edge, speed, leader and follower; the fifth is taken over
+    the speed limit, as in Flow, where the paper prints the length. The way through the junction is one
+    edge."""
+    position, inside = traffic.position[row], crossing.link_length[traffic.link[row]]
+    if position >= ROAD_M + inside:
+        position -= ROAD_M + inside
+    elif position >= ROAD_M:
+        position -= ROAD_M
+    speed, leader, follower = traffic.speed[row], traffic.leader[row], traffic.follower[row]
+    out[0] = position / crossing.total_length
+    out[1] = speed / SPEED_LIMIT
+    lead_speed, lead_gap = SPEED_LIMIT, crossing.total_length
+    if leader >= 0:
+        lead_speed, lead_gap = traffic.speed[leader], traffic.lead_gap[row] + MIN_GAP_M
+    follow_speed, follow_gap = 0.0, crossing.total_length
+    if follower >= 0:
+        follow_speed, follow_gap = traffic.speed[follower], traffic.follow_gap[row] + MIN_GAP_M
+    out[2] = (lead_speed - speed) / SPEED_LIMIT
+    out[3] = lead_gap / crossing.total_length
+    out[4] = (speed - follow_speed) / SPEED_LIMIT
+    out[5] = follow_gap / crossing.total_length
+
+
+@_compiled
+def _observe_extended(
+    crossing: Crossing, traffic: Traffic, count: int, row: int, out: NDArray[np.float32]
+) -> None:
+    """Which part of the way (3), distance and time to the stop line, the turn (3); then of the nearest
+    vehicles on ways that cross the own and have not crossed: 1, distance to their stop line (negative past
+    it), speed, how much later they arrive, whether automated, whether they go first."""
+    link, position = traffic.link[row], traffic.position[row]
+    part = 0 if position < ROAD_M else (1 if position < ROAD_M + crossing.link_length[link] else 2)
+    out[PAPER_SIZE + part] = 1.0
+    out[PAPER_SIZE + 3] = max(ROAD_M - position, 0.0) / ROAD_M
+    mine = _until_line(traffic, row)
+    out[PAPER_SIZE + 4] = mine / _LONGEST_S
+    turn = link % 4
+    out[PAPER_SIZE + 5 + (turn if turn < 2 else turn - 1)] = 1.0
+    if part == 2:
+        return
+    nearest_rows = (-1, -1, -1)
+    nearest = (np.inf, np.inf, np.inf)
+    for other in range(count):
+        other_link = traffic.link[other]
+        left = ROAD_M - traffic.position[other]
+        if not crossing.foes[link, other_link] or left <= -crossing.link_length[other_link]:
+            continue
+        if left < nearest[0]:
+            nearest_rows = (other, nearest_rows[0], nearest_rows[1])
+            nearest = (left, nearest[0], nearest[1])
+        elif left < nearest[1]:
+            nearest_rows = (nearest_rows[0], other, nearest_rows[1])
+            nearest = (nearest[0], left, nearest[1])
+        elif left < nearest[2]:
+            nearest_rows = (nearest_rows[0], nearest_rows[1], other)
+            nearest = (nearest[0], nearest[1], left)
+    place = PAPER_SIZE + 8
+    for other in nearest_rows:
+        if other < 0:
+            return
+        out[place] = 1.0
+        out[place + 1] = (ROAD_M - traffic.position[other]) / ROAD_M
+        out[place + 2] = traffic.speed[other] / SPEED_LIMIT
+        out[place + 3] = (_until_line(traffic, other) - mine) / _LONGEST_S
+        out[place + 4] = 1.0 if traffic.slot[other] >= 0 else 0.0
+        out[place + 5] = 1.0 if crossing.yields[link, traffic.link[other]] else 0.0
+        place += NEIGHBOUR_SIZE
+
+
+@_compiled
+def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
+    """The state: for each approach, AVs, HDVs and mean speed in each cell of the road, then vehicles inside
+    the junction and beyond it with their mean speeds; the share of the episode passed, vehicles waiting."""
+    state = seen.state
+    state[:] = 0.0
+    width = 3 * CELLS + 4
+    for row in range(count):
+        link, position, speed = traffic.link[row], traffic.position[row], traffic.speed[row]
+        base = link // 4 * width
+        if position < ROAD_M:
+            place = base + 3 * int(position / (ROAD_M / CELLS))
+            state[place + (0 if traffic.slot[row] >= 0 else 1)] += 0.1
+            state[place + 2] += speed
+            continue
+        inside = position < ROAD_M + crossing.link_length[link]
+        place = base + 3 * CELLS + (0 if inside else 2)
+        state[place] += 0.1
+        state[place + 1] += speed
+    for approach in range(4):
+        base = approach * width
+        for cell in range(CELLS):
+            place = base + 3 * cell
+            vehicles = 10.0 * (state[place] + state[place + 1])
+            state[place + 2] /= max(vehicles, 1.0) * SPEED_LIMIT
+        for place in (base + 3 * CELLS, base + 3 * CELLS + 2):
+            state[place + 1] /= max(10.0 * state[place], 1.0) * SPEED_LIMIT
+    state[4 * width] = happened.passed
+    state[4 * width + 1] = min(happened.pending / 50.0, 5.0)
+
+
+@_compiled
+def _pay(traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
+    """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists."""
+    automated, standing, stopped = 0, 0, 0
+    squares, speeds, automated_speeds, headways = 0.0, 0.0, 0.0, 0.0
+    for row in range(count):
+        speed = traffic.speed[row]
+        squares += (speed - TARGET_SPEED) ** 2
+        speeds += speed
+        stopped += speed == 0.0
+        standing += speed < 0.1
+        if traffic.slot[row] >= 0:
+            automated += 1
+            automated_speeds += speed
+            if traffic.leader[row] >= 0 and speed > 0.0:
+                headways += min(max((traffic.lead_gap[row] + MIN_GAP_M) / speed, 0.0) - 1.0, 0.0)
+    aim = TARGET_SPEED * np.sqrt(count)
+    nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
+    fullest = STEP_S * count
+    cost = STEP_S * (count - speeds / SPEED_LIMIT)
+    quickness = max((fullest - cost) / (fullest + _EPSILON), 0.0)
+    paper, scaled = seen.paper, seen.scaled
+    paper[0] = 0.0 if happened.crashes else nearness
+    paper[1] = -stopped
+    paper[2] = automated_speeds
+    paper[3] = quickness
+    paper[4] = -happened.lane_changes
+    paper[5] = happened.outflow_vph
+    paper[6] = headways
+    paper[7] = 0.0
+    for term in range(8):
+        paper[term] *= _PAPER_GAINS[term]
+    scaled[0] = nearness
+    scaled[1] = -standing / max(count, 1)
+    scaled[2] = min(automated_speeds / max(automated, 1) / SPEED_LIMIT, 1.0)
+    scaled[3] = min(quickness, 1.0)
+    scaled[4] = -min(happened.lane_changes / max(automated, 1), 1.0)
+    scaled[5] = min(happened.arrived, 1)
+    scaled[6] = headways / max(automated, 1)
+    scaled[7] = -min(happened.crashes, 1)
+
+
+@_compiled
+def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
+    """Means over the vehicles of this step, in the order of SUMS."""
+    sums = seen.sums
+    automated, standing, fuel = 0, 0, 0.0
+    speed_av, speed_hdv, change_av, change_hdv = 0.0, 0.0, 0.0, 0.0
+    for row in range(count):
+        speed = traffic.speed[row]
+        change = (speed - traffic.before[row]) / STEP_S
+        fuel += traffic.fuel[row]
+        standing += speed < 0.1
+        if traffic.slot[row] >= 0:
+            automated += 1
+            speed_av += speed
+            change_av += abs(change)
+            sums[9] = max(sums[9], -change)
+            seen.present[traffic.link[row] // 4] += 1.0
+        else:
+            speed_hdv += speed
+            change_hdv += abs(change)
+            sums[10] = max(sums[10], -change)
+    human = count - automated
+    sums[3] += count
+    if count:
+        sums[0] += 1
+        sums[4] += (speed_av + speed_hdv) / count
+        sums[11] += fuel / count
+        sums[12] += standing / count
+    if automated:
+        sums[1] += 1
+        sums[5] += speed_av / automated
+        sums[7] += change_av / automated
+    if human:
+        sums[2] += 1
+        sums[6] += speed_hdv / human
+        sums[8] += change_hdv / human
+
+
+@_compiled
+def look(crossing: Crossing, traffic: Traffic, count: int, seen: Seen) -> None:
+    """Observations of all AVs among V vehicles; rows of empty slots are 0."""
+    seen.observations[:] = 0.0
+    seen.alive[:] = False
+    for row in range(count):
+        slot = traffic.slot[row]
+        if slot < 0:
+            continue
+        seen.alive[slot] = True
+        _observe_paper(crossing, traffic, row, seen.observations[slot])
+        if crossing.extended:
+            _observe_extended(crossing, traffic, count, row, seen.observations[slot])
+
+
+@_compiled
+def take_in(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
+    """All that follows from a step."""
+    look(crossing, traffic, count, seen)
+    _describe(crossing, traffic, count, happened, seen)
+    _pay(traffic, count, happened, seen)
+    _add_up(traffic, count, seen)
+
+
+def empty_traffic(rows: int) -> Traffic:
+    """Room for so many vehicles."""
+    position, speed, before, fuel, lead_gap, follow_gap = (np.zeros(rows) for _ in range(6))
+    link, slot, leader, follower = (np.full(rows, -1, np.int64) for _ in range(4))
+    return Traffic(position, speed, before, fuel, link, slot, leader, lead_gap, follower, follow_gap)
+
+
+def empty_seen(slots: int, extended: bool) -> Seen:
+    """Room for so many slots."""
+    return Seen(
+        observations=np.zeros((slots, EXTENDED_SIZE if extended else PAPER_SIZE), np.float32),
+        alive=np.zeros(slots, np.bool_),
+        state=np.zeros(STATE_SIZE, np.float32),
+        scaled=np.zeros(len(TERMS)),
+        paper=np.zeros(len(TERMS)),
+        sums=np.zeros(len(SUMS)),
+        present=np.zeros(4),
+    )
+
+
+def nothing_happened(passed: float = 0.0) -> Happened:
+    """A step without events."""
+    return Happened(0, 0, 0, 0.0, 0, passed)
+
+
+def warm() -> None:
+    """Compile, or load from the cache, by a look at an empty crossing."""
+    none = np.zeros((16, 16), np.bool_)
+    crossing = Crossing(np.ones(16), none, none, 1600.0, True)
+    take_in(crossing, empty_traffic(1), 0, nothing_happened(), empty_seen(1, True))

@@ -1,0 +1,135 @@
+"""Pictures of the crossing, drawn by us: no window, no screen."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from headway_envs.intersection.config import STEP_S
+from headway_envs.intersection.env import IntersectionBatchedEnv
+from headway_envs.intersection.network import ROAD_M
+
+Point = tuple[float, float]
+_LANES_M = 6.4
+"""Width of the lanes of one direction."""
+_LENGTH_M, _WIDTH_M = 5.0, 1.8
+_SCALE = 4
+"""Pictures are drawn so many times as large and shrunk, which smooths their edges."""
+GRASS, ROAD, LINE, TEXT = (226, 232, 222), (88, 92, 98), (214, 214, 214), (30, 30, 30)
+HUMAN, CRASH = (236, 236, 236), (224, 40, 40)
+SLOW, FAST = np.array((196, 64, 196)), np.array((32, 170, 255))
+_FASTEST = 20.0
+"""Speed from which the colour of an AV is that of FAST, m/s."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a picture shows: V vehicles."""
+
+    time_s: float
+    nose: NDArray[np.float64]
+    """(V, 2): front of each vehicle, m from the centre."""
+    tail: NDArray[np.float64]
+    """(V, 2)"""
+    speed: NDArray[np.float64]
+    """(V,), m/s"""
+    automated: NDArray[np.bool_]
+    """(V,)"""
+    crashes: tuple[Point, ...] = ()
+    """Where vehicles crashed lately."""
+    collisions: int = 0
+    """Pairs in this episode, so far."""
+    left: int = 0
+    """Vehicles that have left in this episode."""
+
+
+def frame_of(env: IntersectionBatchedEnv, crashes: tuple[Point, ...] = ()) -> Frame:
+    """The crossing as it is now, and crashes to be marked beside those of the last step."""
+    street, ledger = env.street, env.ledger
+    roster, network = street.roster, street.network
+    traffic, count = roster.traffic, len(roster)
+    ways = list(zip(traffic.link[:count].tolist(), traffic.position[:count].tolist(), strict=True))
+    nose = [network.place(link, at) for link, at in ways]
+    tail = [network.place(link, max(at - _LENGTH_M, 0.0)) for link, at in ways]
+    return Frame(
+        time_s=ledger.steps * STEP_S,
+        nose=np.array(nose).reshape(count, 2),
+        tail=np.array(tail).reshape(count, 2),
+        speed=traffic.speed[:count].copy(),
+        automated=traffic.slot[:count] >= 0,
+        crashes=(*crashes, *street.last.places),
+        collisions=ledger.crashes,
+        left=ledger.arrived,
+    )
+
+
+def draw(frame: Frame, size: int = 640, reach_m: float = 110.0) -> NDArray[np.uint8]:
+    """A picture (size, size, 3) of what lies within `reach_m` of the centre: human drivers white, automated
+    vehicles from violet (standing) to blue (20 m/s), crashes as red rings."""
+    pixels = size * _SCALE
+    canvas = Image.new("RGB", (pixels, pixels), GRASS)
+    pen = ImageDraw.Draw(canvas)
+    per_m = pixels / (2 * reach_m)
+
+    def at(x: float, y: float) -> Point:
+        return (x + reach_m) * per_m, (reach_m - y) * per_m
+
+    _draw_roads(pen, at, per_m)
+    for row in range(len(frame.speed)):
+        colour = _colour(float(frame.speed[row])) if frame.automated[row] else HUMAN
+        pen.polygon([at(*corner) for corner in _outline(frame.nose[row], frame.tail[row])], fill=colour)
+    for x, y in frame.crashes:
+        box = [*at(x - 4, y + 4), *at(x + 4, y - 4)]
+        pen.ellipse(box, outline=CRASH, width=round(1.2 * per_m))
+    small = canvas.resize((size, size), Image.Resampling.BOX)
+    _write(ImageDraw.Draw(small), frame)
+    return np.asarray(small)
+
+
+def _draw_roads(pen: ImageDraw.ImageDraw, at: Callable[[float, float], Point], per_m: float) -> None:
+    width, end = _LANES_M, ROAD_M
+    for corners in (((-width, end), (width, -end)), ((-end, width), (end, -width))):
+        pen.rectangle([*at(*corners[0]), *at(*corners[1])], fill=ROAD)
+    edge = 10.4
+    """Where the junction begins."""
+    thin = max(round(0.25 * per_m), 1)
+    for side in (-1, 1):
+        pen.line([at(0, side * edge), at(0, side * end)], fill=LINE, width=2 * thin)
+        pen.line([at(side * edge, 0), at(side * end, 0)], fill=LINE, width=2 * thin)
+        for lane in (-width / 2, width / 2):
+            for begin in np.arange(edge, end, 6.0):
+                pen.line([at(lane, side * begin), at(lane, side * (begin + 3))], fill=LINE, width=thin)
+                pen.line([at(side * begin, lane), at(side * (begin + 3), lane)], fill=LINE, width=thin)
+    pen.line([at(-width, edge), at(0, edge)], fill=LINE, width=2 * thin)
+    pen.line([at(width, -edge), at(0, -edge)], fill=LINE, width=2 * thin)
+    pen.line([at(edge, width), at(edge, 0)], fill=LINE, width=2 * thin)
+    pen.line([at(-edge, -width), at(-edge, 0)], fill=LINE, width=2 * thin)
+
+
+def _outline(nose: NDArray[np.float64], tail: NDArray[np.float64]) -> list[Point]:
+    """Four corners of a vehicle."""
+    along = nose - tail
+    length = float(np.hypot(*along)) or 1.0
+    across = np.array((-along[1], along[0])) / length * _WIDTH_M / 2
+    corners = (nose + across, nose - across, tail - across, tail + across)
+    return [(float(x), float(y)) for x, y in corners]
+
+
+def _colour(speed: float) -> tuple[int, int, int]:
+    share = min(speed / _FASTEST, 1.0)
+    red, green, blue = (SLOW + share * (FAST - SLOW)).astype(int).tolist()
+    return red, green, blue
+
+
+def _write(pen: ImageDraw.ImageDraw, frame: Frame) -> None:
+    automated = int(frame.automated.sum())
+    lines = [
+        f"{frame.time_s:6.1f} s",
+        f"{automated} automated (violet: standing, blue: 20 m/s)",
+        f"{len(frame.speed) - automated} human-driven (white)",
+        f"{frame.left} have left, {frame.collisions} collisions",
+    ]
+    for place, line in enumerate(lines):
+        pen.text((8, 8 + 14 * place), line, fill=TEXT)

@@ -1,0 +1,112 @@
+"""The metrics of an episode."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.intersection.config import STEP_S, IntersectionConfig
+from headway_envs.intersection.kernel import SUMS, TERMS
+
+GALLONS_PER_ML = 0.000264172
+METRICS = (
+    "team_return", "paper_return", "collisions", "inflow_vph", "outflow_vph", "efficiency",
+    "inflow_warm_vph", "outflow_warm_vph", "vehicles", "pending", "speed", "speed_av", "speed_hdv",
+    "acceleration_av", "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel_gal_s",
+    "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
+    "fairness_jain", *(f"reward_{term}" for term in TERMS),
+)  # fmt: skip
+"""Speeds and accelerations are means over steps of the mean over vehicles (m/s, absolute m/s^2); `vehicles`
+and `pending` (those that wait to enter) means over steps; `hardest_braking_*` the greatest, m/s^2; fuel is a
+vehicle's mean, in gallons a second; `efficiency` is outflow over inflow. `travel_time_av_s` is of AVs that
+went through. `worst_approach_s` and `fairness_jain` (Jain, Chiu and Hawe 1984) compare the four approaches by
+the seconds that AVs spent here for each that went through, so that an approach whose AVs are stuck counts.
+`reward_*` are means over steps of the terms of the reward in use, unweighted."""
+
+
+@dataclass
+class Ledger:
+    """What is counted in an episode."""
+
+    config: IntersectionConfig
+    steps: int = 0
+    entered: int = 0
+    arrived: int = 0
+    entered_early: int = 0
+    """Within the warm-up; so with the next."""
+    arrived_early: int = 0
+    crashes: int = 0
+    avs: int = 0
+    without_slot: int = 0
+    pending: int = 0
+    team_return: float = 0.0
+    paper_return: float = 0.0
+    travel_s: list[float] = field(default_factory=list)
+    through: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
+    """AVs that went through, by approach."""
+    terms: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(TERMS)))
+
+    @property
+    def outflow_vph(self) -> float:
+        """Vehicles that left, an hour, since the beginning."""
+        return self.arrived * 3600 / (max(self.steps, 1) * STEP_S)
+
+    def count(self, entered: int, arrived: int) -> None:
+        """Vehicles that came and left in a step."""
+        self.steps += 1
+        self.entered += entered
+        self.arrived += arrived
+        if self.steps * STEP_S <= self.config.warm_up_s:
+            self.entered_early += entered
+            self.arrived_early += arrived
+
+    def metrics(self, sums: NDArray[np.float64], present: NDArray[np.float64]) -> list[float]:
+        """In the order of METRICS, from the kernel's sums and the steps AVs spent here by approach (4,)."""
+        total, steps = dict(zip(SUMS, sums.tolist(), strict=True)), max(self.steps, 1)
+        seconds = steps * STEP_S
+        late = seconds - self.config.warm_up_s
+        early_in, early_out = (self.entered_early, self.arrived_early) if late > 0 else (0, 0)
+        per_hour = 3600 / (late if late > 0 else seconds)
+        spent = _spent_for_each(present * STEP_S, self.through)
+        with_any, with_av, with_hdv = (max(total[f"steps_{kind}"], 1) for kind in ("all", "av", "hdv"))
+        return [
+            self.team_return,
+            self.paper_return,
+            self.crashes,
+            self.entered * 3600 / seconds,
+            self.outflow_vph,
+            self.arrived / max(self.entered, 1),
+            (self.entered - early_in) * per_hour,
+            (self.arrived - early_out) * per_hour,
+            total["vehicles"] / steps,
+            self.pending / steps,
+            total["speed"] / with_any,
+            total["speed_av"] / with_av,
+            total["speed_hdv"] / with_hdv,
+            total["acceleration_av"] / with_av,
+            total["acceleration_hdv"] / with_hdv,
+            total["hardest_braking_av"],
+            total["hardest_braking_hdv"],
+            total["fuel"] / with_any * GALLONS_PER_ML,
+            total["standing"] / with_any,
+            self.avs,
+            sum(self.through),
+            self.without_slot,
+            float(np.mean(self.travel_s)) if self.travel_s else seconds,
+            max(spent, default=0.0),
+            jain(spent),
+            *(self.terms / steps).tolist(),
+        ]
+
+
+def _spent_for_each(seconds: NDArray[np.float64], through: Sequence[int]) -> list[float]:
+    """Seconds spent by AVs for each that went through, of the approaches that AVs came from."""
+    return [float(spent) / max(count, 1) for spent, count in zip(seconds, through, strict=True) if spent > 0]
+
+
+def jain(values: Sequence[float]) -> float:
+    """Jain's index, (sum x)^2 / (n sum x^2): 1 where all are equal, 1/n where one has all; 1 for none."""
+    array = np.asarray(values)
+    squares = float((array**2).sum())
+    return float(array.sum()) ** 2 / (len(array) * squares) if squares > 0 else 1.0

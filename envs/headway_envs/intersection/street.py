@@ -1,0 +1,220 @@
+"""The vehicles of one simulation: commanded, advanced by a step, and read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.intersection.config import STEP_S, IntersectionConfig
+from headway_envs.intersection.demand import AV, HDV, MIN_GAP_M
+from headway_envs.intersection.humans import next_speeds
+from headway_envs.intersection.kernel import Crossing
+from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
+from headway_envs.intersection.roster import Roster
+from headway_envs.intersection.simulation import Simulation
+
+NO_LANE_CHANGES = 512
+_SUMOS_OWN = -1.0
+"""As a speed: SUMO drives."""
+_AHEAD_M = 200.0
+
+
+@dataclass
+class Changes:
+    """What a step brought."""
+
+    entered: int = 0
+    arrived: int = 0
+    """Left at the end of their way."""
+    crashes: int = 0
+    """Pairs."""
+    avs: int = 0
+    """Of those that entered."""
+    without_slot: int = 0
+    pending: int = 0
+    lane_changes: int = 0
+    left: list[int] = field(default_factory=list)
+    """Slots of AVs that arrived."""
+    crashed: list[int] = field(default_factory=list)
+    """Slots of AVs that crashed."""
+    travels: list[tuple[int, float]] = field(default_factory=list)
+    """(approach, s) of AVs that arrived."""
+    places: list[tuple[float, float]] = field(default_factory=list)
+    """Where vehicles crashed, (x, y) in m, for pictures."""
+
+
+class Street:
+    """Keeps a roster in step with SUMO. Vehicles are read and commanded in the order in which they came."""
+
+    def __init__(self, config: IntersectionConfig, network: Network, simulation: Simulation) -> None:
+        self.config, self.network, self.simulation = config, network, simulation
+        self.roster = Roster(config.slots)
+        self.crossing = Crossing(
+            network.link_length,
+            network.foes,
+            network.yields,
+            network.total_length,
+            config.observation == "extended",
+        )
+        self.last = Changes()
+        self._vehicle: Any = simulation.sumo.vehicle
+        self._world: Any = simulation.sumo.simulation
+        self._handed_over: int | None = None
+        self._waiting = 0
+        self._draw = np.random.default_rng(0)
+
+    def begin(self, seed: int, draw: np.random.Generator) -> None:
+        """An empty crossing; `draw` is for the noise of human drivers."""
+        self.simulation.begin(seed)
+        self.roster.clear()
+        self._draw, self._waiting, self.last = draw, 0, Changes()
+
+    def close(self) -> None:
+        """Let go of the simulation."""
+        self.simulation.close()
+
+    def hand_over(self, speed_mode: int) -> None:
+        """From now on all vehicles are driven as humans, with this speed mode."""
+        if self._handed_over == speed_mode:
+            return
+        self._handed_over = speed_mode
+        for vehicle in self.roster.ids:
+            self._instruct(vehicle, automated=vehicle.startswith(AV))
+            self._vehicle.setSpeed(vehicle, _SUMOS_OWN)
+
+    def command(self, accelerations: NDArray[np.float32]) -> None:
+        """Speeds of the next step: AVs' from accelerations (N,), noisy humans' from their model."""
+        automated, speed = self.roster.automated, self.roster.traffic.speed
+        if self._handed_over is None and automated:
+            rows, slots, ids = zip(*automated, strict=True)
+            wished = np.maximum(speed[list(rows)] + accelerations[list(slots)] * STEP_S, 0.0)
+            set_speed = self._vehicle.setSpeed
+            for vehicle, target in zip(ids, wished.tolist(), strict=True):
+                set_speed(vehicle, target)
+        if self.config.human_noise > 0:
+            self._drive_humans()
+
+    def advance(self, step: int) -> Changes:
+        """One step of SUMO, the `step`-th, and all vehicles read again."""
+        world, changes, before = self._world, Changes(), list(self.roster.holder)
+        world.step()
+        pairs = {frozenset((crash.collider, crash.victim)) for crash in world.getCollisions()}
+        changes.crashes = len(pairs)
+        self._take_away(frozenset().union(*pairs), step, changes)
+        freed = [slot for slot, holder in enumerate(before) if holder and self.roster.holder[slot] is None]
+        for vehicle in world.getDepartedIDList():
+            self._let_in(vehicle, freed, step, changes)
+        self._waiting += world.getLoadedNumber() - changes.entered
+        changes.pending = self._waiting
+        self._read(changes)
+        self.last = changes
+        return changes
+
+    def _take_away(self, crashed: frozenset[str], step: int, changes: Changes) -> None:
+        """Vehicles that left the road. Those that crashed are in SUMO's list of arrivals, too."""
+        roster = self.roster
+        gone = [vehicle for vehicle in self._world.getArrivedIDList() if vehicle not in crashed]
+        changes.arrived = len(gone)
+        for vehicle in (*gone, *sorted(crashed)):
+            row = roster.row.get(vehicle)
+            if row is None:
+                continue
+            slot, link = int(roster.traffic.slot[row]), int(roster.traffic.link[row])
+            if vehicle in crashed:
+                changes.places.append(self.place(row))
+            if slot >= 0 and vehicle in crashed:
+                changes.crashed.append(slot)
+            elif slot >= 0:
+                changes.left.append(slot)
+                changes.travels.append((link // 4, (step - int(roster.entered[row])) * STEP_S))
+            roster.remove(vehicle)
+
+    def _let_in(self, vehicle: str, freed: Sequence[int], step: int, changes: Changes) -> None:
+        """A vehicle that has just entered. Slots freed in this step stay free: their last observations are
+        still to be given."""
+        ask, automated = self._vehicle, vehicle.startswith(AV)
+        approach, turn = ask.getRouteID(vehicle).split("_")
+        link = 4 * APPROACHES.index(approach) + LINKS.index((turn, ask.getLaneIndex(vehicle)))
+        slot = self.roster.free_slot(freed) if automated else -1
+        changes.entered += 1
+        changes.avs += automated
+        changes.without_slot += automated and slot < 0
+        place = ask.getLanePosition(vehicle), ask.getDistance(vehicle)
+        self.roster.add(vehicle, link, slot, place, ask.getSpeed(vehicle), step)
+        self._instruct(vehicle, automated and slot >= 0)
+
+    def _instruct(self, vehicle: str, automated: bool) -> None:
+        """Tell SUMO what it may do with a vehicle."""
+        if self._handed_over is not None:
+            self._vehicle.setSpeedMode(vehicle, self._handed_over)
+            self._vehicle.setLaneChangeMode(vehicle, 1621)
+            if vehicle.startswith(AV):
+                self._vehicle.setType(vehicle, HDV)
+        elif automated:
+            self._vehicle.setSpeedMode(vehicle, self.config.av_speed_mode)
+            self._vehicle.setLaneChangeMode(vehicle, self.config.av_lane_change_mode)
+        else:
+            self._vehicle.setSpeedMode(vehicle, self.config.hdv_speed_mode)
+
+    def _read(self, changes: Changes) -> None:
+        roster, vehicle, ids = self.roster, self._vehicle, self.roster.ids
+        traffic, count = roster.traffic, len(ids)
+        get_speed, get_distance, get_fuel = vehicle.getSpeed, vehicle.getDistance, vehicle.getFuelConsumption
+        traffic.before[:count] = traffic.speed[:count]
+        traffic.speed[:count] = [get_speed(each) for each in ids]
+        traffic.position[:count] = [get_distance(each) for each in ids]
+        traffic.position[:count] += roster.offset[:count]
+        traffic.fuel[:count] = [get_fuel(each) for each in ids]
+        for row, _, each in roster.automated:
+            self._read_neighbours(row, each)
+        if self.config.av_lane_change_mode != NO_LANE_CHANGES and self._handed_over is None:
+            changes.lane_changes = self._count_lane_changes()
+
+    def _read_neighbours(self, row: int, each: str) -> None:
+        traffic, rows = self.roster.traffic, self.roster.row
+        ahead = self._vehicle.getLeader(each, _AHEAD_M)
+        if ahead is None:
+            traffic.leader[row] = -1
+        else:
+            traffic.leader[row], traffic.lead_gap[row] = rows.get(ahead[0], -1), ahead[1]
+        behind, gap = self._vehicle.getFollower(each, _AHEAD_M)
+        traffic.follower[row], traffic.follow_gap[row] = rows.get(behind, -1), gap
+
+    def _count_lane_changes(self) -> int:
+        """AVs that are on another lane of the same road than a step before."""
+        roster, changes = self.roster, 0
+        for row, _, vehicle in roster.automated:
+            position, link = roster.traffic.position[row], roster.traffic.link[row]
+            beyond = position >= ROAD_M + self.network.link_length[link]
+            lane = self._vehicle.getLaneIndex(vehicle) + 2 * beyond if beyond or position < ROAD_M else -1
+            known = int(roster.lane[row])
+            changes += min(lane, known) >= 0 and lane // 2 == known // 2 and lane != known
+            roster.lane[row] = lane
+        return changes
+
+    def _drive_humans(self) -> None:
+        """Our model on the roads; inside the junction SUMO's own drives."""
+        traffic, count, ids = self.roster.traffic, len(self.roster), self.roster.ids
+        human = np.ones(count, np.bool_) if self._handed_over is not None else traffic.slot[:count] < 0
+        position = traffic.position[:count]
+        inside = (position >= ROAD_M) & (position < ROAD_M + self.network.link_length[traffic.link[:count]])
+        rows = np.flatnonzero(human & ~inside)
+        lead_speed, gap = np.zeros(len(rows)), np.full(len(rows), np.inf)
+        for place, row in enumerate(rows.tolist()):
+            ahead = self._vehicle.getLeader(ids[row], _AHEAD_M)
+            if ahead is not None:
+                leader = self.roster.row.get(ahead[0])
+                lead_speed[place] = 0.0 if leader is None else traffic.speed[leader]
+                gap[place] = ahead[1] + MIN_GAP_M
+        wished = next_speeds(traffic.speed[rows], lead_speed, gap, self.config.human_noise, self._draw)
+        for row, target in zip(rows.tolist(), wished.tolist(), strict=True):
+            self._vehicle.setSpeed(ids[row], target)
+        for row in np.flatnonzero(human & inside).tolist():
+            self._vehicle.setSpeed(ids[row], _SUMOS_OWN)
+
+    def place(self, row: int) -> tuple[float, float]:
+        """Where the front of the vehicle in a row was when it was read last: (x, y) in m, centre (0, 0)."""
+        traffic = self.roster.traffic
+        return self.network.place(int(traffic.link[row]), float(traffic.position[row]))
