@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,13 +67,45 @@ def new_jobs(
     experiment: Experiment, seeds: Sequence[int], known: dict[str, PreparedEnv] | None = None
 ) -> tuple[PlannedJob, ...]:
     """The jobs of some seeds of an experiment; `known` as for `Experiment.prepare`, raises as it does."""
-    found, stack = experiment.prepare(known), experiment.config.backend.stack
+    found = experiment.prepare(known)
+    experiment = replace(experiment, config=within_processes(experiment.config, found.spec))
+    stack = experiment.config.backend.stack
     return tuple(
         PlannedJob(
             experiment, found.prepared, found.training, found.spec, tuple(seeds[first : first + stack])
         )
         for first in range(0, len(seeds), stack)
     )
+
+
+def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:
+    """The configuration with blocks small enough, and workers enough, for an environment of which a process
+    holds few copies. Raises HeadwayError where what is set does not allow it."""
+    limit, rollout, backend = spec.max_copies_per_process, config.rollout, config.backend
+    if limit is None:
+        return config
+    stack = min(backend.stack, len(config.seed))
+    most = limit // stack
+    if most == 0:
+        raise HeadwayError(f"{_holds(spec, limit)}; set backend.stack={limit}")
+    if backend.name == "serial":
+        if rollout.copies > most:
+            raise HeadwayError(f"{_holds(spec, limit)}; set rollout.copies={most}, or backend=process")
+        return config
+    block = max(size for size in range(1, min(most, rollout.block) + 1) if rollout.copies % size == 0)
+    workers = -(-(rollout.copies // block) // (most // block))
+    if backend.workers is not None and backend.workers < workers:
+        raise HeadwayError(f"{_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
+    return replace(
+        config,
+        rollout=replace(rollout, block=block),
+        backend=replace(backend, workers=backend.workers or workers),
+    )
+
+
+def _holds(spec: EnvSpec, limit: int) -> str:
+    copies = "1 copy" if limit == 1 else f"{limit} copies"
+    return f"a process can hold {copies} of {spec.name}"
 
 
 def share_cores(backend: BackendConfig, jobs: int, cores: int, stored_workers: int = 1) -> Shares:
