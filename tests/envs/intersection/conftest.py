@@ -1,0 +1,33 @@
+"""Crossings that are closed after each test, since a process holds one simulation."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from headway_envs.intersection.config import IntersectionConfig
+
+pytest.importorskip("libsumo", reason="SUMO (headway[sumo]) is not installed")
+sys.path.insert(0, str(Path(__file__).parent))  # processes that tests start import modules from here
+
+Open = Callable[..., Any]
+
+
+@pytest.fixture
+def crossing() -> Iterator[Open]:
+    """(arguments of the configuration) -> the environment, which is closed in the end."""
+    from headway_envs.intersection.env import IntersectionBatchedEnv
+    from headway_envs.intersection.prepared import prepare
+
+    opened = []
+
+    def open_one(**arguments: Any) -> IntersectionBatchedEnv:  # noqa: ANN401 - any argument
+        env = IntersectionBatchedEnv(prepare(IntersectionConfig(**arguments)), 1)
+        opened.append(env)
+        return env
+
+    yield open_one
+    for env in opened:
+        env.close()

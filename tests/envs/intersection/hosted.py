@@ -1,0 +1,55 @@
+"""A ParallelEnv in a process of its own, so that PettingZoo's test can play two crossings at once."""
+
+import multiprocessing
+from multiprocessing.connection import Connection
+from typing import Any
+
+from pettingzoo import ParallelEnv
+
+from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.intersection.parallel import IntersectionParallelEnv, IntersectionSlotsParallelEnv
+
+FACES = {"vehicles": IntersectionParallelEnv, "slots": IntersectionSlotsParallelEnv}
+
+
+def _host(face: str, config: IntersectionConfig, pipe: Connection) -> None:
+    env = FACES[face](config)
+    while (asked := pipe.recv()) is not None:
+        name, arguments = asked
+        pipe.send((getattr(env, name)(**arguments), list(env.agents)))
+    env.close()
+
+
+class HostedEnv(ParallelEnv):  # type: ignore[misc]
+    """Spaces here, the simulation there."""
+
+    metadata = IntersectionParallelEnv.metadata
+
+    def __init__(self, face: str, config: IntersectionConfig) -> None:
+        self._spaces = FACES[face](config)
+        self.possible_agents, self.agents = self._spaces.possible_agents, []
+        context = multiprocessing.get_context("forkserver")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_host, args=(face, config, theirs), daemon=True)
+        self._process.start()
+
+    def observation_space(self, agent: str) -> Any:  # noqa: ANN401
+        return self._spaces.observation_space(agent)
+
+    def action_space(self, agent: str) -> Any:  # noqa: ANN401
+        return self._spaces.action_space(agent)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # noqa: ANN401
+        return self._ask("reset", {"seed": seed})
+
+    def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401
+        return self._ask("step", {"actions": actions})
+
+    def close(self) -> None:
+        self._pipe.send(None)
+        self._process.join(10)
+
+    def _ask(self, name: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401
+        self._pipe.send((name, arguments))
+        answer, self.agents = self._pipe.recv()
+        return answer

@@ -1,0 +1,204 @@
+"""Vehicles come, cross and leave as SUMO says, and nothing is counted twice."""
+
+import importlib.util
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.intersection.env import IntersectionBatchedEnv
+from headway_envs.intersection.network import ROAD_M
+from headway_envs.intersection.prepared import prepare
+from headway_envs.intersection.simulation import libsumo
+
+FULL, NOTHING = np.full((1, 96, 1), 3, np.float32), np.zeros((1, 96, 1), np.float32)
+SEED = np.array([3], np.uint64)
+WILD = {"av_speed_mode": 0, "hdv_speed_mode": 1}
+"""AVs that heed nobody: many crashes."""
+
+
+def _metrics(env: IntersectionBatchedEnv, outcome: Any) -> dict[str, float]:  # noqa: ANN401
+    return dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+
+
+def test_the_roster_is_what_sumo_has(crossing: Any) -> None:  # noqa: ANN401
+    env, sumo = crossing(horizon=700, **WILD), libsumo()
+    env.reset(SEED)
+    for _ in range(699):
+        env.step(FULL)
+        roster = env.street.roster
+        assert set(roster.ids) == set(sumo.vehicle.getIDList())
+        holders = {slot: vehicle for _, slot, vehicle in roster.automated}
+        assert holders == {slot: held for slot, held in enumerate(roster.holder) if held}
+        for row, vehicle in enumerate(roster.ids):
+            lane, along = sumo.vehicle.getLaneID(vehicle), sumo.vehicle.getLanePosition(vehicle)
+            assert roster.row[vehicle] == row
+            assert roster.traffic.speed[row] == sumo.vehicle.getSpeed(vehicle)
+            if "_in_" in lane:
+                assert roster.traffic.position[row] == pytest.approx(along, abs=1e-9)
+            elif "_out_" in lane:
+                inside = env.prepared.network.link_length[roster.traffic.link[row]]
+                assert roster.traffic.position[row] == pytest.approx(ROAD_M + inside + along, abs=1e-9)
+
+
+def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Any) -> None:  # noqa: ANN401
+    env = crossing(horizon=900, **WILD)
+    env.reset(SEED)
+    entered = arrived = crashed = 0
+    for _ in range(899):
+        env.step(FULL)
+        changes = env.street.last
+        entered, arrived = entered + changes.entered, arrived + changes.arrived
+        crashed += len(changes.places)
+        assert entered - arrived - crashed == len(env.street.roster)
+    assert min(crashed, arrived) >= 4
+    outcome, _ = env.step(NOTHING)
+    metrics = _metrics(env, outcome)
+    assert crashed / 2 <= metrics["collisions"] <= crashed + 2
+    seconds = 90.0
+    assert metrics["outflow_vph"] * seconds / 3600 == pytest.approx(arrived, abs=1)
+    assert metrics["inflow_vph"] * seconds / 3600 == pytest.approx(entered, abs=1)
+    assert metrics["efficiency"] == pytest.approx(metrics["outflow_vph"] / metrics["inflow_vph"])
+
+
+@pytest.mark.parametrize("at_exit", ["truncated", "terminated"])
+def test_whoever_leaves_ends_as_told_with_what_it_observed_last(at_exit: str, crossing: Any) -> None:  # noqa: ANN401
+    env = crossing(horizon=700, at_exit=at_exit, **WILD)
+    observed = env.reset(SEED)
+    events = set()
+    for _ in range(699):
+        before = observed.observations[0].copy()
+        outcome, observed = env.step(FULL)
+        over = np.flatnonzero(outcome.terminated[0] | outcome.truncated[0])
+        assert over.tolist() == sorted(env.events)
+        for slot in over:
+            events.add(env.events[slot])
+            ended = "truncated" if env.events[slot] == "arrived" else "terminated"
+            if at_exit == "terminated":
+                ended = "terminated"
+            assert getattr(outcome, ended)[0, slot]
+            assert outcome.acting[0, slot]
+            assert not observed.alive[0, slot]
+            np.testing.assert_array_equal(outcome.final_observations[0, slot], before[slot])
+    assert events == {"arrived", "collided"}
+
+
+def test_the_horizon_truncates_all_and_the_next_episode_is_another(crossing: Any) -> None:  # noqa: ANN401
+    env = crossing(horizon=60)
+    env.reset(SEED)
+    seen = []
+    for _ in range(2):
+        for _ in range(60):
+            outcome, observed = env.step(NOTHING)
+        assert outcome.episode_ended[0]
+        assert outcome.truncated.all()
+        assert not outcome.terminated.any()
+        assert not observed.alive.any()
+        seen.append(outcome.final_states.copy())
+    assert (seen[0] != seen[1]).any()
+
+
+def test_a_collision_ends_the_episode_where_that_is_asked_for(crossing: Any) -> None:  # noqa: ANN401
+    env = crossing(on_collision="end_episode", **WILD)
+    env.reset(SEED)
+    outcome, _ = env.step(FULL)
+    while not outcome.episode_ended[0]:
+        outcome, _ = env.step(FULL)
+    assert outcome.terminated.all()
+    assert not outcome.truncated.any()
+    assert _metrics(env, outcome)["collisions"] >= 1
+
+
+def test_vehicles_beyond_the_slots_are_driven_by_sumo_and_counted(crossing: Any) -> None:  # noqa: ANN401
+    env = crossing(slots=2, horizon=500)
+    env.reset(SEED)
+    most = 0
+    for _ in range(500):
+        outcome, observed = env.step(np.zeros((1, 2, 1), np.float32))
+        most = max(most, observed.alive.sum())
+    metrics = _metrics(env, outcome)
+    assert most == 2
+    assert metrics["avs_without_slot"] > 0
+    assert metrics["avs"] > metrics["avs_without_slot"]
+
+
+def test_noisy_humans_drive_by_the_seed(crossing: Any) -> None:  # noqa: ANN401
+    def speeds(noise: float, seed: int) -> list[float]:
+        env = crossing(human_noise=noise, horizon=150)
+        env.reset(np.array([seed], np.uint64))
+        for _ in range(149):
+            env.step(NOTHING)
+        given = env.street.roster.traffic.speed[: len(env.street.roster)].tolist()
+        env.close()
+        return given
+
+    assert speeds(0.2, 1) == speeds(0.2, 1)
+    assert speeds(0.2, 1) != speeds(0.0, 1)
+    assert speeds(0.2, 1) != speeds(0.2, 2)
+
+
+def test_a_process_holds_one_simulation(crossing: Any) -> None:  # noqa: ANN401
+    first, second = crossing(), crossing()
+    first.reset(SEED)
+    with pytest.raises(HeadwayError, match="holds a SUMO simulation already, and it can hold one: close"):
+        second.reset(SEED)
+    first.step(NOTHING)
+    first.close()
+    second.reset(SEED)
+    second.step(NOTHING)
+    with pytest.raises(HeadwayError, match="can hold 1 copy of the intersection, not 2"):
+        IntersectionBatchedEnv(prepare(IntersectionConfig()), 2)
+
+
+def test_an_environment_that_nobody_has_any_more_holds_nothing(crossing: Any) -> None:  # noqa: ANN401
+    env = IntersectionBatchedEnv(prepare(IntersectionConfig()), 1)
+    env.reset(SEED)
+    del env
+    crossing().reset(SEED)
+
+
+def test_without_sumo_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("headway_envs.intersection.simulation.find_spec", lambda name: None)
+    with pytest.raises(HeadwayError) as failure:
+        prepare(IntersectionConfig())
+    assert str(failure.value) == (
+        'the intersection needs SUMO, which is not installed: pip install "headway[sumo]"'
+    )
+    assert importlib.util.find_spec("libsumo") is not None
+
+
+def test_resets_do_not_grow(crossing: Any) -> None:  # noqa: ANN401
+    """A small part of the thousand resets of `python -m headway_launch.benchmarks crossing`."""
+
+    def resident_kb() -> int:
+        with open("/proc/self/status") as status:  # noqa: PTH123 - read while nothing else is allocated
+            return next(int(line.split()[1]) for line in status if line.startswith("VmRSS:"))
+
+    env = crossing(horizon=5)
+    env.reset(SEED)
+    for _ in range(5 * 60):
+        env.step(NOTHING)
+    before = resident_kb()
+    for _ in range(5 * 120):
+        env.step(NOTHING)
+    assert resident_kb() - before < 3000
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"junction": "unregulated"}, "junction must be one of priority, right_before_left, allway_stop"),
+        ({"observation": "all"}, "observation must be one of paper, extended"),
+        ({"vph_per_lane_av": 0}, "vph_per_lane_av must be above 0"),
+        ({"vph_per_lane_hdv": -1}, "vph_per_lane_hdv must be at least 0"),
+        ({"horizon": 0}, "horizon must be at least 1"),
+        ({"av_speed_mode": 128}, "av_speed_mode must lie between 0 and 127"),
+        ({"on_collision": "warn"}, "on_collision must be one of remove_pair, end_episode"),
+        ({"at_exit": "done"}, "at_exit must be one of truncated, terminated"),
+    ],
+)
+def test_impossible_arguments_are_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        IntersectionConfig(**values)

@@ -1,0 +1,57 @@
+"""The network that is shipped is what netconvert makes, and what we read from it is what SUMO has."""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from headway_envs.intersection.network import LINKS, Network, build, network_file
+
+JUNCTIONS = ("priority", "right_before_left", "allway_stop")
+
+
+def _content(path: Path) -> str:
+    """All but the comment, which holds a date and the options."""
+    return ElementTree.canonicalize(
+        re.sub(r"<!--.*?-->", "", path.read_text(), flags=re.DOTALL), strip_text=True
+    )
+
+
+@pytest.mark.parametrize("junction", JUNCTIONS)
+def test_the_shipped_network_is_what_netconvert_makes(junction: str, tmp_path: Path) -> None:
+    sumo = pytest.importorskip("sumo", reason="netconvert (package eclipse-sumo) is not installed")
+    made = build(str(Path(sumo.SUMO_HOME, "bin", "netconvert")), junction, tmp_path)
+    assert _content(made) == _content(network_file(junction))
+
+
+@pytest.mark.parametrize("junction", JUNCTIONS)
+def test_ways_cross_each_other_and_one_of_them_goes_first(junction: str) -> None:
+    network = Network.read(network_file(junction))
+    np.testing.assert_array_equal(network.foes, network.foes.T)
+    assert not (network.yields & ~network.foes).any()
+    assert not (network.foes & ~(network.yields | network.yields.T)).any()
+    by_turn = network.link_length.reshape(4, 4)
+    np.testing.assert_allclose(by_turn, np.tile([9.03, 20.8, 20.8, 19.35], (4, 1)), atol=0.01)
+    straight = [4 * approach + LINKS.index(("straight", 0)) for approach in range(4)]
+    assert network.foes[straight[0], [straight[1], straight[3]]].all()
+    assert not network.foes[straight[0], straight[2]]
+    # From north to south is the major road: its straight ways yield to nobody.
+    assert (
+        network.yields[straight].any(axis=1).tolist()
+        == {
+            "priority": [False, True, False, True],
+            "right_before_left": [True] * 4,
+            "allway_stop": [True] * 4,
+        }[junction]
+    )
+
+
+def test_places_lie_on_the_way() -> None:
+    network = Network.read(network_file("priority"))
+    from_north = LINKS.index(("straight", 0))
+    assert network.place(from_north, 0.0) == pytest.approx((-4.8, 200.0))
+    assert network.place(from_north, 200.0) == pytest.approx((-4.8, 10.4))
+    assert network.place(from_north, 200.0 + 20.8 + 200.0) == pytest.approx((-4.8, -200.0))
+    assert network.place(LINKS.index(("left", 1)), 420.0)[0] == pytest.approx(200.0, abs=1.0)

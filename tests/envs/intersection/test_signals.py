@@ -1,0 +1,233 @@
+"""What automated vehicles observe and are paid, against the equations and against SUMO's own answers."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway_envs.intersection import kernel
+from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.intersection.humans import acceleration
+from headway_envs.intersection.kernel import Happened
+from headway_envs.intersection.reporting import METRICS, Ledger, jain
+from headway_envs.intersection.simulation import libsumo
+
+SEED = np.array([3], np.uint64)
+LENGTH = 1796.72
+"""Of all edges of the network, m."""
+
+
+def test_the_papers_observation_is_what_sumo_says(crossing: Any) -> None:  # noqa: ANN401
+    env, sumo = crossing(observation="paper", horizon=900), libsumo()
+    observed = env.reset(SEED)
+    draw, followed = np.random.default_rng(0), 0
+    for step in range(800):
+        _, observed = env.step(draw.normal(1, 2, (1, 96, 1)).astype(np.float32))
+        for _, slot, vehicle in env.street.roster.automated if step % 20 == 0 else ():
+            speed = sumo.vehicle.getSpeed(vehicle)
+            leader, follower = sumo.vehicle.getLeader(vehicle, 200), sumo.vehicle.getFollower(vehicle, 200)
+            ahead = (sumo.vehicle.getSpeed(leader[0]), leader[1] + 2.5) if leader else (30.0, LENGTH)
+            behind = (sumo.vehicle.getSpeed(follower[0]), follower[1] + 2.5) if follower[0] else (0.0, LENGTH)
+            followed += bool(leader) and bool(follower[0])
+            expected = [
+                speed / 30,
+                (ahead[0] - speed) / 30,
+                ahead[1] / LENGTH,
+                (speed - behind[0]) / 30,
+                behind[1] / LENGTH,
+            ]
+            np.testing.assert_allclose(observed.observations[0, slot, 1:], expected, rtol=0, atol=1e-6)
+            if not sumo.vehicle.getRoadID(vehicle).startswith(":"):
+                place = sumo.vehicle.getLanePosition(vehicle) / LENGTH
+                assert observed.observations[0, slot, 0] == pytest.approx(place, abs=1e-6)
+    assert followed > 50
+
+
+def _random_traffic(seed: int, count: int) -> kernel.Traffic:
+    draw, traffic = np.random.default_rng(seed), kernel.empty_traffic(64)
+    traffic.position[:count] = draw.uniform(0, 420, count)
+    traffic.speed[:count] = np.where(draw.random(count) < 0.2, 0.0, draw.uniform(0, 25, count))
+    traffic.before[:count] = draw.uniform(0, 25, count)
+    traffic.fuel[:count] = draw.uniform(0, 3, count)
+    traffic.link[:count] = draw.integers(0, 16, count)
+    traffic.slot[:count] = np.where(draw.random(count) < 0.5, draw.permutation(96)[:count], -1)
+    traffic.leader[:count] = draw.integers(-1, count, count)
+    traffic.lead_gap[:count] = draw.uniform(0, 30, count)
+    traffic.follower[:count] = draw.integers(-1, count, count)
+    traffic.follow_gap[:count] = draw.uniform(0, 30, count)
+    return traffic
+
+
+def _seen(traffic: kernel.Traffic, count: int, happened: Happened) -> kernel.Seen:
+    seen, draw = kernel.empty_seen(96, True), np.random.default_rng(9)
+    foes = draw.random((16, 16)) < 0.5
+    crossing = kernel.Crossing(np.full(16, 20.8), foes | foes.T, foes, LENGTH, True)
+    kernel.take_in(crossing, traffic, count, happened, seen)
+    return seen
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("crashes", [0, 2])
+def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
+    """Equations 7 to 12, with vectors as the paper writes them."""
+    count, traffic = 17, _random_traffic(seed, 17)
+    paper = _seen(traffic, count, Happened(1, crashes, 3, 420.0, 5, 0.5)).paper
+    v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
+    wished = np.full(count, 20.0)
+    nearness = np.linalg.norm(wished) - np.linalg.norm(v - wished)
+    velocity = max(nearness / (np.linalg.norm(wished) + 1e-5), 0.0)
+    most = 0.1 * count
+    cost = 0.1 * ((30 - v) / 30).sum()
+    following = automated & (traffic.leader[:count] >= 0) & (v > 0)
+    times = (traffic.lead_gap[:count][following] + 2.5) / v[following]
+    expected = [
+        0.0 if crashes else velocity,
+        -0.5 * (v == 0).sum(),
+        0.5 * np.abs(v[automated]).sum(),
+        0.5 * max((most - cost) / (most + 1e-5), 0.0),
+        -0.5 * 3,
+        0.5 * 420.0,
+        np.minimum(times - 1.0, 0).sum(),
+        0.0,
+    ]
+    np.testing.assert_allclose(paper, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
+    count, traffic = 17, _random_traffic(seed, 17)
+    v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
+    scaled = dict(
+        zip(kernel.TERMS, _seen(traffic, count, Happened(3, 2, 1, 420.0, 5, 0.5)).scaled, strict=True)
+    )
+    assert max(map(abs, scaled.values())) <= 1
+    assert scaled["standstill"] == pytest.approx(-(v < 0.1).mean())
+    assert scaled["progress"] == pytest.approx(v[automated].mean() / 30)
+    assert scaled["delay"] == pytest.approx(v.mean() / 30, abs=1e-4)
+    assert scaled["lane_change"] == pytest.approx(-1 / automated.sum())
+    assert scaled["throughput"] == 1
+    assert scaled["collision"] == -1
+    nobody = _seen(traffic, 0, Happened(0, 0, 0, 0.0, 0, 0.0))
+    assert (nobody.scaled == 0).all()
+    assert (nobody.paper == 0).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_extended_observation_shows_the_nearest_whose_ways_cross(seed: int) -> None:
+    count, traffic = 25, _random_traffic(seed, 25)
+    seen, draw = _seen(traffic, count, kernel.nothing_happened()), np.random.default_rng(9)
+    yields = draw.random((16, 16)) < 0.5
+    foes = yields | yields.T
+    until = np.minimum(np.maximum(200 - traffic.position, 0) / np.maximum(traffic.speed, 0.1), 20)
+    shown = 0
+    for row in range(count):
+        slot, link = traffic.slot[row], traffic.link[row]
+        if slot < 0:
+            continue
+        rows = seen.observations[slot]
+        assert rows[6:9].tolist() == [
+            float(traffic.position[row] < 200),
+            float(200 <= traffic.position[row] < 220.8),
+            float(traffic.position[row] >= 220.8),
+        ]
+        assert rows[9] == pytest.approx(max(200 - traffic.position[row], 0) / 200, abs=1e-6)
+        assert rows[11:14].argmax() == [0, 1, 1, 2][link % 4]
+        others = [
+            other
+            for other in range(count)
+            if foes[link, traffic.link[other]]
+            and traffic.position[other] < 220.8
+            and traffic.position[row] < 220.8
+        ]
+        nearest = sorted(others, key=lambda other: -traffic.position[other])[:3]
+        expected = np.zeros((3, 6))
+        for place, other in enumerate(nearest):
+            shown += 1
+            expected[place] = (
+                1,
+                (200 - traffic.position[other]) / 200,
+                traffic.speed[other] / 30,
+                (until[other] - until[row]) / 20,
+                traffic.slot[other] >= 0,
+                yields[link, traffic.link[other]],
+            )
+        np.testing.assert_allclose(rows[14:].reshape(3, 6), expected, rtol=0, atol=1e-6)
+    assert shown > 5
+    assert seen.alive.sum() == (traffic.slot[:count] >= 0).sum()
+    assert (seen.observations[~seen.alive] == 0).all()
+
+
+def test_the_state_counts_everybody_once() -> None:
+    count, traffic = 30, _random_traffic(1, 30)
+    state = _seen(traffic, count, Happened(0, 0, 0, 0.0, 10, 0.25)).state
+    by_approach = state[:-2].reshape(4, 16)
+    cells, beyond = by_approach[:, :12].reshape(4, 4, 3), by_approach[:, 12:].reshape(4, 2, 2)
+    assert 10 * (cells[..., :2].sum() + beyond[..., 0].sum()) == pytest.approx(count, abs=1e-4)
+    place = (traffic.link[:count] // 4 == 2) & (traffic.position[:count] < 50)
+    assert cells[2, 0, :2].sum() * 10 == pytest.approx(place.sum(), abs=1e-5)
+    assert cells[2, 0, 2] * 30 == pytest.approx(
+        traffic.speed[:count][place].mean() if place.any() else 0, abs=1e-3
+    )
+    assert state[-2:].tolist() == [0.25, pytest.approx(0.2)]
+
+
+@pytest.mark.parametrize("kind", ["scaled", "paper"])
+def test_returns_are_sums_of_what_was_paid(kind: Any, crossing: Any) -> None:  # noqa: ANN401
+    from headway_envs.intersection.config import RewardConfig
+
+    env = crossing(reward=RewardConfig(kind=kind), horizon=300)
+    observed, team, paper = env.reset(SEED), 0.0, 0.0
+    for _ in range(300):
+        there = observed.alive[0].copy()
+        outcome, observed = env.step(np.full((1, 96, 1), 1, np.float32))
+        rewards = outcome.rewards[0]
+        team += float(rewards[0]) if kind == "scaled" else 0.0
+        paper += float(rewards.sum()) if kind == "paper" else 0.0
+        if kind == "scaled":
+            assert (rewards == rewards[0]).all()
+        else:
+            assert (rewards[~there] == 0).all()
+            assert len(set(rewards[there & (rewards != 0)].tolist())) <= 1
+    metrics = dict(zip(METRICS, outcome.metrics[0].tolist(), strict=True))
+    if kind == "scaled":
+        assert metrics["team_return"] == pytest.approx(team, rel=1e-4)
+        weights = np.array(RewardConfig().weights)
+        terms = np.array([metrics[f"reward_{term}"] for term in kernel.TERMS])
+        assert 300 * (weights @ terms) == pytest.approx(team, rel=1e-4)
+    else:
+        assert metrics["paper_return"] == pytest.approx(paper, rel=1e-4)
+
+
+def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None:
+    assert jain([3.0, 3.0, 3.0]) == pytest.approx(1.0)
+    assert jain([5.0, 0.0, 0.0, 0.0]) == pytest.approx(0.25)
+    assert jain([]) == 1.0
+    ledger = Ledger(IntersectionConfig(), steps=1000, through=[2, 1, 0, 0], travel_s=[20.0, 30.0, 40.0])
+    sums, present = np.zeros(len(kernel.SUMS)), np.array([500.0, 400.0, 900.0, 0.0])
+    metrics = dict(zip(METRICS, ledger.metrics(sums, present), strict=True))
+    assert metrics["travel_time_av_s"] == pytest.approx(30)
+    assert metrics["worst_approach_s"] == pytest.approx(90)  # nobody from there went through
+    assert metrics["fairness_jain"] == pytest.approx(jain([25.0, 40.0, 90.0]))
+
+
+def test_means_are_over_vehicles_of_their_kind() -> None:
+    count, traffic = 12, _random_traffic(3, 12)
+    sums = dict(zip(kernel.SUMS, _seen(traffic, count, kernel.nothing_happened()).sums, strict=True))
+    automated = traffic.slot[:count] >= 0
+    change = (traffic.speed - traffic.before)[:count] / 0.1
+    assert sums["speed_av"] == pytest.approx(traffic.speed[:count][automated].mean())
+    assert sums["speed_hdv"] == pytest.approx(traffic.speed[:count][~automated].mean())
+    assert sums["acceleration_av"] == pytest.approx(np.abs(change[automated]).mean())
+    assert sums["hardest_braking_hdv"] == pytest.approx(-change[~automated].min())
+    assert sums["fuel"] == pytest.approx(traffic.fuel[:count].mean())
+    assert (sums["steps_all"], sums["steps_av"], sums["vehicles"]) == (1, 1, count)
+
+
+def test_the_drivers_model_keeps_its_gap_and_its_speed() -> None:
+    """Equilibrium: at a common speed v the gap is (s0 + v T) / sqrt(1 - (v / v0)^4); alone it is v0."""
+    v = np.array([5.0, 15.0, 25.0])
+    gap = (2.0 + v) / np.sqrt(1 - (v / 30) ** 4)
+    np.testing.assert_allclose(acceleration(v, v, gap), 0, atol=1e-12)
+    alone = acceleration(np.array([30.0, 0.0]), np.zeros(2), np.full(2, np.inf))
+    np.testing.assert_allclose(alone, [0.0, 1.0], atol=1e-12)
+    assert (acceleration(v, v - 1, gap) < 0).all()
