@@ -57,7 +57,6 @@ class IntersectionBatchedEnv:
             metrics=METRICS,
             max_copies_per_process=1,
         )
-        self._weights = np.array(config.reward.weights)
         self.events: dict[int, str] = {}
         """Slots whose vehicle left or crashed in the last step: `arrived` or `collided`."""
         self._seed, self._episode = 0, 0
@@ -116,14 +115,16 @@ class IntersectionBatchedEnv:
         """0.1 s; accelerations (1, N, 1) in m/s^2, cut at 3."""
         outcome, seen, ledger, street = self._outcome, self._seen, self.ledger, self.street
         outcome.acting[0] = seen.alive
-        before = seen.alive.copy()
-        outcome.terminated.fill(False)
-        outcome.truncated.fill(False)
-        street.command(np.clip(actions[0, :, 0], -STRONGEST, STRONGEST))
+        if self.events or outcome.episode_ended[0]:
+            outcome.terminated.fill(False)
+            outcome.truncated.fill(False)
+            self.events = {}
+        street.command(np.minimum(np.maximum(actions[0, :, 0], -STRONGEST), STRONGEST))
         changes = street.advance(ledger.steps + 1)
-        self._let_go(changes.left, outcome.truncated[0] if self._cut_at_exit else outcome.terminated[0])
-        self._let_go(changes.crashed, outcome.terminated[0])
-        self.events = {**dict.fromkeys(changes.left, "arrived"), **dict.fromkeys(changes.crashed, "collided")}
+        if changes.left or changes.crashed:
+            self._let_go(changes.left, outcome.truncated[0] if self._cut_at_exit else outcome.terminated[0])
+            self._let_go(changes.crashed, outcome.terminated[0])
+            self.events = dict.fromkeys(changes.left, "arrived") | dict.fromkeys(changes.crashed, "collided")
         ledger.count(changes.entered, changes.arrived)
         ledger.crashes += changes.crashes
         ledger.avs += changes.avs
@@ -147,7 +148,7 @@ class IntersectionBatchedEnv:
             ),
             seen,
         )
-        self._pay(before & seen.alive & ~outcome.terminated[0] & ~outcome.truncated[0])
+        self._pay(outcome.acting[0])
         over = changes.crashes > 0 and self.config.on_collision == "end_episode"
         outcome.episode_ended[0] = over or ledger.steps >= self.config.horizon
         if outcome.episode_ended[0]:
@@ -191,21 +192,21 @@ class IntersectionBatchedEnv:
             flags[slot] = True
             self._outcome.final_observations[0, slot] = self._seen.observations[slot]
 
-    def _pay(self, there: NDArray[np.bool_]) -> None:
-        """`there` (N,): acted, and still is on the road."""
+    def _pay(self, acted: NDArray[np.bool_]) -> None:
+        """Pay for the step just taken. The paper pays whoever `acted` (N,) and still is on the road."""
         seen, ledger, rewards = self._seen, self.ledger, self._outcome.rewards[0]
-        combined, velocity, headway = seen.paper[:6].sum(), seen.paper[0], seen.paper[6]
-        paper = 0.2 * combined + velocity + 0.5 * headway
-        ledger.paper_return += paper * int(there.sum())
+        scaled, paper = seen.rewards.tolist()
+        # Slots that were left in this step are empty still.
+        there = acted & seen.alive
+        ledger.paper_return += paper * np.count_nonzero(there)
         if self._spec.shared_reward:
-            reward = float(self._weights @ seen.scaled)
-            rewards[:] = reward
+            rewards.fill(scaled)
             ledger.terms += seen.scaled
+            ledger.team_return += scaled
         else:
-            reward = float(paper)
-            rewards[:] = np.where(there, reward, 0.0)
+            np.multiply(there, paper, out=rewards, casting="unsafe")
             ledger.terms += seen.paper
-        ledger.team_return += reward
+            ledger.team_return += paper
 
     def _end(self, crashed: bool) -> None:
         """Every slot's stream ends, and the next episode begins."""

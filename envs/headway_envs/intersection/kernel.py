@@ -51,6 +51,8 @@ class Crossing(NamedTuple):
     """(L, L)"""
     yields: NDArray[np.bool_]
     """(L, L)"""
+    weights: Floats
+    """(8,): of the scaled terms."""
     total_length: float
     extended: bool
 
@@ -104,6 +106,8 @@ class Seen(NamedTuple):
     """(8,): terms in [-1, 1], in the order of TERMS."""
     paper: Floats
     """(8,): the paper's terms with their gains."""
+    rewards: Floats
+    """(2,): scaled, and the paper's."""
     sums: Floats
     """(len(SUMS),)"""
     present: Floats
@@ -225,8 +229,9 @@ def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happen
 
 
 @_compiled
-def _pay(traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
-    """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists."""
+def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
+    """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists, and
+    their sum is its equation 4."""
     automated, standing, stopped = 0, 0, 0
     squares, speeds, automated_speeds, headways = 0.0, 0.0, 0.0, 0.0
     for row in range(count):
@@ -264,6 +269,12 @@ def _pay(traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     scaled[5] = min(happened.arrived, 1)
     scaled[6] = headways / max(automated, 1)
     scaled[7] = -min(happened.crashes, 1)
+    combined, total = 0.0, 0.0
+    for term in range(8):
+        total += crossing.weights[term] * scaled[term]
+        combined += paper[term] if term < 6 else 0.0
+    seen.rewards[0] = total
+    seen.rewards[1] = 0.2 * combined + paper[0] + 0.5 * paper[6]
 
 
 @_compiled
@@ -324,7 +335,7 @@ def take_in(crossing: Crossing, traffic: Traffic, count: int, happened: Happened
     """All that follows from a step."""
     look(crossing, traffic, count, seen)
     _describe(crossing, traffic, count, happened, seen)
-    _pay(traffic, count, happened, seen)
+    _pay(crossing, traffic, count, happened, seen)
     _add_up(traffic, count, seen)
 
 
@@ -343,6 +354,7 @@ def empty_seen(slots: int, extended: bool) -> Seen:
         state=np.zeros(STATE_SIZE, np.float32),
         scaled=np.zeros(len(TERMS)),
         paper=np.zeros(len(TERMS)),
+        rewards=np.zeros(2),
         sums=np.zeros(len(SUMS)),
         present=np.zeros(4),
     )
@@ -356,5 +368,5 @@ def nothing_happened(passed: float = 0.0) -> Happened:
 def warm() -> None:
     """Compile, or load from the cache, by a look at an empty crossing."""
     none = np.zeros((16, 16), np.bool_)
-    crossing = Crossing(np.ones(16), none, none, 1600.0, True)
+    crossing = Crossing(np.ones(16), none, none, np.ones(len(TERMS)), 1600.0, True)
     take_in(crossing, empty_traffic(1), 0, nothing_happened(), empty_seen(1, True))

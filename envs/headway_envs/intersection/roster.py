@@ -27,17 +27,21 @@ class Roster:
         self._served = 0
         self.holder: list[str | None] = [None] * slots
         self.automated: list[tuple[int, int, str]] = []
-        """(row, slot, id) of who has a slot."""
+        """(row, slot, id) of who has a slot; the same as arrays and a list follows."""
+        self.automated_rows: Whole = np.zeros(0, np.int64)
+        self.automated_slots: Whole = np.zeros(0, np.int64)
+        self.automated_ids: list[str] = []
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def clear(self) -> None:
         """Nobody is there."""
-        self.ids, self.row, self.automated = [], {}, []
+        self.ids, self.row = [], {}
         self.holder = [None] * len(self.holder)
         self.serial.fill(-1)
         self._served = 0
+        self._list_automated()
 
     def free_slot(self, kept: Iterable[int] = ()) -> int:
         """The lowest slot that is free and not among the `kept`; -1: there is none."""
@@ -85,3 +89,6 @@ class Roster:
             for row, (slot, vehicle) in enumerate(zip(slots, self.ids, strict=True))
             if slot >= 0
         ]
+        self.automated_rows = np.array([row for row, _, _ in self.automated], np.int64)
+        self.automated_slots = np.array([slot for _, slot, _ in self.automated], np.int64)
+        self.automated_ids = [vehicle for _, _, vehicle in self.automated]

@@ -19,6 +19,7 @@ NO_LANE_CHANGES = 512
 _SUMOS_OWN = -1.0
 """As a speed: SUMO drives."""
 _AHEAD_M = 200.0
+_NOBODY = ("", 0.0)
 
 
 @dataclass
@@ -55,6 +56,7 @@ class Street:
             network.link_length,
             network.foes,
             network.yields,
+            np.array(config.reward.weights),
             network.total_length,
             config.observation == "extended",
         )
@@ -86,36 +88,41 @@ class Street:
 
     def command(self, accelerations: NDArray[np.float32]) -> None:
         """Speeds of the next step: AVs' from accelerations (N,), noisy humans' from their model."""
-        automated, speed = self.roster.automated, self.roster.traffic.speed
-        if self._handed_over is None and automated:
-            rows, slots, ids = zip(*automated, strict=True)
-            wished = np.maximum(speed[list(rows)] + accelerations[list(slots)] * STEP_S, 0.0)
+        roster = self.roster
+        if self._handed_over is None and roster.automated:
+            change = accelerations[roster.automated_slots] * STEP_S
+            wished = (roster.traffic.speed[roster.automated_rows] + change).tolist()
             set_speed = self._vehicle.setSpeed
-            for vehicle, target in zip(ids, wished.tolist(), strict=True):
-                set_speed(vehicle, target)
+            for vehicle, target in zip(roster.automated_ids, wished, strict=True):
+                set_speed(vehicle, max(target, 0.0))
         if self.config.human_noise > 0:
             self._drive_humans()
 
     def advance(self, step: int) -> Changes:
         """One step of SUMO, the `step`-th, and all vehicles read again."""
-        world, changes, before = self._world, Changes(), list(self.roster.holder)
+        world, changes = self._world, Changes()
         world.step()
-        pairs = {frozenset((crash.collider, crash.victim)) for crash in world.getCollisions()}
-        changes.crashes = len(pairs)
-        self._take_away(frozenset().union(*pairs), step, changes)
-        freed = [slot for slot, holder in enumerate(before) if holder and self.roster.holder[slot] is None]
+        crashed: frozenset[str] = frozenset()
+        if crashes := world.getCollisions():
+            pairs = {frozenset((crash.collider, crash.victim)) for crash in crashes}
+            changes.crashes, crashed = len(pairs), frozenset().union(*pairs)
+        arrived = world.getArrivedIDList()
+        if arrived or crashed:
+            self._take_away(arrived, crashed, step, changes)
         for vehicle in world.getDepartedIDList():
-            self._let_in(vehicle, freed, step, changes)
+            self._let_in(vehicle, (*changes.left, *changes.crashed), step, changes)
         self._waiting += world.getLoadedNumber() - changes.entered
         changes.pending = self._waiting
         self._read(changes)
         self.last = changes
         return changes
 
-    def _take_away(self, crashed: frozenset[str], step: int, changes: Changes) -> None:
+    def _take_away(
+        self, arrived: Sequence[str], crashed: frozenset[str], step: int, changes: Changes
+    ) -> None:
         """Vehicles that left the road. Those that crashed are in SUMO's list of arrivals, too."""
         roster = self.roster
-        gone = [vehicle for vehicle in self._world.getArrivedIDList() if vehicle not in crashed]
+        gone = [vehicle for vehicle in arrived if vehicle not in crashed]
         changes.arrived = len(gone)
         for vehicle in (*gone, *sorted(crashed)):
             row = roster.row.get(vehicle)
@@ -167,20 +174,22 @@ class Street:
         traffic.position[:count] = [get_distance(each) for each in ids]
         traffic.position[:count] += roster.offset[:count]
         traffic.fuel[:count] = [get_fuel(each) for each in ids]
-        for row, _, each in roster.automated:
-            self._read_neighbours(row, each)
+        if roster.automated:
+            self._read_neighbours()
         if self.config.av_lane_change_mode != NO_LANE_CHANGES and self._handed_over is None:
             changes.lane_changes = self._count_lane_changes()
 
-    def _read_neighbours(self, row: int, each: str) -> None:
-        traffic, rows = self.roster.traffic, self.roster.row
-        ahead = self._vehicle.getLeader(each, _AHEAD_M)
-        if ahead is None:
-            traffic.leader[row] = -1
-        else:
-            traffic.leader[row], traffic.lead_gap[row] = rows.get(ahead[0], -1), ahead[1]
-        behind, gap = self._vehicle.getFollower(each, _AHEAD_M)
-        traffic.follower[row], traffic.follow_gap[row] = rows.get(behind, -1), gap
+    def _read_neighbours(self) -> None:
+        """Leaders and followers of AVs."""
+        roster, traffic, row_of = self.roster, self.roster.traffic, self.roster.row.get
+        get_leader, get_follower = self._vehicle.getLeader, self._vehicle.getFollower
+        ahead = [get_leader(each, _AHEAD_M) or _NOBODY for each in roster.automated_ids]
+        behind = [get_follower(each, _AHEAD_M) for each in roster.automated_ids]
+        rows = roster.automated_rows
+        traffic.leader[rows] = [row_of(leader, -1) for leader, _ in ahead]
+        traffic.lead_gap[rows] = [gap for _, gap in ahead]
+        traffic.follower[rows] = [row_of(follower, -1) for follower, _ in behind]
+        traffic.follow_gap[rows] = [gap for _, gap in behind]
 
     def _count_lane_changes(self) -> int:
         """AVs that are on another lane of the same road than a step before."""

@@ -1,13 +1,14 @@
-"""Run every benchmark, or those named: `python -m headway_launch.benchmarks [training kernel store ...]`."""
+"""Run every benchmark, or those named: `python -m headway_launch.benchmarks [NAME ...]`."""
 
 import platform
 import sys
 
-from headway_launch.benchmarks import kernel, lightness, store, training
+from headway_launch.benchmarks import crossing, kernel, lightness, store, training
 
 REPORTS = {
     "training": training.report,
     "kernel": kernel.report,
+    "crossing": crossing.report,
     "lightness": lightness.report,
     "store": store.report,
 }

@@ -394,3 +394,39 @@ def test_the_state_is_used_where_there_is_one() -> None:
         outcome, observed = env.step(NOTHING[:1])
     np.testing.assert_array_equal(outcome.final_states, [[first, 4]])
     np.testing.assert_array_equal(observed.states, [[second, 0]])
+
+
+def hand_the_slot_on(env: Scripted) -> None:
+    """Whoever has slot b is gone at step 2; another comes at step 3."""
+    env.infos["b"] = {"alive": env.steps != 2}
+    if env.steps == 2:
+        env.infos["b"]["slot_ended"] = "truncated"
+
+
+def test_a_slot_may_have_one_agent_after_another() -> None:
+    env = batch(hand_the_slot_on, agents_come_and_go=True)
+    observed = env.reset(seeds())
+    ends, alive = [], []
+    for _ in range(4):
+        outcome, observed = env.step(np.zeros((2, 2), dtype=np.int64))
+        ends.append((bool(outcome.terminated[0, 1]), bool(outcome.truncated[0, 1])))
+        alive.append(bool(observed.alive[0, 1]))
+        assert not outcome.terminated[0, 0]
+        if len(ends) == 2:
+            assert outcome.final_observations[0, 1, 1] == 2
+            assert not outcome.episode_ended.any()
+    assert ends == [(False, False), (False, True), (False, False), (False, True)]
+    assert alive == [True, False, True, True]  # the last is of the next episode
+
+
+def test_a_slot_ends_in_one_of_two_ways() -> None:
+    def end_it_somehow(env: Scripted) -> None:
+        if env.steps == 1:
+            env.infos["b"] = {"slot_ended": True}
+
+    env = batch(end_it_somehow, agents_come_and_go=True)
+    env.reset(seeds())
+    with pytest.raises(
+        HeadwayError, match=r"gave True as slot_ended of agent 'b'; write terminated or truncated"
+    ):
+        env.step(np.zeros((2, 2), dtype=np.int64))

@@ -61,7 +61,7 @@ def _random_traffic(seed: int, count: int) -> kernel.Traffic:
 def _seen(traffic: kernel.Traffic, count: int, happened: Happened) -> kernel.Seen:
     seen, draw = kernel.empty_seen(96, True), np.random.default_rng(9)
     foes = draw.random((16, 16)) < 0.5
-    crossing = kernel.Crossing(np.full(16, 20.8), foes | foes.T, foes, LENGTH, True)
+    crossing = kernel.Crossing(np.full(16, 20.8), foes | foes.T, foes, np.ones(8), LENGTH, True)
     kernel.take_in(crossing, traffic, count, happened, seen)
     return seen
 

@@ -1,0 +1,173 @@
+"""One copy a process, end to end: workers of their own, evaluation apart, a killed SUMO replaced."""
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.configuration import build
+from headway.contracts import Trajectory
+from headway.registry import algo_entries
+from headway.rollout.backends import open_collector
+from headway.rollout.collecting import Collector
+from headway.rollout.plan import RolloutPlan
+from headway_algos.config import AlgoConfig
+from headway_algos.entries import ENTRIES as ALGORITHMS
+from headway_algos.learner import OnPolicyLearner
+from headway_envs.intersection.config import IntersectionConfig, RewardConfig
+from headway_envs.intersection.entry import ENTRY
+
+SHARED = AlgoConfig(policies="shared", critic="local")
+
+
+def _plan(copies: int, steps: int = 120, **arguments: Any) -> RolloutPlan:  # noqa: ANN401
+    prepared = ENTRY.prepare(IntersectionConfig(**{"horizon": 200, "slots": 24, **arguments}))
+    with closing(ENTRY.make(prepared, 1)) as env:
+        spec = env.spec
+    policy = ALGORITHMS["ippo"].acting_policy(SHARED, spec)
+    return RolloutPlan(ENTRY.make, ENTRY.preload, prepared, spec, policy, (5,), copies, steps, 1)
+
+
+def _parameters(plan: RolloutPlan) -> dict[str, Any]:
+    learner = ALGORITHMS["ippo"].learner(SHARED, plan.spec, plan.seeds, "cpu")
+    return learner.acting_parameters()
+
+
+@contextmanager
+def _collector(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> Iterator[Collector]:
+    said = [] if notices is None else notices
+    with closing(open_collector(name, plan, plan.copies, said.append)) as collector:
+        yield collector
+
+
+def _copied(trajectory: Trajectory) -> Trajectory:
+    return Trajectory(*(getattr(trajectory, field.name).copy() for field in fields(trajectory)))
+
+
+def test_both_backends_play_the_same_and_evaluation_takes_nothing_from_training() -> None:
+    plan, given = _plan(copies=1), []
+    parameters = _parameters(plan)
+    for name in ("serial", "process"):
+        with _collector(plan, name) as collector:
+            assert len(collector.process_ids()) == {"serial": 1, "process": 2}[name]
+            collector.begin()
+            collector.collect(1, parameters)
+            evaluated = collector.evaluate(7, 2, False, parameters)
+            episodes = collector.collect(2, parameters)
+            given.append((_copied(collector.trajectory), evaluated, episodes))
+    one, other = given
+    assert one[1:] == other[1:]
+    assert len(one[2]) == 1
+    assert one[0].alive.any()
+    for field in fields(Trajectory):
+        np.testing.assert_array_equal(getattr(one[0], field.name), getattr(other[0], field.name), field.name)
+
+
+def test_a_killed_simulation_is_replaced_and_the_run_goes_on() -> None:
+    plan, notices = _plan(copies=2, steps=60), []
+    parameters = _parameters(plan)
+    with _collector(plan, "process", notices) as collector:
+        collector.begin()
+        collector.collect(1, parameters)
+        training, evaluating = collector.process_ids()[0], collector.process_ids()[-1]
+        for victim in (training, evaluating):
+            os.kill(victim, signal.SIGKILL)
+        collector.collect(2, parameters)
+        assert notices == ["worker 0 failed (killed by signal 9); replaced, its episodes start again"]
+        assert len(collector.evaluate(7, 1, True, parameters)[0]) == 1
+        collector.collect(3, parameters)
+        assert training not in collector.process_ids()
+        assert evaluating not in collector.process_ids()
+        assert np.isfinite(collector.trajectory.rewards).all()
+
+
+@pytest.fixture(scope="module")
+def experience() -> dict[str, tuple[RolloutPlan, Trajectory]]:
+    """Some hundred steps in which vehicles come, crash and leave, paid as a team or each for itself."""
+    made = {}
+    for kind in ("scaled", "paper"):
+        plan = _plan(copies=1, steps=500, horizon=420, av_speed_mode=0, reward=RewardConfig(kind=kind))
+        with _collector(plan, "serial") as collector:
+            collector.begin()
+            parameters = _parameters(plan)
+            last = max(name for name in parameters if name.endswith("bias") or "bias" in name)
+            parameters[last] = parameters[last] + 2.0  # full throttle
+            collector.collect(1, parameters)
+            made[kind] = plan, _copied(collector.trajectory)
+    return made
+
+
+def _poisoned(clean: Trajectory) -> Trajectory:
+    bad = _copied(clean)
+    over = bad.terminated | bad.truncated
+    bad.observations[~bad.alive] = np.nan
+    bad.actions[~bad.alive[:-1]] = np.nan
+    bad.log_probs[~bad.acting] = np.nan
+    bad.final_observations[~over] = np.nan
+    bad.final_states[~over.all(axis=-1)] = np.nan
+    return bad
+
+
+@pytest.mark.parametrize("kind", ["scaled", "paper"])
+@pytest.mark.parametrize("algorithm", sorted(set(algo_entries()) - {"coma", "happo", "hatrpo"}))
+def test_nothing_is_learned_from_empty_slots(
+    algorithm: str, kind: str, experience: dict[str, tuple[RolloutPlan, Trajectory]]
+) -> None:
+    plan, clean = experience[kind]
+    entry = algo_entries()[algorithm]
+    keys = {field.name for field in fields(entry.config)}
+    wanted = {"name": algorithm, "policies": "shared", "model": {"hidden": [8]}, "epochs": 2}
+    config = build(entry.config, {key: value for key, value in wanted.items() if key in keys})
+    learned = []
+    for trajectory in (clean, _poisoned(clean)):
+        learner = entry.learner(config, plan.spec, plan.seeds, "cpu")
+        learner.update(trajectory, 1, 0.0)
+        learned.append({name: array.copy() for name, array in learner.acting_parameters().items()})
+    for name, array in learned[0].items():
+        np.testing.assert_array_equal(array, learned[1][name], name)
+        assert np.isfinite(array).all()
+
+
+def _moved(trajectory: Trajectory, slot: int, other: int, after: int) -> Trajectory:
+    """The vehicles that have `slot` after a step have `other` instead, and the other way round."""
+    moved = _copied(trajectory)
+    for field in fields(Trajectory):
+        array = getattr(moved, field.name)
+        if array.ndim >= 3 and array.shape[2] == trajectory.alive.shape[2]:
+            array[after + 1 :, :, [slot, other]] = array[after + 1 :, :, [other, slot]]
+    return moved
+
+
+@pytest.mark.parametrize("critic", ["local", "central"])
+def test_it_does_not_matter_who_had_the_slot_before(
+    critic: Any,  # noqa: ANN401
+    experience: dict[str, tuple[RolloutPlan, Trajectory]],
+) -> None:
+    """Two vehicles one after another in a slot learn what they would learn in two slots."""
+    plan, seen = experience["paper"]
+    over = (seen.terminated | seen.truncated)[:, 0]
+    ended = over.all(axis=1)
+    places = [
+        (step, slot, other)
+        for step, slot in np.argwhere(over & ~ended[:, None]).tolist()
+        for other in range(plan.spec.num_agents)
+        # The other slot is empty while this one's first vehicle leaves and the second comes.
+        if not seen.alive[: step + 2, 0, other].any() and seen.alive[step + 2 : step + 120, 0, slot].any()
+    ]
+    assert places
+    step, slot, other = places[0]
+    learner = OnPolicyLearner(replace(SHARED, critic=critic), plan.spec, plan.seeds, "cpu")
+    given = [
+        learner.critic.estimate(trajectory, learner.behaviour, 1).advantages[:, 0]
+        for trajectory in (seen, _moved(seen, slot, other, step))
+    ]
+    np.testing.assert_allclose(given[0][: step + 1], given[1][: step + 1], rtol=0, atol=1e-9)
+    rest = np.delete(np.arange(plan.spec.num_agents), [slot, other])
+    np.testing.assert_allclose(given[0][step + 1 :, rest], given[1][step + 1 :, rest], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(given[0][step + 1 :, slot], given[1][step + 1 :, other], rtol=0, atol=1e-9)
+    assert np.abs(given[0][step + 1 :, slot]).max() > 0

@@ -1,0 +1,61 @@
+"""Environments of which a process holds few copies are given processes enough, or refused in one line."""
+
+from dataclasses import replace
+
+import pytest
+
+from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
+from headway.contracts import Discrete, EnvSpec, HeadwayError
+from headway_launch.planning import within_processes
+
+ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
+SIX = replace(ONE, max_copies_per_process=6)
+
+
+def _config(copies: int, block: int, **backend: object) -> ExperimentConfig:
+    return ExperimentConfig(
+        seed=(1, 2, 3), rollout=RolloutConfig(copies, 10, block), backend=BackendConfig(**backend)
+    )
+
+
+@pytest.mark.parametrize(
+    ("spec", "copies", "block", "stack", "expected"),
+    [
+        (ONE, 8, 4, 1, (1, 8)),
+        (ONE, 1, 1, 1, (1, 1)),
+        (SIX, 8, 4, 1, (4, 2)),
+        (SIX, 9, 9, 1, (3, 2)),
+        (SIX, 8, 8, 2, (2, 4)),
+        (SIX, 8, 2, 3, (2, 4)),
+    ],
+)
+def test_blocks_shrink_and_workers_grow(
+    spec: EnvSpec, copies: int, block: int, stack: int, expected: tuple[int, int]
+) -> None:
+    fitted = within_processes(_config(copies, block, stack=stack), spec)
+    assert (fitted.rollout.block, fitted.backend.workers) == expected
+
+
+def test_what_needs_no_change_is_left_alone() -> None:
+    free = replace(ONE, max_copies_per_process=None)
+    for spec, config in (
+        (free, _config(8, 4)),
+        (ONE, _config(1, 1, name="serial")),
+        (ONE, _config(4, 1, workers=4)),
+        (SIX, _config(8, 4, workers=2)),
+    ):
+        assert within_processes(config, spec) == config
+
+
+@pytest.mark.parametrize(
+    ("spec", "config", "line"),
+    [
+        (ONE, _config(2, 1, name="serial"), "1 copy of bridge; set rollout.copies=1, or backend=process"),
+        (ONE, _config(8, 1, workers=2), "1 copy of bridge; set backend.workers=8, or leave it out"),
+        (ONE, _config(8, 1, stack=2), "1 copy of bridge; set backend.stack=1"),
+        (SIX, _config(8, 8, stack=3, name="serial"), "6 copies of bridge; set rollout.copies=2"),
+    ],
+)
+def test_what_cannot_be_is_refused(spec: EnvSpec, config: ExperimentConfig, line: str) -> None:
+    with pytest.raises(HeadwayError, match=f"a process can hold {line}"):
+        within_processes(config, spec)
