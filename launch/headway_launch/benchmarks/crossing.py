@@ -125,12 +125,14 @@ def _driver(
     return act
 
 
-def outside(scenario: Scenario, found: Mapping[str, float]) -> list[str]:
-    """Metrics that are farther from what is expected than their band allows."""
+def outside(scenario: Scenario, found: Mapping[str, float], episodes: int | None = None) -> list[str]:
+    """Metrics that are farther from what is expected than their band allows, which for fewer episodes than
+    the scenario's is wider by the root of the ratio."""
+    wider = float(np.sqrt(scenario.seeds / (episodes or scenario.seeds)))
     return [
         name
         for name, wished in scenario.expected.items()
-        if abs(found[name] - wished) > BANDS[name][0] * wished + BANDS[name][1]
+        if abs(found[name] - wished) > wider * (BANDS[name][0] * wished + BANDS[name][1])
     ]
 
 

@@ -1,0 +1,36 @@
+"""The crossing's traffic is that of the same demand elsewhere; a small part of the benchmark `crossing`."""
+
+import pytest
+
+from headway_launch.benchmarks.crossing import BANDS, LIGHT, SCENARIOS, outside, play, speeds
+
+pytest.importorskip("libsumo", reason="SUMO (headway[sumo]) is not installed")
+BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
+
+
+@pytest.mark.parametrize("name", ["SUMO's humans", "SUMO's humans, 1,600 veh/h", "humans"])
+def test_traffic_lies_within_its_bands(name: str) -> None:
+    """Three episodes in bands that are as much wider; nobody crashes in any of them."""
+    scenario = BY_NAME[name]
+    found = play(scenario, episodes=3)
+    assert outside(scenario, found, episodes=3) == []
+    assert (found["collisions"], found["length"]) == (0, 1500)
+
+
+def test_bands_tell_scenarios_apart() -> None:
+    """Each row is outside the bands of others that differ in demand or driver."""
+    apart = 0
+    for scenario in SCENARIOS:
+        for other in SCENARIOS:
+            known = {name: value for name, value in other.expected.items() if name in scenario.expected}
+            found = {**dict.fromkeys(BANDS, 0.0), **scenario.expected}
+            missed = [name for name in outside(other, found) if name in known]
+            apart += scenario is not other and bool(missed)
+    assert apart >= 0.8 * len(SCENARIOS) * (len(SCENARIOS) - 1)
+
+
+def test_a_whole_step_and_a_bare_one_move_the_same_traffic() -> None:
+    """That the two end with as many vehicles is asserted inside."""
+    whole, bare, vehicles = speeds(LIGHT, rounds=1, steps=150)
+    assert 0 < whole < bare
+    assert vehicles > 0
