@@ -1,10 +1,12 @@
 """The crossing's traffic is that of the same demand elsewhere; a small part of the benchmark `crossing`."""
 
+from importlib.util import find_spec
+
 import pytest
 
 from headway_launch.benchmarks.crossing import BANDS, LIGHT, SCENARIOS, outside, play, speeds
 
-pytest.importorskip("libsumo", reason="SUMO (headway[sumo]) is not installed")
+pytestmark = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO (headway[sumo]) is not installed")
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 
 

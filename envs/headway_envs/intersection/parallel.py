@@ -64,9 +64,9 @@ class _Face(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without type
 
     def render(self) -> NDArray[np.uint8]:
         """A picture of the crossing as it is now, (height, width, 3)."""
-        from headway_envs.intersection.picture import draw, frame_of
+        from headway_envs.intersection.picture import frame_of, render
 
-        return draw(frame_of(self._env))
+        return render(frame_of(self._env))
 
     def close(self) -> None:
         self._env.close()

@@ -1,7 +1,8 @@
 """Pictures of the crossing, drawn by us: no window, no screen."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,10 @@ HUMAN, CRASH = (236, 236, 236), (224, 40, 40)
 SLOW, FAST = np.array((196, 64, 196)), np.array((32, 170, 255))
 _FASTEST = 20.0
 """Speed from which the colour of an AV is that of FAST, m/s."""
+
+
+_MARKED_S = 2.0
+"""How long a film shows where a crash was."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,8 @@ class Frame:
     """Vehicles that have left in this episode."""
 
 
-def frame_of(env: IntersectionBatchedEnv, crashes: tuple[Point, ...] = ()) -> Frame:
-    """The crossing as it is now, and crashes to be marked beside those of the last step."""
+def frame_of(env: IntersectionBatchedEnv) -> Frame:
+    """The crossing as it is now, with the crashes of the last step."""
     street, ledger = env.street, env.ledger
     roster, network = street.roster, street.network
     traffic, count = roster.traffic, len(roster)
@@ -59,13 +64,37 @@ def frame_of(env: IntersectionBatchedEnv, crashes: tuple[Point, ...] = ()) -> Fr
         tail=np.array(tail).reshape(count, 2),
         speed=traffic.speed[:count].copy(),
         automated=traffic.slot[:count] >= 0,
-        crashes=(*crashes, *street.last.places),
+        crashes=tuple(street.last.places),
         collisions=ledger.crashes,
         left=ledger.arrived,
     )
 
 
-def draw(frame: Frame, size: int = 640, reach_m: float = 110.0) -> NDArray[np.uint8]:
+class Camera:
+    """Takes a frame of an environment after every step; a crash stays marked for two seconds."""
+
+    def __init__(self, env: IntersectionBatchedEnv) -> None:
+        self._env = env
+        self._marks: list[tuple[float, Point]] = []
+
+    def frame(self) -> Frame:
+        """The crossing as it is now."""
+        now = frame_of(self._env)
+        self._marks = [mark for mark in self._marks if now.time_s - _MARKED_S <= mark[0] < now.time_s]
+        self._marks += [(now.time_s, place) for place in now.crashes]
+        return replace(now, crashes=tuple(place for _, place in self._marks))
+
+
+def save_film(path: Path, frames: Iterable[Frame], seconds_each: float = STEP_S) -> None:
+    """Write frames as an animated GIF that shows each so long. Raises ValueError where there are none."""
+    pictures = [Image.fromarray(render(frame)) for frame in frames]
+    if not pictures:
+        raise ValueError("a film needs at least one frame")
+    first, *rest = (picture.quantize(64) for picture in pictures)
+    first.save(path, save_all=True, append_images=rest, duration=round(1000 * seconds_each), loop=0)
+
+
+def render(frame: Frame, size: int = 640, reach_m: float = 80.0) -> NDArray[np.uint8]:
     """A picture (size, size, 3) of what lies within `reach_m` of the centre: human drivers white, automated
     vehicles from violet (standing) to blue (20 m/s), crashes as red rings."""
     pixels = size * _SCALE

@@ -118,20 +118,3 @@ def test_more_vehicles_than_ids_are_told() -> None:
         pytest.raises(HeadwayError, match="no automated vehicle entered in a whole episode"),
     ):
         face.reset(seed=4)
-
-
-def test_a_picture_shows_vehicles_and_crashes() -> None:
-    from headway_envs.intersection.picture import CRASH, Frame, draw
-
-    with closing(IntersectionSlotsParallelEnv(IntersectionConfig())) as face:
-        face.reset(seed=4)
-        empty = face.render()
-        for _ in range(120):
-            face.step(dict.fromkeys(face.agents, np.array([2.0], np.float32)))
-        full = face.render()
-    assert empty.shape == full.shape == (640, 640, 3)
-    assert empty.dtype == np.uint8
-    assert (empty != full).any(axis=2).sum() > 200
-    none = np.zeros((0, 2))
-    crashed = draw(Frame(1.0, none, none, np.zeros(0), np.zeros(0, np.bool_), crashes=((5.0, 5.0),)))
-    assert (np.abs(crashed.astype(int) - CRASH).max(axis=2) < 40).sum() > 20
