@@ -106,6 +106,9 @@ class IntersectionConfig:
     """The same of human drivers; 31: all checks. At 1, the paper's, they crash among themselves."""
     av_lane_change_mode: int = 512
     """SUMO's lane-change mode of AVs; 512: none of their own, each lane leads where they want to go."""
+    impatience: float = 0.0
+    """SUMO's, of all drivers. 0: they wait for a gap; above, they make those with right of way brake, and at
+    0.5, as Flow's vehicles and so the paper's have it, humans were seen to crash now and then."""
     human_noise: float = 0.0
     """Standard deviation of the noise of human drivers' acceleration, m/s^2 in a step of 1 s; above 0 they
     are driven by our Intelligent Driver Model, about twice as slow (the paper's have noise; 0.2 is usual)."""
@@ -125,6 +128,7 @@ class IntersectionConfig:
         _one_of("on_collision", self.on_collision, ("remove_pair", "end_episode"))
         _one_of("at_exit", self.at_exit, ("truncated", "terminated"))
         _at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)
+        _require(0 <= self.impatience <= 1, f"impatience must lie between 0 and 1, not {self.impatience:g}")
         _require(self.vph_per_lane_av > 0, f"vph_per_lane_av must be above 0, not {self.vph_per_lane_av:g}")
         _at_least(1, horizon=self.horizon, slots=self.slots)
         _mode(7, av_speed_mode=self.av_speed_mode, hdv_speed_mode=self.hdv_speed_mode)

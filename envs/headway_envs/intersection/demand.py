@@ -5,16 +5,12 @@ from headway_envs.intersection.network import APPROACHES, LINKS, TURNS, exit_of
 
 AV, HDV = "av", "hdv"
 MIN_GAP_M = 2.5
-_COMMON = f'minGap="{MIN_GAP_M}" maxSpeed="30" speedFactor="1" speedDev="0.1" sigma="0.5" impatience="0.5"'
-_TYPES = f"""\
-  <vType id="{HDV}" carFollowModel="IDM" accel="2.6" decel="4.5" tau="1" {_COMMON}/>
-  <vType id="{AV}" carFollowModel="IDM" accel="3" decel="3" tau="1" {_COMMON}/>"""
 
 
 def routes_xml(config: IntersectionConfig) -> str:
     """SUMO's route file. A vehicle is bound for one of the two turns of its lane, with even chances, so that
     nobody ever needs another lane. Route ids are `approach_turn`, those of vehicles begin with their type."""
-    lines = ["<routes>", _TYPES]
+    lines = ["<routes>", _type(HDV, 2.6, 4.5, config), _type(AV, 3.0, 3.0, config)]
     for index, approach in enumerate(APPROACHES):
         for turn in TURNS:
             edges = f"{approach}_in {exit_of(index, turn)}_out"
@@ -27,6 +23,15 @@ def routes_xml(config: IntersectionConfig) -> str:
         for lane in (0, 1):
             lines += _flows(config, f"{approach}{lane}", lane)
     return "\n".join([*lines, "</routes>\n"])
+
+
+def _type(name: str, acceleration: float, braking: float, config: IntersectionConfig) -> str:
+    """SUMO's Intelligent Driver Model with the parameters of Flow's vehicles."""
+    return (
+        f'  <vType id="{name}" carFollowModel="IDM" accel="{acceleration}" decel="{braking}" tau="1" '
+        f'minGap="{MIN_GAP_M}" maxSpeed="30" speedFactor="1" speedDev="0.1" '
+        f'impatience="{config.impatience}"/>'
+    )
 
 
 def _flows(config: IntersectionConfig, name: str, lane: int) -> list[str]:

@@ -26,7 +26,7 @@ PAPER: Mapping[str, Any] = {
     "on_collision": "end_episode",
     "at_exit": "terminated",
 }
-"""Flow's ways, with native rewards: what is paid changes no traffic."""
+"""Flow's ways, but with patient drivers, as in what is compared with; what is paid changes no traffic."""
 LIGHT: Mapping[str, Any] = {"vph_per_lane_hdv": 100.0, "vph_per_lane_av": 100.0}
 METRICS = ("length", "collisions", "inflow_vph", "outflow_vph", "vehicles", "speed", "fuel_gal_s")
 BANDS: Mapping[str, tuple[float, float]] = {

@@ -193,6 +193,7 @@ def test_resets_do_not_grow(crossing: Any) -> None:  # noqa: ANN401
         ({"observation": "all"}, "observation must be one of paper, extended"),
         ({"vph_per_lane_av": 0}, "vph_per_lane_av must be above 0"),
         ({"vph_per_lane_hdv": -1}, "vph_per_lane_hdv must be at least 0"),
+        ({"impatience": 2.0}, "impatience must lie between 0 and 1, not 2"),
         ({"horizon": 0}, "horizon must be at least 1"),
         ({"av_speed_mode": 128}, "av_speed_mode must lie between 0 and 127"),
         ({"on_collision": "warn"}, "on_collision must be one of remove_pair, end_episode"),
