@@ -49,8 +49,9 @@ class RewardConfig:
     """Weight of a vehicle that leaves (at most one counts in a step)."""
     headway: float = 0.1
     """Weight of time headways under 1 s, the mean over automated vehicles."""
-    collision: float = 10.0
-    """Weight of a step with a collision."""
+    collision: float = 25.0
+    """Weight of a step with a collision. Crashed vehicles are taken away, which frees the road: at 10 driving
+    at full throttle, with six crashes in an episode, paid more than right of way."""
 
     def __post_init__(self) -> None:
         _one_of("kind", self.kind, ("scaled", "paper"))

@@ -70,11 +70,9 @@ class Traffic(NamedTuple):
     link: Whole
     slot: Whole
     """-1: driven by SUMO."""
-    leader: Whole
-    """Row of the vehicle ahead; -1: none. Valid where there is a slot, as the next three."""
-    lead_gap: Floats
-    follower: Whole
-    follow_gap: Floats
+    around: Floats
+    """(V, 4): row of the vehicle ahead (-1: none) and its distance, the same of the one behind; valid where
+    there is a slot."""
 
 
 class Happened(NamedTuple):
@@ -136,15 +134,16 @@ def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[
         position -= ROAD_M + inside
     elif position >= ROAD_M:
         position -= ROAD_M
-    speed, leader, follower = traffic.speed[row], traffic.leader[row], traffic.follower[row]
+    speed, around = traffic.speed[row], traffic.around[row]
+    leader, follower = int(around[0]), int(around[2])
     out[0] = position / crossing.total_length
     out[1] = speed / SPEED_LIMIT
     lead_speed, lead_gap = SPEED_LIMIT, crossing.total_length
     if leader >= 0:
-        lead_speed, lead_gap = traffic.speed[leader], traffic.lead_gap[row] + MIN_GAP_M
+        lead_speed, lead_gap = traffic.speed[leader], around[1] + MIN_GAP_M
     follow_speed, follow_gap = 0.0, crossing.total_length
     if follower >= 0:
-        follow_speed, follow_gap = traffic.speed[follower], traffic.follow_gap[row] + MIN_GAP_M
+        follow_speed, follow_gap = traffic.speed[follower], around[3] + MIN_GAP_M
     out[2] = (lead_speed - speed) / SPEED_LIMIT
     out[3] = lead_gap / crossing.total_length
     out[4] = (speed - follow_speed) / SPEED_LIMIT
@@ -243,8 +242,8 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
         if traffic.slot[row] >= 0:
             automated += 1
             automated_speeds += speed
-            if traffic.leader[row] >= 0 and speed > 0.0:
-                headways += min(max((traffic.lead_gap[row] + MIN_GAP_M) / speed, 0.0) - 1.0, 0.0)
+            if traffic.around[row, 0] >= 0 and speed > 0.0:
+                headways += min(max((traffic.around[row, 1] + MIN_GAP_M) / speed, 0.0) - 1.0, 0.0)
     aim = TARGET_SPEED * np.sqrt(count)
     nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
     fullest = STEP_S * count
@@ -341,9 +340,9 @@ def take_in(crossing: Crossing, traffic: Traffic, count: int, happened: Happened
 
 def empty_traffic(rows: int) -> Traffic:
     """Room for so many vehicles."""
-    position, speed, before, fuel, lead_gap, follow_gap = (np.zeros(rows) for _ in range(6))
-    link, slot, leader, follower = (np.full(rows, -1, np.int64) for _ in range(4))
-    return Traffic(position, speed, before, fuel, link, slot, leader, lead_gap, follower, follow_gap)
+    position, speed, before, fuel = (np.zeros(rows) for _ in range(4))
+    link, slot = (np.full(rows, -1, np.int64) for _ in range(2))
+    return Traffic(position, speed, before, fuel, link, slot, np.full((rows, 4), -1.0))
 
 
 def empty_seen(slots: int, extended: bool) -> Seen:

@@ -62,7 +62,7 @@ class Roster:
         traffic.link[row], traffic.slot[row] = link, slot
         traffic.position[row], self.offset[row] = place[0], place[0] - place[1]
         traffic.speed[row] = traffic.before[row] = speed
-        traffic.leader[row] = traffic.follower[row] = -1
+        traffic.around[row] = -1
         self.entered[row], self.lane[row] = step, -1
         if slot >= 0:
             self.holder[slot], self.serial[slot] = vehicle, self._served

@@ -170,10 +170,9 @@ class Street:
         traffic, count = roster.traffic, len(ids)
         get_speed, get_distance, get_fuel = vehicle.getSpeed, vehicle.getDistance, vehicle.getFuelConsumption
         traffic.before[:count] = traffic.speed[:count]
-        traffic.speed[:count] = [get_speed(each) for each in ids]
-        traffic.position[:count] = [get_distance(each) for each in ids]
-        traffic.position[:count] += roster.offset[:count]
-        traffic.fuel[:count] = [get_fuel(each) for each in ids]
+        traffic.speed[:count] = list(map(get_speed, ids))
+        np.add(list(map(get_distance, ids)), roster.offset[:count], out=traffic.position[:count])
+        traffic.fuel[:count] = list(map(get_fuel, ids))
         if roster.automated:
             self._read_neighbours()
         if self.config.av_lane_change_mode != NO_LANE_CHANGES and self._handed_over is None:
@@ -181,15 +180,15 @@ class Street:
 
     def _read_neighbours(self) -> None:
         """Leaders and followers of AVs."""
-        roster, traffic, row_of = self.roster, self.roster.traffic, self.roster.row.get
+        roster, row_of = self.roster, self.roster.row.get
         get_leader, get_follower = self._vehicle.getLeader, self._vehicle.getFollower
-        ahead = [get_leader(each, _AHEAD_M) or _NOBODY for each in roster.automated_ids]
-        behind = [get_follower(each, _AHEAD_M) for each in roster.automated_ids]
-        rows = roster.automated_rows
-        traffic.leader[rows] = [row_of(leader, -1) for leader, _ in ahead]
-        traffic.lead_gap[rows] = [gap for _, gap in ahead]
-        traffic.follower[rows] = [row_of(follower, -1) for follower, _ in behind]
-        traffic.follow_gap[rows] = [gap for _, gap in behind]
+        around: list[float] = []
+        for each in roster.automated_ids:
+            leader, lead_gap = get_leader(each, _AHEAD_M) or _NOBODY
+            follower, follow_gap = get_follower(each, _AHEAD_M)
+            around += (row_of(leader, -1), lead_gap, row_of(follower, -1), follow_gap)
+        # A flat list becomes an array in less time than a list of rows does.
+        roster.traffic.around[roster.automated_rows] = np.array(around).reshape(-1, 4)
 
     def _count_lane_changes(self) -> int:
         """AVs that are on another lane of the same road than a step before."""

@@ -51,10 +51,8 @@ def _random_traffic(seed: int, count: int) -> kernel.Traffic:
     traffic.fuel[:count] = draw.uniform(0, 3, count)
     traffic.link[:count] = draw.integers(0, 16, count)
     traffic.slot[:count] = np.where(draw.random(count) < 0.5, draw.permutation(96)[:count], -1)
-    traffic.leader[:count] = draw.integers(-1, count, count)
-    traffic.lead_gap[:count] = draw.uniform(0, 30, count)
-    traffic.follower[:count] = draw.integers(-1, count, count)
-    traffic.follow_gap[:count] = draw.uniform(0, 30, count)
+    traffic.around[:count, 0::2] = draw.integers(-1, count, (count, 2))
+    traffic.around[:count, 1::2] = draw.uniform(0, 30, (count, 2))
     return traffic
 
 
@@ -78,8 +76,8 @@ def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
     velocity = max(nearness / (np.linalg.norm(wished) + 1e-5), 0.0)
     most = 0.1 * count
     cost = 0.1 * ((30 - v) / 30).sum()
-    following = automated & (traffic.leader[:count] >= 0) & (v > 0)
-    times = (traffic.lead_gap[:count][following] + 2.5) / v[following]
+    following = automated & (traffic.around[:count, 0] >= 0) & (v > 0)
+    times = (traffic.around[:count, 1][following] + 2.5) / v[following]
     expected = [
         0.0 if crashes else velocity,
         -0.5 * (v == 0).sum(),
