@@ -3,6 +3,7 @@
 from headway.contracts import EnvEntry
 from headway_envs.bus.entry import ENTRY as BUS
 from headway_envs.intersection.entry import ENTRY as INTERSECTION
+from headway_envs.merge.entry import ENTRIES as MERGES
 from headway_envs.toy.entry import ENTRIES as TOYS
 
-ENTRIES: dict[str, EnvEntry] = {"bus": BUS, "intersection": INTERSECTION, **TOYS}
+ENTRIES: dict[str, EnvEntry] = {"bus": BUS, "intersection": INTERSECTION, **MERGES, **TOYS}

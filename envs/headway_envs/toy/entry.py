@@ -19,13 +19,13 @@ def _trivial_parallel(config: TrivialConfig) -> Any:  # noqa: ANN401 - EnvEntry'
 
 
 def _matrix_parallel(config: MatrixConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.toy.parallel_face import ParallelFace
+    from headway_envs.parallel_face import ParallelFace
 
     return ParallelFace(lambda copies: Matrix(config, copies))
 
 
 def _tracking_parallel(config: TrackingConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.toy.parallel_face import ParallelFace
+    from headway_envs.parallel_face import ParallelFace
 
     return ParallelFace(lambda copies: Tracking(config, copies))
 
@@ -37,7 +37,7 @@ def _recall_parallel(config: RecallConfig) -> Any:  # noqa: ANN401 - EnvEntry's 
 
 
 def _visitors_parallel(config: VisitorsConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.toy.parallel_face import ParallelFace
+    from headway_envs.parallel_face import ParallelFace
 
     return ParallelFace(lambda copies: Visitors(config, copies))
 

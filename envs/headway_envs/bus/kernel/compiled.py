@@ -1,53 +1,9 @@
-"""How every kernel function is compiled."""
+"""How every function of this kernel is compiled."""
 
-import os
-import zlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
 
-import numba
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def drop_stale_cache(folder: Path) -> None:
-    """Remove compiled code of an older state of the kernel in `folder`.
-
-    Numba looks only at the file of the function that is called, not at those it calls in turn, so after a
-    change elsewhere it would go on with the old machine code."""
-    state = 0
-    for source in sorted(folder.glob("*.py")):
-        state = zlib.crc32(source.read_bytes(), state)
-    cache = folder / "__pycache__"
-    stamp = cache / "kernel.stamp"
-    try:
-        if stamp.is_file() and stamp.read_text() == f"{state}":
-            return
-        for compiled_file in cache.glob("*.nb?"):
-            compiled_file.unlink(missing_ok=True)
-        cache.mkdir(exist_ok=True)
-        written = cache / f"kernel.stamp.{os.getpid()}"
-        written.write_text(f"{state}")
-        written.replace(stamp)
-    except OSError:
-        return  # A read-only installation: numba keeps its cache elsewhere, and sources do not change.
-
+from headway_envs.compiling import compiled, compiled_allocating, drop_stale_cache
 
 drop_stale_cache(Path(__file__).parent)
 
-
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """`function` compiled by numba at its first call and kept in the cache beside its file.
-
-    It cannot allocate arrays: without numba's reference counting of the many arrays that travel through the
-    kernel it runs several times as fast. Floating-point division follows IEEE rules, as in numpy."""
-    jit = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-    return cast("Callable[P, R]", jit(function))
-
-
-def compiled_allocating(function: Callable[P, R]) -> Callable[P, R]:
-    """As `compiled`, for the rare functions that allocate arrays."""
-    jit = numba.njit(cache=True, nogil=True, error_model="numpy")
-    return cast("Callable[P, R]", jit(function))
+__all__ = ["compiled", "compiled_allocating"]

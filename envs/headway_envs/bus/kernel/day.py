@@ -11,14 +11,13 @@ from headway_envs.bus.kernel.draws import (
     DEMAND_DAY,
     EVENING,
     NETWORK,
-    day_key,
     normal,
-    uniform,
     unit_lognormal,
 )
 from headway_envs.bus.kernel.layout import BIN_S, Network, Record, World
 from headway_envs.bus.kernel.motion import await_trip, renew
 from headway_envs.bus.kernel.passengers import catch_up, count_wait, draw_next
+from headway_envs.keyed_draws import episode_key, uniform
 
 
 @compiled
@@ -45,7 +44,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
     day = world.days[c]
     day.seed = seed
     day.episode = episode
-    day.key = day_key(seed, episode)
+    day.key = episode_key(seed, episode)
     day.now = k.start_s
     day.demand_factor = max(1.0 + k.demand_day_sd * normal(day.key, DEMAND_DAY, 0, 0), 0.0)
     world.departed[c] = False

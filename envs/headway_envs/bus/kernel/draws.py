@@ -1,47 +1,16 @@
-"""Keyed draws: every random number is a function of the day's key, a purpose and two indices.
-
-No draw depends on how many were made before, so two controllers that run the same day meet the same
-passengers, travel times and incidents. The mixing function is the finaliser of SplitMix64 (Steele, Lea and
-Flood 2014, "Fast splittable pseudorandom number generators").
-"""
+"""What is drawn, and the distributions it is drawn from: two controllers that run the same day meet the same
+passengers, travel times and incidents."""
 
 import math
 
 import numpy as np
 
 from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.keyed_draws import uniform
 
 DAY, EVENING, NETWORK, TRIP, LINK, INCIDENT, INCIDENT_SIZE, DISPATCH = 1, 2, 3, 4, 5, 6, 7, 8
 ARRIVAL, PATIENCE, DEMAND_DAY, DEMAND_HOUR, ALIGHTING, BREAKDOWN = 9, 10, 11, 12, 13, 14
 """Purposes."""
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
-
-
-@compiled
-def mix(value: np.uint64) -> np.uint64:
-    """SplitMix64's finaliser of `value` + the golden gamma."""
-    value = value + _GOLDEN
-    value = (value ^ (value >> _S30)) * _FIRST
-    value = (value ^ (value >> _S27)) * _SECOND
-    return value ^ (value >> _S31)
-
-
-@compiled
-def day_key(seed: np.uint64, episode: int) -> np.uint64:
-    """Key of one day of one copy."""
-    return mix(mix(seed) ^ np.uint64(episode))
-
-
-@compiled
-def uniform(key: np.uint64, purpose: int, first: int, second: int) -> float:
-    """Uniform on (0, 1), the ends excluded."""
-    value = mix(key ^ (np.uint64(purpose) << np.uint64(56)) ^ np.uint64(first))
-    value = mix(value ^ np.uint64(second))
-    return (np.float64(value >> _S11) + 0.5) * (1.0 / 9007199254740992.0)
 
 
 @compiled

@@ -18,7 +18,6 @@ from headway_envs.bus.kernel.draws import (
     binomial,
     exponential,
     normal,
-    uniform,
     unit_lognormal,
 )
 from headway_envs.bus.kernel.layout import (
@@ -37,6 +36,7 @@ from headway_envs.bus.kernel.layout import (
     World,
 )
 from headway_envs.bus.kernel.passengers import board, change_load, put_off
+from headway_envs.keyed_draws import uniform
 
 
 @compiled

@@ -11,10 +11,10 @@ from headway_envs.bus.kernel.draws import (
     PATIENCE,
     exponential,
     normal,
-    uniform,
     unit_gamma,
 )
 from headway_envs.bus.kernel.layout import BIN_S, WAIT_BINS, Network, Record, World
+from headway_envs.keyed_draws import uniform
 
 
 @compiled

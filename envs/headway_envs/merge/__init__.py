@@ -1,0 +1,1 @@
+"""Connected automated vehicles that merge from an on-ramp into a highway, among human drivers."""

@@ -1,0 +1,75 @@
+"""The merging environments' entries in the registry. Imports nothing heavy."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
+from headway_envs.merge.config import MergeConfig
+
+if TYPE_CHECKING:
+    from headway_envs.merge.prepared import Prepared
+
+
+def _prepare(config: MergeConfig, ramp_lanes: int) -> "Prepared":
+    from headway_envs.merge.prepared import prepare
+
+    return prepare(config, ramp_lanes)
+
+
+def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
+    from headway_envs.merge.env import MergeBatchedEnv
+
+    return MergeBatchedEnv(prepared, copies)
+
+
+def _parallel_env(config: "MergeConfig | Prepared", ramp_lanes: int) -> Any:  # noqa: ANN401 - EnvEntry's type
+    from headway_envs.merge.env import MergeBatchedEnv
+    from headway_envs.parallel_face import ParallelFace
+
+    prepared = _prepare(config, ramp_lanes) if isinstance(config, MergeConfig) else config
+    return ParallelFace(lambda copies: MergeBatchedEnv(prepared, copies))
+
+
+def _idle(prepared: "Prepared") -> Rule:
+    from headway_envs.merge.rules import Idle
+
+    return Idle()
+
+
+def _always_left(prepared: "Prepared") -> Rule:
+    from headway_envs.merge.rules import AlwaysLeft
+
+    return AlwaysLeft()
+
+
+def _idm_mobil(prepared: "Prepared") -> Rule:
+    from headway_envs.merge.rules import IdmMobil
+
+    return IdmMobil()
+
+
+RULES: dict[str, Callable[[Any], Rule]] = {
+    "idle": _idle,
+    "always_left": _always_left,
+    "idm_mobil": _idm_mobil,
+    "random": lambda prepared: RandomRule(),
+}
+
+
+def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
+    return EnvEntry(
+        summary=summary,
+        config=MergeConfig,
+        make=_make,
+        prepare=partial(_prepare, ramp_lanes=ramp_lanes),
+        parallel_env=partial(_parallel_env, ramp_lanes=ramp_lanes),
+        rules=RULES,
+        preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),
+    )
+
+
+ENTRIES: dict[str, EnvEntry] = {
+    "merge": _entry("CAVs among human drivers merge from a ramp lane into a highway", 1),
+    "merge_two_lane": _entry("the same with two ramp lanes, of which the outer must change twice", 2),
+}

@@ -1,0 +1,18 @@
+"""The compiled simulator.
+
+layout: records; lanes, control, drivers, motion, contact: one simulation step; spawn: the beginning of an
+episode; surroundings, rewards, observe, supervisor: what follows from the state; steps: the entries.
+"""
+
+
+def warm() -> None:
+    """Load every compiled function, from the cache where it holds it, by one step of one copy."""
+    import numpy as np
+
+    from headway_envs.merge.config import MergeConfig
+    from headway_envs.merge.env import MergeBatchedEnv
+    from headway_envs.merge.prepared import prepare
+
+    env = MergeBatchedEnv(prepare(MergeConfig(supervisor=True), ramp_lanes=2), 1)
+    env.reset(np.zeros(1, np.uint64))
+    env.step(np.ones((1, env.spec.num_agents), np.int64))

@@ -1,0 +1,66 @@
+"""What all copies of one merging environment share. Light: numpy and the kernel's records only."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.merge.config import MergeConfig
+from headway_envs.merge.kernel.layout import SETTINGS, Network
+from headway_envs.merge.network import build
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A road and the configuration of what happens there; picklable."""
+
+    config: MergeConfig
+    ramp_lanes: int
+    network: Network
+
+    @property
+    def name(self) -> str:
+        """The environment's."""
+        return "merge" if self.ramp_lanes == 1 else "merge_two_lane"
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """One name a slot (N)."""
+        return tuple(f"cav_{n}" for n in range(self.config.cav_range[1]))
+
+    @property
+    def vehicles(self) -> int:
+        """CAVs and HDVs of the fullest episode."""
+        return self.config.cav_range[1] + self.config.hdv_range[1]
+
+    @property
+    def settings(self) -> NDArray[Any]:
+        """The configuration as one SETTINGS record, shape (1,)."""
+        config, reward = self.config, self.config.reward
+        values = asdict(config.manners)
+        del values["masks"]
+        values |= {
+            "weight_collision": reward.collision,
+            "weight_speed": reward.speed,
+            "weight_ramp_end": reward.ramp_end,
+            "weight_spacing": reward.spacing,
+            "headway_s": reward.headway_s,
+            "scope": ("global", "regional", "own").index(reward.scope),
+            "fewest_cavs": config.cav_range[0],
+            "most_cavs": config.cav_range[1],
+            "fewest_hdvs": config.hdv_range[0],
+            "most_hdvs": config.hdv_range[1],
+            "steps": config.steps,
+            "ramp_lanes": self.ramp_lanes,
+            "supervisor": config.supervisor,
+        }
+        settings = np.zeros(1, SETTINGS)
+        for name, value in values.items():
+            settings[name] = value
+        return settings
+
+
+def prepare(config: MergeConfig, ramp_lanes: int) -> Prepared:
+    """The road with one or two ramp lanes, for a configuration."""
+    return Prepared(config, ramp_lanes, build(ramp_lanes))
