@@ -1,0 +1,28 @@
+"""Merges made by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway_envs.merge.config import MergeConfig
+from headway_envs.merge.entry import ENTRIES
+from headway_envs.merge.env import MergeBatchedEnv
+
+Make = Callable[..., MergeBatchedEnv]
+
+
+def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeBatchedEnv:  # noqa: ANN401
+    """A batch that has begun, copy i with seed i."""
+    entry = ENTRIES[name]
+    env = entry.make(entry.prepare(MergeConfig(**arguments)), copies)
+    assert isinstance(env, MergeBatchedEnv)
+    env.reset(np.arange(copies, dtype=np.uint64))
+    return env
+
+
+@pytest.fixture(scope="session")
+def make() -> Make:
+    """(name, copies, arguments of the configuration) -> a batch that has begun."""
+    return make_merge

@@ -1,0 +1,209 @@
+"""How episodes begin and end, and what the presets differ in."""
+
+from collections.abc import Callable
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from headway_envs.merge.config import CAVS, HDVS, PRESETS, Manners, MergeConfig, RewardConfig
+from headway_envs.merge.entry import ENTRIES
+from headway_envs.merge.env import MergeBatchedEnv
+from headway_envs.merge.kernel.contact import outlines, shrunk_overlap
+from headway_envs.merge.kernel.layout import CAR
+from headway_envs.merge.network import build
+
+Make = Callable[..., MergeBatchedEnv]
+
+
+@pytest.mark.parametrize("density", [1, 2, 3])
+def test_traffic_is_drawn_by_density(make: Make, density: int) -> None:
+    """Every number of the range comes up, half of each kind on the highway, at places 40 m apart."""
+    env = make(copies=400, density=density)
+    episodes, cars = env.world.episodes, env.world.cars
+    humans = episodes["cars"] - episodes["cavs"]
+    assert set(episodes["cavs"]) == set(range(CAVS[density][0], CAVS[density][1] + 1))
+    assert set(humans) == set(range(HDVS[density][0], HDVS[density][1] + 1))
+    places: set[int] = set()
+    for episode, row in zip(episodes, cars, strict=True):
+        there = row[: episode["cars"]]
+        for group in (there[: episode["cavs"]], there[episode["cavs"] :]):
+            assert (group["y"] == 0).sum() == len(group) // 2
+            assert (group["y"][len(group) // 2 :] == 10.5).all()
+        assert ((there["speed"] >= 25) & (there["speed"] < 27)).all()
+        for y, first in ((0.0, 10), (10.5, 5)):
+            taken = np.rint((there["x"][there["y"] == y] - first) / 40).astype(int)
+            assert len(set(taken)) == len(taken)
+            assert np.abs(there["x"][there["y"] == y] - first - 40 * taken).max(initial=0) <= 1.5
+            places |= set(taken)
+    assert places == set(range(6))
+
+
+def test_half_of_those_on_two_ramp_lanes_begin_on_the_outer(make: Make) -> None:
+    env = make("merge_two_lane", copies=400, density=3)
+    y = np.concatenate(
+        [row["y"][: episode["cars"]] for episode, row in zip(env.world.episodes, env.world.cars, strict=True)]
+    )
+    assert 0.45 < (y == 14.5).sum() / (y > 0).sum() < 0.55
+
+
+def test_the_number_of_cavs_can_be_set(make: Make) -> None:
+    env = make(copies=20, density=1, cavs=5)
+    assert env.spec.num_agents == 5
+    assert (env.world.episodes["cavs"] == 5).all()
+    assert env.observed().alive.all()
+
+
+def _play_to_the_end(env: MergeBatchedEnv, action: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, and whether all were terminated or truncated, of each copy's first episode."""
+    shape = (env.num_copies, env.spec.num_agents)
+    lengths = np.zeros(env.num_copies, int)
+    over, cut = np.zeros(env.num_copies, bool), np.zeros(env.num_copies, bool)
+    for step in range(1, 101):
+        outcome, _ = env.step(np.full(shape, action, np.int64))
+        new = outcome.episode_ended & (lengths == 0)
+        lengths[new] = step
+        over[new], cut[new] = outcome.terminated[new].all(axis=1), outcome.truncated[new].all(axis=1)
+    return lengths, over, cut
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_time_truncates_unless_the_preset_says_that_it_terminates(make: Make, name: str) -> None:
+    for preset, terminal in (("clean", False), ("paper", True)):
+        lengths, over, cut = _play_to_the_end(make(name, copies=32, preset=preset))
+        late = lengths == 100
+        assert late.mean() > 0.8
+        assert (over[late] == terminal).all()
+        assert (cut[late] != terminal).all()
+
+
+def test_the_last_step_of_the_paper_has_one_simulation_step(make: Make) -> None:
+    """298 of them in 100 steps, against 300."""
+    final = {}
+    for preset in PRESETS:
+        env = make(preset=preset, density=1, steps=2)
+        x = env.world.cars[0, 0]["x"].copy()
+        for _ in range(2):
+            outcome, _ = env.step(np.ones((1, 3), np.int64))
+        assert outcome.episode_ended[0]
+        final[preset] = outcome.final_observations[0, 0, 1] * 150 - x
+    assert final["clean"] / final["paper"] == pytest.approx(6 / 4, rel=0.01)
+
+
+def test_the_papers_vehicles_turn_less_sharply(make: Make) -> None:
+    """It takes the slip angle for the steering angle, which is about half of it."""
+    far = {}
+    for preset in PRESETS:
+        env = make(preset=preset, density=1)
+        for _ in range(25):
+            env.step(np.ones((1, 3), np.int64))
+        on_ramp = env.world.cars[0]["from_ramp"] == 1
+        assert (env.world.cars[0]["x"][on_ramp][:1] < 320).all()
+        far[preset] = env.world.cars[0]["y"][: env.world.episodes[0]["cars"]].copy()
+    assert not np.allclose(far["clean"], far["paper"])
+
+
+def _car(x: float, y: float, heading: float = 0.0) -> np.void:
+    car = np.zeros(1, CAR)[0]
+    car["x"], car["y"], car["heading"] = x, y, heading
+    car["cosine"], car["sine"] = np.cos(heading), np.sin(heading)
+    return car
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "heading", "whole", "shrunk"),
+    [
+        (4.9, 0.0, 0.0, True, False),  # bumper to bumper: 4.5 m when shrunk
+        (4.4, 0.0, 0.0, True, True),
+        (5.1, 0.0, 0.0, False, False),
+        (0.0, 1.9, 0.0, True, False),
+        (0.0, 1.7, 0.0, True, True),
+        (3.4, 0.0, np.pi / 2, True, False),  # across: 2.5 + 1 m, 2.25 + 0.9 m when shrunk
+        (3.1, 0.0, np.pi / 2, True, True),
+        (3.6, 0.0, np.pi / 2, False, False),
+    ],
+)
+def test_who_touches_whom(x: float, y: float, heading: float, whole: bool, shrunk: bool) -> None:
+    here, there = _car(0, 0), _car(x, y, heading)
+    assert outlines(here, there, 5.0, 2.0, 0.0, 0.0)[0] == whole
+    assert shrunk_overlap(here, there, False) == shrunk
+    assert shrunk_overlap(there, here, False) == shrunk
+
+
+def test_those_about_to_meet_are_pushed_apart() -> None:
+    """The rear one comes 0.5 m closer than there is room: both are to give way by the overlap."""
+    meets, will_meet, push_x, push_y = outlines(_car(0, 0), _car(5.3, 0), 5.0, 2.0, 0.8, 0.0)
+    assert (meets, will_meet) == (False, True)
+    assert (push_x, push_y) == pytest.approx((-0.5, 0.0))
+
+
+def test_the_ramp_lanes_lead_to_their_ends() -> None:
+    """The road has no gaps: where a lane ends, the next one begins at the same place."""
+    for ramp_lanes in (1, 2):
+        net = build(ramp_lanes)
+        for lane in net.lanes:
+            following = net.lanes[lane["successor"]]
+            if following == lane or lane["merging"]:
+                continue
+            x = lane["x"] + lane["length"]
+
+            def centre(of: np.void, at: float) -> float:
+                return float(
+                    of["y"] + of["amplitude"] * np.sin(of["pulsation"] * (at - of["x"]) + of["phase"])
+                )
+
+            assert following["x"] == x
+            assert centre(lane, x) == pytest.approx(centre(following, x))
+        assert net.obstacles.tolist() == [[420.0, 4.0], [420.0, 8.0]][:ramp_lanes]
+
+
+def test_without_the_tie_nobody_leaves_the_outer_ramp_lane(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both ramp lanes end at the same place, so that a change gains nothing."""
+    merged = {}
+    for tie in (0.21, 0.0):
+        env = make("merge_two_lane", copies=64, density=1)
+        env.settings["gain_where_equal"] = tie
+        outer = [env.world.cars[c]["y"][env.world.episodes[c]["cars"] - 1] == 14.5 for c in range(64)]
+        y = np.zeros(64)
+        for _ in range(99):
+            env.step(np.full((64, 3), 5, np.int64))
+            last = env.world.episodes["cars"] - 1
+            y = env.world.cars["y"][np.arange(64), last]
+        merged[tie] = (y[outer] < 6).mean()
+    assert merged[0.21] > 0.6
+    assert merged[0.0] < 0.4
+
+
+def test_presets_differ_in_every_field() -> None:
+    same = [
+        field.name
+        for field in fields(Manners)
+        if getattr(PRESETS["clean"], field.name) == getattr(PRESETS["paper"], field.name)
+    ]
+    assert same == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"density": 4}, "density must be 1, 2 or 3, not 4"),
+        ({"preset": "modern"}, "preset must be clean or paper, not 'modern'"),
+        ({"cavs": 0}, "cavs must be null or between 1 and 6, not 0"),
+        ({"cavs": 7}, "cavs must be null or between 1 and 6, not 7"),
+        ({"steps": 0}, "steps must be at least 1, not 0"),
+    ],
+)
+def test_impossible_arguments_are_named(arguments: dict[str, object], line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        MergeConfig(**arguments)
+
+
+def test_impossible_rewards_are_named() -> None:
+    with pytest.raises(ValueError, match="scope must be global, regional or own, not 'team'"):
+        RewardConfig(scope="team")
+    with pytest.raises(ValueError, match="collision must be at least 0, not -1"):
+        RewardConfig(collision=-1.0)
+    with pytest.raises(ValueError, match="headway_s must be above 0, not 0"):
+        RewardConfig(headway_s=0.0)

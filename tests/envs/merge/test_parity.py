@@ -1,0 +1,37 @@
+"""Against highway-env. Hundreds of seeds: `python -m headway_launch.trials.merge_parity`."""
+
+import pytest
+
+pytest.importorskip(
+    "highway_env", reason="the oracle highway-env is not installed: pip install 'headway[dev]'"
+)
+
+from headway_launch.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare
+
+DRIVERS = {"highway-env": False, "study": True}
+
+
+@pytest.mark.parametrize("drivers", DRIVERS)
+@pytest.mark.parametrize("play", PLAYS)
+@pytest.mark.parametrize("ramp_lanes", [1, 2])
+def test_every_step_is_highway_envs(ramp_lanes: int, play: str, drivers: str) -> None:
+    """Places to 1e-9, lanes, masks and crashes exactly; every trial here changes lanes."""
+    trial = Trial(ramp_lanes, density=3, play=play, seed=4, eager=DRIVERS[drivers], steps=80)
+    verdict = compare(trial)
+    assert verdict.faults == ()
+    assert verdict.alone <= TOLERANCE
+    assert verdict.lane_changes > 0
+
+
+def test_crashes_and_pushes_are_among_them() -> None:
+    verdict = compare(Trial(1, density=3, play="idle", seed=3, steps=90))
+    assert verdict.contact
+    assert verdict.faults == ()
+
+
+def test_a_difference_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison itself can fail: drivers of another desired gap are told apart."""
+    from headway_launch.trials import merge_oracle
+
+    monkeypatch.setattr(merge_oracle.Driver, "TIME_WANTED", 1.4)
+    assert compare(Trial(1, density=3, play="idle", seed=4, steps=60)).faults

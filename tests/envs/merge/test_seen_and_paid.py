@@ -1,0 +1,185 @@
+"""Observations, masks and rewards against their definitions, written down a second time in plain Python."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway_envs.merge.config import RewardConfig
+from headway_envs.merge.env import MergeBatchedEnv
+from headway_envs.merge.kernel.layout import LEFT, RIGHT
+
+Car = Any
+NAMES = {
+    "merge": ["ab", "bc0", "bc1", "cd", "jk", "kb"],
+    "merge_two_lane": ["ab", "bc0", "bc1", "bc2", "cd", "jk", "kb", "mn", "nb"],
+}
+FOLLOWS = {"ab": "bc0", "bc0": "cd", "jk": "kb", "kb": "bc1", "mn": "nb", "nb": "bc2"}
+NEAR = {
+    "ab": {"ab", "bc0"},
+    "bc0": {"ab", "bc0", "cd"},
+    "cd": {"bc0", "cd"},
+    "jk": {"jk", "kb"},
+    "kb": {"jk", "kb", "bc1"},
+    "bc1": {"kb", "bc1"},
+    "mn": {"mn", "nb"},
+    "nb": {"mn", "nb", "bc2"},
+    "bc2": {"nb", "bc2"},
+}
+SIDES = {
+    "ab": ("ab", "kb"),
+    "bc0": ("bc0", "bc1"),
+    "cd": ("cd", None),
+    "jk": (None, "jk"),
+    "kb": ("ab", "kb"),
+    "bc1": ("bc0", "bc1"),
+    "mn": (None, "mn"),
+    "nb": ("kb", "nb"),
+    "bc2": ("bc1", "bc2"),
+}
+
+
+def cars_of(env: MergeBatchedEnv, copy: int) -> tuple[list[Car], int, list[str]]:
+    """The vehicles of a copy, how many of them are CAVs, and each one's lane."""
+    episode = env.world.episodes[copy]
+    cars = list(env.world.cars[copy][: episode["cars"]])
+    names = NAMES[env.spec.name]
+    return cars, int(episode["cavs"]), [names[car["lane"]] for car in cars]
+
+
+def velocity(car: Car) -> tuple[float, float]:
+    return car["speed"] * math.cos(car["heading"]), car["speed"] * math.sin(car["heading"])
+
+
+def observation(cars: list[Car], me: int) -> list[float]:
+    ego, (vx, vy) = cars[me], velocity(cars[me])
+    rows = [[1.0, ego["x"] / 150, ego["y"] / 12, vx / 45, vy / 45]]
+    others = [
+        car
+        for i, car in enumerate(cars)
+        if i != me and math.hypot(car["x"] - ego["x"], car["y"] - ego["y"]) < 180
+    ]
+    for car in sorted(others, key=lambda car: abs(car["x"] - ego["x"]))[:4]:
+        ux, uy = velocity(car)
+        dx, dy = car["x"] - ego["x"], car["y"] - ego["y"]
+        rows.append([1.0, dx / 150, dy / 12, (ux - vx) / 45, (uy - vy) / 45])
+    rows += [[0.0] * 5] * (5 - len(rows))
+    return [value for row in rows for value in row]
+
+
+def own_reward(cars: list[Car], lanes: list[str], me: int) -> float:
+    ego, lane = cars[me], lanes[me]
+    ahead = {lane, FOLLOWS.get(lane, lane)}
+    gaps = [car["x"] - ego["x"] for car, other in zip(cars, lanes, strict=True) if other in ahead]
+    gap = min([60.0, *(gap for gap in gaps if gap > 0)])
+    reward = -200.0 * ego["crashed"] + min(max((ego["speed"] - 10) / 20, 0), 1)
+    if lane in ("bc1", "bc2"):
+        reward -= 4 * math.exp(-((ego["x"] - 420) ** 2) / 1000)
+    return reward + (4 * min(0.0, math.log(gap / (1.2 * ego["speed"]))) if ego["speed"] > 0 else 0.0)
+
+
+def next_to(cars: list[Car], lanes: list[str], me: int) -> list[int]:
+    left, right = SIDES[lanes[me]]
+    if lanes[me] == "ab" and cars[me]["x"] <= 220:
+        right = None
+    found = []
+    for lane in (left, right):
+        there = [i for i in range(len(cars)) if lane and i != me and lanes[i] in NEAR[lane]]
+        ahead = [i for i in there if cars[i]["x"] > cars[me]["x"]]
+        behind = [i for i in there if cars[i]["x"] <= cars[me]["x"]]
+        found += [min(ahead, key=lambda i: cars[i]["x"])] if ahead else []
+        found += [max(behind, key=lambda i: cars[i]["x"])] if behind else []
+    return found
+
+
+def reward(cars: list[Car], lanes: list[str], cavs: int, me: int, scope: str) -> float:
+    own = [own_reward(cars, lanes, i) for i in range(cavs)]
+    if scope == "global":
+        return sum(own) / cavs
+    if scope == "own":
+        return own[me] if me < cavs else 0.0
+    if me >= cavs:
+        return 0.0
+    region = [own[me], *(own[i] for i in next_to(cars, lanes, me) if i < cavs)]
+    return sum(region) / len(region)
+
+
+@pytest.mark.parametrize("scope", ["global", "regional", "own"])
+@pytest.mark.parametrize("name", NAMES)
+def test_rewards_and_observations_are_as_defined(
+    make: Callable[..., MergeBatchedEnv], name: str, scope: str
+) -> None:
+    env = make(name, copies=6, density=3, reward=RewardConfig(scope=scope))
+    observed, draw, lanes_seen = env.observed(), np.random.default_rng(1), set()
+    for _ in range(90):
+        for copy in range(env.num_copies):
+            cars, cavs, lanes = cars_of(env, copy)
+            assert observed.alive[copy].tolist() == [n < cavs for n in range(env.spec.num_agents)]
+            for me in range(cavs):
+                np.testing.assert_allclose(
+                    observed.observations[copy, me], observation(cars, me), rtol=1e-5, atol=1e-6
+                )
+            assert (observed.observations[copy, cavs:] == 0).all()
+        outcome, observed = env.step(draw.choice(5, (6, 6), p=[0.1, 0.6, 0.1, 0.1, 0.1]))
+        for copy in np.flatnonzero(~outcome.episode_ended):
+            cars, cavs, lanes = cars_of(env, copy)
+            lanes_seen |= set(lanes[:cavs])
+            for me in range(env.spec.num_agents):
+                wanted = reward(cars, lanes, cavs, me, scope)
+                assert outcome.rewards[copy, me] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
+    assert lanes_seen == set(NAMES[name])
+
+
+def test_a_crash_costs_its_weight_and_ends_the_episode_for_all(
+    make: Callable[..., MergeBatchedEnv],
+) -> None:
+    """Idling, whoever is on the ramp hits its end."""
+    env = make(copies=8, density=1, reward=RewardConfig(scope="own"))
+    idle, crashes = np.ones((8, 3), np.int64), 0
+    for _ in range(100):
+        outcome, _ = env.step(idle)
+        ended = outcome.episode_ended
+        if ended.any():
+            crashes += ended.sum()
+            assert outcome.terminated[ended].all()
+            assert not outcome.truncated[ended].any()
+            assert (outcome.rewards[ended].min(axis=1) < -195).all()
+            assert (outcome.metrics[ended, env.spec.metrics.index("crash_rate")] == 1).all()
+    assert crashes >= 8
+
+
+def test_the_state_holds_every_vehicle_and_the_time(make: Callable[..., MergeBatchedEnv]) -> None:
+    env = make("merge_two_lane", copies=3, density=2)
+    for _ in range(7):
+        _, observed = env.step(np.ones((3, 4), np.int64))
+    for copy in range(3):
+        cars, cavs, _ = cars_of(env, copy)
+        rows, time = observed.states[copy, :-1].reshape(8, 7), observed.states[copy, -1]
+        assert time == pytest.approx(0.07)
+        slots = [*range(cavs), *range(4, 4 + len(cars) - cavs)]
+        assert np.flatnonzero(rows[:, 0]).tolist() == slots
+        for row, car in zip(rows[slots], cars, strict=True):
+            np.testing.assert_allclose(row[1:3], [car["x"] / 150, car["y"] / 12], rtol=1e-6)
+            np.testing.assert_allclose(row[3:5], np.array(velocity(car)) / 45, rtol=1e-5, atol=1e-7)
+
+
+def test_with_two_ramp_lanes_nobody_may_go_right_and_left_leads_home(
+    make: Callable[..., MergeBatchedEnv],
+) -> None:
+    env = make("merge_two_lane", copies=32, density=1)
+    cars_from_outer = False
+    for _ in range(99):
+        observed = env.observed()
+        assert observed.action_masks is not None
+        masks = observed.action_masks
+        assert not masks[..., RIGHT][observed.alive].any()
+        for copy in range(32):
+            cars, cavs, lanes = cars_of(env, copy)
+            for me in range(cavs):
+                beside = lanes[me] in ("bc1", "bc2") and 320 <= cars[me]["x"] < 425
+                assert masks[copy, me, LEFT] == beside
+                cars_from_outer |= lanes[me] == "bc0" and abs(cars[me]["y"]) > 0.5
+        env.step(np.where(masks[..., LEFT], LEFT, 1))
+    assert cars_from_outer
