@@ -3,11 +3,12 @@
 import platform
 import sys
 
-from headway_launch.benchmarks import crossing, kernel, lightness, store, training
+from headway_launch.benchmarks import crossing, kernel, lightness, merge, store, training
 
 REPORTS = {
     "training": training.report,
     "kernel": kernel.report,
+    "merge": merge.report,
     "crossing": crossing.report,
     "lightness": lightness.report,
     "store": store.report,

@@ -12,6 +12,7 @@ from typing import Any
 
 from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway.config import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
+from headway.configuration import build
 from headway.events import Event, IterationFinished
 from headway.registry import algo_entry, env_entry
 
@@ -129,7 +130,7 @@ def _train(task: Task) -> Measurement:
             spec=make(prepared, 1).spec,
             make_policy=algo.acting_policy,
             make_learner=algo.learner,
-            algo_config=algo.config(**task.algo_args),
+            algo_config=build(algo.config, task.algo_args),
             seeds=(task.seed,),
             config=config,
             workers=task.workers,

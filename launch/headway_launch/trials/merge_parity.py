@@ -3,8 +3,10 @@
 Both begin alike and are given the same actions, and go on by themselves until the first contact, or until a
 vehicle all but stands: there the steering's gain, 1 / speed, makes ten times as much of a rounding error in
 every step, so that two programs that round differently cannot stay together. From then on ours is set to the
-other's place after every simulation step, and each step is compared by itself. Places, headings, speeds and
-displacements must agree to 1e-9 all the way; lanes, target lanes and who has crashed exactly.
+other's place after every simulation step, and each step is compared by itself. Places, headings and speeds
+must agree to 1e-9 all the way; lanes, target lanes, allowed actions and who has crashed exactly. How those
+about to meet are pushed apart must agree to 1e-6: of two faces all but parallel and equally deep, rounding
+chooses.
 """
 
 import sys
@@ -27,7 +29,7 @@ from headway_envs.merge.prepared import prepare
 if TYPE_CHECKING:
     from headway_launch.trials.merge_oracle import Oracle
 
-TOLERANCE = 1e-9
+TOLERANCE, PUSH_TOLERANCE = 1e-9, 1e-6
 SLOW = 1.0
 """Speed under which vehicles all but stand, m/s."""
 MOTION = ("x", "y", "heading", "speed")
@@ -58,6 +60,8 @@ class Verdict:
     """Largest difference while both went on by themselves."""
     stepwise: float
     """Largest difference by one step, after that."""
+    push: float
+    """Largest difference of a displacement."""
     contact: bool
     """Somebody touched somebody, or an obstacle."""
     lane_changes: int
@@ -135,7 +139,7 @@ class _Pair:
 def compare(trial: Trial) -> Verdict:
     """Play one episode on both. Raises HeadwayError where highway-env is not installed."""
     pair, draw = _Pair(trial), np.random.default_rng(trial.seed)
-    alone, stepwise, together, contact, changes = 0.0, 0.0, False, False, 0
+    alone, stepwise, push, together, contact, changes = 0.0, 0.0, 0.0, False, False, 0
     faults: list[str] = []
 
     def hold(step: int, what: str, mine: Any, theirs: Any) -> None:  # noqa: ANN401 - arrays or lists
@@ -153,7 +157,8 @@ def compare(trial: Trial) -> Verdict:
         changes += int(((before[:, 0] == after[:, 0]) & (before[:, 1] != after[:, 1])).sum())
         hold(step, "crashed", pair.crashed, pair.oracle.crashed)
         hold(step, "lanes", pair.lanes, pair.oracle.lanes)
-        apart = float(np.abs(pair.motion - pair.oracle.motion).max())
+        difference = np.abs(pair.motion - pair.oracle.motion)
+        apart, push = float(difference[:, :4].max()), max(push, float(difference[:, 4:].max()))
         if together:
             stepwise = max(stepwise, apart)
         else:
@@ -164,7 +169,9 @@ def compare(trial: Trial) -> Verdict:
             pair.meet()
     if max(alone, stepwise) > TOLERANCE:
         faults.append(f"{max(alone, stepwise):.1e} apart")
-    return Verdict(alone, stepwise, contact, changes, tuple(faults))
+    if push > PUSH_TOLERANCE:
+        faults.append(f"displacements {push:.1e} apart")
+    return Verdict(alone, stepwise, push, contact, changes, tuple(faults))
 
 
 def _oracle() -> "type[Oracle]":
@@ -196,10 +203,15 @@ def trials(seeds: int) -> list[Trial]:
 
 def main() -> None:
     """Print how far apart the two ever were; exit with 1 where anything was not as it should be."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 25
+    given = sys.argv[1:] or ["25"]
+    if len(given) > 1 or not given[0].isdigit() or given == ["0"]:
+        sys.exit(f"merge_parity: the number of seeds is one whole number above 0, not '{' '.join(given)}'")
+    seeds = int(given[0])
     print(f"{len(trials(seeds))} episodes on each, seeds 0 to {seeds - 1}\n")
-    print("| ramp lanes | CAVs | MOBIL | episodes | with contact | lane changes | alone | by step | faults |")
-    print("|---:|---|---|---:|---:|---:|---:|---:|---:|")
+    print(
+        "| ramp lanes | CAVs | MOBIL | episodes | contacts | lane changes | alone | by step | push | faults |"
+    )
+    print("|---:|---|---|---:|---:|---:|---:|---:|---:|---:|")
     faults = 0
     for ramp_lanes, play, eager in product((1, 2), PLAYS, (False, True)):
         group = (ramp_lanes, play, eager)
@@ -211,7 +223,7 @@ def main() -> None:
             f"| {ramp_lanes} | {play} | {'study' if eager else 'highway-env'} | {len(mine)} "
             f"| {sum(v.contact for v in verdicts)} | {sum(v.lane_changes for v in verdicts)} "
             f"| {max(v.alone for v in verdicts):.1e} | {max(v.stepwise for v in verdicts):.1e} "
-            f"| {len(wrong)} |",
+            f"| {max(v.push for v in verdicts):.1e} | {len(wrong)} |",
             flush=True,
         )
         for trial, verdict in wrong[:3]:
