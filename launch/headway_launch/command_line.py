@@ -54,6 +54,7 @@ _COMMANDS = {
     "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),
     "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
     "plot": _Command("picture of a study's learning curves", "plot"),
+    "render": _Command("picture or moving picture of an episode, by a policy or a rule", "render"),
     "browse": _Command("browse the store in MLflow's pages", "browse"),
     "sync": _Command("bring MLflow up to date with the run folders", "sync"),
     "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),

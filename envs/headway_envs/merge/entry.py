@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
+from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
 from headway_envs.merge.config import MergeConfig
 
 if TYPE_CHECKING:
@@ -29,6 +29,12 @@ def _parallel_env(config: "MergeConfig | Prepared", ramp_lanes: int) -> Any:  # 
 
     prepared = _prepare(config, ramp_lanes) if isinstance(config, MergeConfig) else config
     return ParallelFace(lambda copies: MergeBatchedEnv(prepared, copies))
+
+
+def _painter(prepared: "Prepared") -> Painter:
+    from headway_envs.merge.picture import MergePainter
+
+    return MergePainter(prepared)
 
 
 def _idle(prepared: "Prepared") -> Rule:
@@ -65,6 +71,7 @@ def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
         prepare=partial(_prepare, ramp_lanes=ramp_lanes),
         parallel_env=partial(_parallel_env, ramp_lanes=ramp_lanes),
         rules=RULES,
+        painter=_painter,
         preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),
     )
 

@@ -67,6 +67,8 @@ class MergeBatchedEnv:
             ended=np.zeros(copies, np.bool_),
             final_observations=np.zeros((copies, slots, OBSERVATION_SIZE), np.float32),
             final_states=np.zeros((copies, state), np.float32),
+            final_episodes=np.zeros(copies, EPISODE),
+            final_cars=np.zeros_like(self.world.cars),
             metrics=np.zeros((copies, len(METRICS))),
         )
         self._work = Workspace(

@@ -9,7 +9,7 @@ policy, numbers that an agent remembers.
 """
 
 from headway.contracts.acting import ActingPolicy, RememberingPolicy
-from headway.contracts.entries import AlgoEntry, EnvEntry, Rule
+from headway.contracts.entries import AlgoEntry, EnvEntry, Painter, Rule
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
 from headway.contracts.errors import HeadwayError
 from headway.contracts.learning import Learner, ReplayingLearner
@@ -35,6 +35,7 @@ __all__ = [
     "ObservationBounds",
     "Observed",
     "Outcome",
+    "Painter",
     "RandomRule",
     "RememberingPolicy",
     "ReplayingLearner",

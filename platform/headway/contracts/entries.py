@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts.acting import ActingPolicy
@@ -25,6 +26,15 @@ class Rule(Protocol):
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
         """Actions for every copy and agent, shaped as `BatchedEnv.step` takes them."""
+        ...
+
+
+class Painter(Protocol):
+    """Draws what happens, for people."""
+
+    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """The first copy now, as an RGB picture (height, width, 3) of always the same size; `at_end`: as its
+        last episode ended, not as its next begins."""
         ...
 
 
@@ -49,6 +59,8 @@ class EnvEntry:
     it and what that observed last: the environment's rules look there."""
     rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
     """Name -> (prepared) -> rule."""
+    painter: Callable[[Any], Painter] | None = None
+    """(prepared) -> what draws it, for `headway render`."""
     preload: tuple[str, ...] = ()
     """Modules that worker processes import once, before forking (compiled kernels). A module's `warm()`, if
     it has one, is called before training starts, so that what it compiles is compiled once, not by each."""

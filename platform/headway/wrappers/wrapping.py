@@ -7,7 +7,7 @@ applied to the environment's ParallelEnv, and the adapter makes a batch of that.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from headway.contracts import (
     HeadwayError,
     ObservationBounds,
     Observed,
+    Painter,
     RandomRule,
     Rule,
 )
@@ -82,7 +83,23 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         prepare=lambda config: _prepare(name, entry, tuple(wrappers), entry.prepare(config)),
         parallel_env=None,
         rules={rule: _behind(rule, make) for rule, make in rules.items()},
+        painter=None if entry.painter is None else _painter_behind(entry.painter),
     )
+
+
+def _painter_behind(make: Callable[[Any], Painter]) -> Callable[[Wrapped], Painter]:
+    return lambda wrapped: make(wrapped.prepared)
+
+
+def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
+    """The environment itself, of a ParallelEnv the batch of one copy behind the first, where it has one."""
+    inner: Any = env
+    while hasattr(inner, "inner"):
+        inner = inner.inner
+    if isinstance(inner, ParallelEnvBatch):
+        first = inner.parallel_envs[0].unwrapped
+        inner = first.native[0] if hasattr(type(first), "native") else inner
+    return cast(BatchedEnv, inner)
 
 
 def _any_changes_actions(wrappers: Sequence[ListedWrapper]) -> bool:

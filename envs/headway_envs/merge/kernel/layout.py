@@ -190,6 +190,10 @@ class Outputs(NamedTuple):
     ended: NDArray[np.bool_]
     final_observations: NDArray[np.float32]
     final_states: NDArray[np.float32]
+    final_episodes: NDArray[Any]
+    """(C,) EPISODE: as the last episode ended; for pictures"""
+    final_cars: NDArray[Any]
+    """(C, V) CAR"""
     metrics: NDArray[np.float64]
 
 

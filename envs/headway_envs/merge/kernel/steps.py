@@ -81,6 +81,9 @@ def _end(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> Non
             outputs.final_observations[c, n, d] = outputs.observations[c, n, d]
     for d in range(outputs.states.shape[1]):
         outputs.final_states[c, d] = outputs.states[c, d]
+    outputs.final_episodes[c] = episode
+    for i in range(world.cars.shape[1]):
+        outputs.final_cars[c, i] = world.cars[c, i]
     close_books(world, c, outputs.metrics[c])
     begin_episode(net, k, world, c, episode.seed, episode.number + 1)
     look(net, k, world, outputs, c)

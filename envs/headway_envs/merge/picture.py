@@ -1,0 +1,137 @@
+"""A picture of a merge: the road in two rows, the ramp lanes, and every vehicle with its speed."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from headway.contracts import BatchedEnv
+from headway_envs.merge.env import MergeBatchedEnv
+from headway_envs.merge.kernel.layout import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    LANE_WIDTH,
+    OBSTACLE_SIZE,
+    STEP_S,
+    SUBSTEPS,
+)
+from headway_envs.merge.network import END
+from headway_envs.merge.prepared import Prepared
+
+Pixels = list[tuple[float, float]]
+
+ROW_M = 270.0
+"""Length of road in a row; two rows show it all."""
+SCALE = 5.0
+"""Pixels a metre."""
+FINER = 2
+"""Drawn so many times as large and then reduced, for smooth edges."""
+ABOVE_M, MARGIN_M, HEADER = 6.0, 4.0, 34
+
+GROUND, ROAD, MARKING, EDGE, TEXT = "#eef1ea", "#8d949b", "#ffffff", "#54595e", "#20242a"
+CAV, HUMAN, CRASHED, OBSTACLE = "#1565c0", "#2e9d4f", "#d32f2f", "#f2b705"
+
+
+class MergePainter:
+    """Implements `headway.contracts.Painter` for both merges."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        lanes = prepared.network.lanes
+        self._lanes, self._obstacles = lanes, prepared.network.obstacles
+        self._ramp_lanes = prepared.ramp_lanes
+        self._row_m = float(lanes["y"].max()) + LANE_WIDTH / 2.0 + ABOVE_M + MARGIN_M
+        self._size = int(ROW_M * SCALE), int(HEADER + 2 * self._row_m * SCALE)
+        self._font = ImageFont.load_default(11 * FINER)
+        self._large = ImageFont.load_default(15 * FINER)
+        self._background = self._draw_road()
+
+    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """(height, width, 3). Raises TypeError for any other environment."""
+        if not isinstance(env, MergeBatchedEnv):
+            raise TypeError(f"the picture of a merge needs a MergeBatchedEnv, not {type(env).__name__}")
+        outputs, world = env.outputs, env.world
+        episode = (outputs.final_episodes if at_end else world.episodes)[0]
+        cars = (outputs.final_cars if at_end else world.cars)[0][: episode["cars"]]
+        picture = self._background.copy()
+        draw = ImageDraw.Draw(picture)
+        for index, car in enumerate(cars):
+            self._draw_car(draw, car, CAV if index < episode["cavs"] else HUMAN)
+        speeds, merged = cars["speed"][: episode["cavs"]], int(cars["merged"][: episode["cavs"]].sum())
+        line = f"{episode['step'] * SUBSTEPS * STEP_S:5.1f} s    CAVs: mean speed {speeds.mean():.1f} m/s, "
+        line += f"{merged} of {len(speeds)} past the ramp    reward so far {episode['reward']:.1f}"
+        if episode["crash"]:
+            line += "    CRASH"
+        draw.text((8 * FINER, 8 * FINER), line, TEXT, self._large)
+        small = picture.resize(self._size, Image.Resampling.LANCZOS)
+        return np.asarray(small, np.uint8)
+
+    def _at(self, x: float, y: float) -> tuple[float, float]:
+        """Pixels of a place on the road."""
+        row = min(int(x // ROW_M), 1) if x >= 0.0 else 0
+        across = HEADER + (row * self._row_m + ABOVE_M + y) * SCALE
+        return (x - row * ROW_M) * SCALE * FINER, across * FINER
+
+    def _draw_road(self) -> Image.Image:
+        picture = Image.new("RGB", (self._size[0] * FINER, self._size[1] * FINER), GROUND)
+        draw = ImageDraw.Draw(picture)
+        for half, colour in ((LANE_WIDTH / 2.0 + 0.25, EDGE), (LANE_WIDTH / 2.0, ROAD)):
+            for lane in self._lanes:
+                self._draw_lane(draw, lane, half, colour)
+        for index, lane in enumerate(self._lanes):
+            if index > lane["first"]:
+                for x in np.arange(lane["x"], lane["x"] + lane["length"], 8.0):
+                    y = lane["y"] - LANE_WIDTH / 2.0
+                    draw.line([self._at(x, y), self._at(x + 4.0, y)], MARKING, FINER)
+        if self._ramp_lanes == 2:  # nobody changes between the ramp lanes before the highway is beside them
+            for lane in self._lanes[-2:]:
+                for upper, _ in self._edges(lane, LANE_WIDTH / 2.0):
+                    draw.line(upper, MARKING, FINER)
+        half = OBSTACLE_SIZE / 2.0
+        for x, y in self._obstacles:
+            draw.rectangle([self._at(x - half, y - half), self._at(x + half, y + half)], OBSTACLE, EDGE)
+        self._draw_legend(draw)
+        return picture
+
+    def _draw_lane(self, draw: ImageDraw.ImageDraw, lane: Any, half: float, colour: str) -> None:  # noqa: ANN401
+        for upper, lower in self._edges(lane, half):
+            draw.polygon([*upper, *reversed(lower)], colour)
+
+    def _edges(self, lane: Any, half: float) -> Iterator[tuple[Pixels, Pixels]]:  # noqa: ANN401
+        """What runs `half` m to the left and to the right of a lane's centre, in each row that it is in."""
+        end = lane["x"] + lane["length"]
+        if end == END:  # vehicles drive on
+            end = 2.0 * ROW_M
+        for row in range(2):
+            begin, stop = max(lane["x"], row * ROW_M), min(end, (row + 1) * ROW_M)
+            if stop <= begin:
+                continue
+            x = np.linspace(begin, stop, 60)
+            bend = np.sin(lane["pulsation"] * (x - lane["x"]) + lane["phase"])
+            centre = lane["y"] + lane["amplitude"] * bend
+            # A place at the end of a row belongs to the next: step back a hair.
+            x = np.minimum(x, (row + 1) * ROW_M - 1e-6)
+            yield (
+                [self._at(a, b - half) for a, b in zip(x, centre, strict=True)],
+                [self._at(a, b + half) for a, b in zip(x, centre, strict=True)],
+            )
+
+    def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
+        x = self._size[0] * FINER - 330 * FINER
+        for name, colour in (("CAV", CAV), ("human driver", HUMAN), ("crashed", CRASHED)):
+            draw.rectangle([x, 10 * FINER, x + 22 * FINER, 19 * FINER], colour, EDGE)
+            draw.text((x + 28 * FINER, 8 * FINER), name, TEXT, self._font)
+            x += (50 + 7 * len(name)) * FINER
+
+    def _draw_car(self, draw: ImageDraw.ImageDraw, car: Any, colour: str) -> None:  # noqa: ANN401
+        if not 0.0 <= car["x"] < 2.0 * ROW_M:
+            return
+        x, y = self._at(car["x"], car["y"])
+        corners = []
+        for along, across in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+            u, w = along * CAR_LENGTH / 2.0 * SCALE * FINER, across * CAR_WIDTH / 2.0 * SCALE * FINER
+            corners.append((x + car["cosine"] * u - car["sine"] * w, y + car["sine"] * u + car["cosine"] * w))
+        draw.polygon(corners, CRASHED if car["crashed"] else colour, EDGE)
+        label = f"{car['speed']:.0f}"
+        draw.text((x, y - CAR_WIDTH * SCALE * FINER), label, TEXT, self._font, anchor="mb")

@@ -1,0 +1,139 @@
+"""`headway render`: an episode as a picture of a moment or as a moving one."""
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from headway.configuration import suggestion
+from headway.contracts.errors import HeadwayError
+from headway_launch.commands.runs import add_store_argument, existing_store
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from headway.contracts import Observed
+    from headway_launch.composing import PreparedEnv
+
+    Act = Callable[[Any, Observed], NDArray[Any]]
+
+EXAMPLES = """\
+examples:
+  headway render s0-20260101-1200                  the newest policy of a run, acting greedily
+  headway render merge --rule idm_mobil            a rule on an environment
+  headway render merge --rule always_left env.args.density=3 --episode 4 --output crash.gif
+  headway render merge --rule idle --step 60 --output moment.png
+
+A .gif moves; a .png is one step of the episode (its last, unless --step says which).
+"""
+_SUFFIXES = (".gif", ".png")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Who plays, what and where to."""
+    parser.add_argument("name", metavar="RUN|ENV", help="a run, or with --rule an environment of configs/env")
+    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="with --rule: env.args.density=3")
+    parser.add_argument("--rule", help="the rule that plays (default: the run's policy)")
+    parser.add_argument(
+        "--episode", type=int, default=0, help="which of the evaluation episodes (default: 0)"
+    )
+    parser.add_argument("--seed", type=int, help="root of the episodes' seeds (default: evaluation.seed)")
+    parser.add_argument("--step", type=int, help="of a .png: after so many steps")
+    parser.add_argument("--output", help="file to write (default: NAME.gif)")
+    parser.add_argument("--fps", type=float, default=5.0, help="steps a second of a .gif (default: 5)")
+    add_store_argument(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Play, draw and say where the file is."""
+    output = Path(arguments.output or f"{Path(arguments.name).name}.gif")
+    _check(arguments, output)
+    from headway_launch.threads import limit_threads
+
+    limit_threads()
+    from headway_launch.kernels import compile_kernels
+
+    found, root, act = _player(arguments)
+    if found.entry.painter is None:
+        raise HeadwayError(f"{found.spec.name} cannot be drawn: its entry has no painter")
+    compile_kernels(found.entry)
+    frames = list(_frames(found, root if arguments.seed is None else arguments.seed, arguments.episode, act))
+    _write(frames, output, arguments.step, arguments.fps)
+    print(output)
+    return 0
+
+
+def _check(arguments: argparse.Namespace, output: Path) -> None:
+    if output.suffix not in _SUFFIXES:
+        raise HeadwayError(f"--output: {output} must end in {' or '.join(_SUFFIXES)}")
+    if arguments.step is not None and output.suffix != ".png":
+        raise HeadwayError("--step picks the moment of a picture: give it with --output NAME.png")
+    if arguments.episode < 0 or (arguments.seed or 0) < 0 or (arguments.step or 0) < 0:
+        raise HeadwayError("--episode, --seed and --step must be at least 0")
+    if not 0.1 <= arguments.fps <= 50.0:
+        raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
+    if arguments.overrides and arguments.rule is None:
+        raise HeadwayError(f"{arguments.overrides[0]}: a run is played as it was trained; leave it out")
+
+
+def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act"]:
+    """The environment, the root of its evaluation seeds and who plays it."""
+    if arguments.rule is None:
+        from headway.rollout.sampler import BlockwiseActing
+        from headway_launch.stored import StoredRun
+        from headway_launch.trained import newest_policy
+
+        run = StoredRun.find(existing_store(arguments.store), arguments.name)
+        found = run.experiment.prepare()
+        policy = newest_policy(run, found)
+        acting = BlockwiseActing(policy.plan, 1, 1)
+        root = run.experiment.config.evaluation.seed
+        return found, root, lambda env, observed: acting.act(policy.parameters, observed, None)[0]
+    from headway_launch.composing import compose
+
+    experiment = compose([f"env={arguments.name}", *arguments.overrides])
+    found, rules = experiment.prepare(), experiment.env.rules
+    if arguments.rule not in rules:
+        raise HeadwayError(f"--rule: {arguments.rule!r} is no rule here; {suggestion(arguments.rule, rules)}")
+    rule = rules[arguments.rule](found.prepared)
+    return found, experiment.config.evaluation.seed, rule.act
+
+
+def _frames(found: "PreparedEnv", root: int, episode: int, act: "Act") -> Iterator["NDArray[np.uint8]"]:
+    """Pictures of one evaluation episode, from its beginning to its end."""
+    from contextlib import closing
+
+    from headway.rollout.episodes import evaluation_seeds
+    from headway.wrappers.wrapping import behind_wrappers
+
+    assert found.entry.painter is not None
+    painter = found.entry.painter(found.prepared)
+    with closing(found.entry.make(found.prepared, 1)) as env:
+        observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
+        yield painter.paint(behind_wrappers(env), at_end=False)
+        while not ended:
+            outcome, observed = env.step(act(env, observed))
+            ended = bool(outcome.episode_ended[0])
+            yield painter.paint(behind_wrappers(env), at_end=ended)
+
+
+def _write(frames: "list[NDArray[np.uint8]]", output: Path, step: int | None, fps: float) -> None:
+    from PIL import Image
+
+    try:
+        if output.suffix == ".png":
+            moment = len(frames) - 1 if step is None else step
+            if moment >= len(frames):
+                raise HeadwayError(f"--step: the episode ends after {len(frames) - 1} steps, before {step}")
+            Image.fromarray(frames[moment]).save(output)
+            return
+        # One palette for all, so that what stands still is stored once.
+        first = Image.fromarray(frames[-1]).quantize(64)
+        pictures = [
+            Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames
+        ]
+        pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
+        pictures[0].save(output, save_all=True, append_images=pictures[1:], duration=pause, loop=0)
+    except OSError as error:
+        raise HeadwayError(f"--output: {output} cannot be written ({error})") from error

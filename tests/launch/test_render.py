@@ -1,0 +1,74 @@
+"""`headway render`: episodes by a rule and by a trained policy, and what it refuses."""
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from headway_launch.command_line import run
+
+
+def frames(path: Path) -> list[tuple[int, int]]:
+    with Image.open(path) as picture:
+        sizes = []
+        for index in range(getattr(picture, "n_frames", 1)):
+            picture.seek(index)
+            sizes.append(picture.size)
+        return sizes
+
+
+def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
+    """The picture of a moment is one of the frames, and the episode is as long as it was told to be."""
+    moving, still = tmp_path / "idle.gif", tmp_path / "idle.png"
+    words = ["render", "merge", "--rule", "random", "env.args.steps=6"]
+    assert run([*words, "--output", str(moving)]) == 0
+    assert run([*words, "--output", str(still), "--step", "3"]) == 0
+    assert len(frames(moving)) == 7
+    assert frames(still) == frames(moving)[:1]
+
+
+def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
+    small = ["env_steps=64", "rollout.copies=2", "rollout.steps=32", "rollout.block=2", "seed=0"]
+    quick = ["backend=serial", "energy=off", "preset=none", "evaluation.episodes=1"]
+    where = ["evaluation.final_episodes=1", "evaluation.rules=[]", f"store.root={tmp_path / 'runs'}"]
+    model = [
+        "env.args.steps=5",
+        "algo.model.hidden=[8]",
+        "env.wrappers=[{name: frame_stack_v1, stack_size: 2}]",
+    ]
+    assert run(["run", "experiment=merge_mappo", *small, *quick, *where, *model]) == 0
+    moving = tmp_path / "policy.gif"
+    assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
+    assert len(frames(moving)) == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
+        (["trivial", "--rule", "random"], "trivial cannot be drawn: its entry has no painter"),
+        (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
+        (["merge", "--rule", "idle", "--step", "3"], "--step picks the moment of a picture"),
+        (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
+        (["merge", "--rule", "idle", "--fps", "0"], "--fps must lie between 0.1 and 50, not 0"),
+        (["merge", "--rule", "idle", "--output", "no/where.gif"], "--output: no/where.gif cannot be written"),
+        (["s0", "env.args.density=3"], "env.args.density=3: a run is played as it was trained"),
+        (
+            ["merge", "--rule", "idle", "--output", "a.png", "--step", "9", "env.args.steps=4"],
+            "--step: the episode ends after 4 steps, before 9",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(
+    words: list[str],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["render", *words]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("headway: ")
+    assert line in error
+    assert list(tmp_path.iterdir()) == []
