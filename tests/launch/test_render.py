@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -25,6 +26,10 @@ def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
     assert run([*words, "--output", str(still), "--step", "3"]) == 0
     assert len(frames(moving)) == 7
     assert frames(still) == frames(moving)[:1]
+    with Image.open(moving) as picture, Image.open(still) as moment:
+        picture.seek(3)
+        apart = np.abs(np.asarray(picture.convert("RGB"), int) - np.asarray(moment, int))
+    assert np.quantile(apart, 0.9999) < 40  # the palette has the few yellow pixels of the obstacle, too
 
 
 def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:

@@ -34,7 +34,8 @@ class RewardConfig:
     """Time gap from which on following costs nothing, s."""
     scope: Literal["global", "regional", "own"] = "global"
     """Whose r a CAV is paid: `global`, the mean of all CAVs; `regional`, the mean of its own and those of
-    the CAVs next to it, ahead and behind, on its lane and the lane beside it; `own`."""
+    the CAVs next to it, ahead and behind, on its lane and the lane beside it; `own`. Without `global`, empty
+    slots are paid 0 and count in the return; the metric `reward` is the mean of all CAVs always."""
 
     def __post_init__(self) -> None:
         for name in ("collision", "speed", "ramp_end", "spacing"):

@@ -12,6 +12,7 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from PIL import Image
 
     from headway.contracts import Observed
     from headway_launch.composing import PreparedEnv
@@ -128,12 +129,20 @@ def _write(frames: "list[NDArray[np.uint8]]", output: Path, step: int | None, fp
                 raise HeadwayError(f"--step: the episode ends after {len(frames) - 1} steps, before {step}")
             Image.fromarray(frames[moment]).save(output)
             return
-        # One palette for all, so that what stands still is stored once.
-        first = Image.fromarray(frames[-1]).quantize(64)
+        palette = _palette(frames)
         pictures = [
-            Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames
+            Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
         ]
         pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
         pictures[0].save(output, save_all=True, append_images=pictures[1:], duration=pause, loop=0)
     except OSError as error:
         raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
+
+
+def _palette(frames: "list[NDArray[np.uint8]]") -> "Image.Image":
+    """One for all frames, so that what stands still is stored once; with rare colours, as that of a crash."""
+    import numpy as np
+    from PIL import Image
+
+    some = [*frames[:: max(len(frames) // 8, 1)], frames[-1]]
+    return Image.fromarray(np.concatenate(some)).quantize(256, Image.Quantize.MAXCOVERAGE)
