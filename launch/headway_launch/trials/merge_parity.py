@@ -10,6 +10,7 @@ chooses.
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -201,12 +202,15 @@ def trials(seeds: int) -> list[Trial]:
     ]
 
 
-def main() -> None:
-    """Print how far apart the two ever were; exit with 1 where anything was not as it should be."""
-    given = sys.argv[1:] or ["25"]
-    if len(given) > 1 or not given[0].isdigit() or given == ["0"]:
-        sys.exit(f"merge_parity: the number of seeds is one whole number above 0, not '{' '.join(given)}'")
+def run(words: Sequence[str]) -> int:
+    """Print how far apart the two ever were; returns 1 where anything was not as it should be.
+
+    Raises HeadwayError for a number of seeds that is none, and where highway-env is not installed."""
+    given = words or ["25"]
+    if len(given) > 1 or not given[0].isdigit() or int(given[0]) == 0:
+        raise HeadwayError(f"the number of seeds is one whole number above 0, not '{' '.join(given)}'")
     seeds = int(given[0])
+    _oracle()
     print(f"{len(trials(seeds))} episodes on each, seeds 0 to {seeds - 1}\n")
     print(
         "| ramp lanes | CAVs | MOBIL | episodes | contacts | lane changes | alone | by step | push | faults |"
@@ -228,7 +232,16 @@ def main() -> None:
         )
         for trial, verdict in wrong[:3]:
             print(f"  {trial}: {verdict.faults[0]}")
-    sys.exit(1 if faults else 0)
+    return 1 if faults else 0
+
+
+def main() -> None:
+    """Run it and exit; errors are one line, and exit code 2."""
+    try:
+        sys.exit(run(sys.argv[1:]))
+    except HeadwayError as error:
+        print(f"merge_parity: {error}", file=sys.stderr)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

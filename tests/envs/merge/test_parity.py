@@ -1,12 +1,15 @@
 """Against highway-env. Hundreds of seeds: `python -m headway_launch.trials.merge_parity`."""
 
+import sys
+
 import pytest
 
 pytest.importorskip(
     "highway_env", reason="the oracle highway-env is not installed: pip install 'headway[dev]'"
 )
 
-from headway_launch.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare
+from headway.contracts import HeadwayError
+from headway_launch.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare, run
 
 DRIVERS = {"highway-env": False, "study": True}
 
@@ -35,3 +38,15 @@ def test_a_difference_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(merge_oracle.Driver, "TIME_WANTED", 1.4)
     assert compare(Trial(1, density=3, play="idle", seed=4, steps=60)).faults
+
+
+@pytest.mark.parametrize("words", [["many"], ["0"], ["1", "2"]])
+def test_a_number_of_seeds_that_is_none_is_named(words: list[str]) -> None:
+    with pytest.raises(HeadwayError, match=f"one whole number above 0, not '{' '.join(words)}'"):
+        run(words)
+
+
+def test_a_missing_oracle_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "headway_launch.trials.merge_oracle", None)
+    with pytest.raises(HeadwayError, match=r"highway-env is missing: pip install 'headway\[dev\]'"):
+        run(["1"])
