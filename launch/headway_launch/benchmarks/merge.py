@@ -82,11 +82,12 @@ def _report_training() -> None:
             backend="process",
             workers=workers,
         )
-        rate = measure([task])[0].per_second
-        minutes = EPISODES * EPISODE_STEPS / rate / 60.0
+        result = measure([task])[0]
+        minutes = EPISODES * EPISODE_STEPS / result.per_second / 60.0
         print(
-            f"\nTraining (mappo, 128-128, density 2, {workers} worker{'s' * (workers > 1)}): {rate:,.0f} "
-            f"environment steps/s; {EPISODES:,} episodes of {EPISODE_STEPS} steps would take {minutes:.1f} "
-            f"minutes, where the study needed {STUDY_HOURS:g} hours.",
+            f"\nTraining (mappo, 128-128, density 2, {workers} worker{'s' * (workers > 1)}): "
+            f"{result.per_second:,.0f} environment steps/s, {result.per_cpu_second:,.0f} a CPU second; "
+            f"{EPISODES:,} episodes of {EPISODE_STEPS} steps would take {minutes:.1f} minutes, where the "
+            f"study needed {STUDY_HOURS:g} hours.",
             flush=True,
         )
