@@ -5,8 +5,7 @@ vehicle all but stands: there the steering's gain, 1 / speed, makes ten times as
 every step, so that two programs that round differently cannot stay together. From then on ours is set to the
 other's place after every simulation step, and each step is compared by itself. Places, headings and speeds
 must agree to 1e-9 all the way; lanes, target lanes, allowed actions and who has crashed exactly. How those
-about to meet are pushed apart must agree to 1e-6: of two faces all but parallel and equally deep, rounding
-chooses.
+about to meet are pushed apart must agree to 1e-3: of faces equally deep, rounding chooses one.
 """
 
 import sys
@@ -30,7 +29,7 @@ from headway_envs.merge.prepared import prepare
 if TYPE_CHECKING:
     from headway_launch.trials.merge_oracle import Oracle
 
-TOLERANCE, PUSH_TOLERANCE = 1e-9, 1e-6
+TOLERANCE, PUSH_TOLERANCE = 1e-9, 1e-3
 SLOW = 1.0
 """Speed under which vehicles all but stand, m/s."""
 MOTION = ("x", "y", "heading", "speed")
