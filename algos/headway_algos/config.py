@@ -51,10 +51,13 @@ class AlgoConfig:
     critic: Literal["local", "central", "counterfactual"] = "local"
     """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state; `counterfactual`:
     Q(s, u) of each own action, the others' held fixed (Discrete actions only)."""
-    update: Literal["ppo", "a2c", "trpo"] = "ppo"
+    update: Literal["ppo", "a2c", "trpo", "kfac"] = "ppo"
     """How a policy is improved from its advantages: `ppo`: epochs of minibatch steps on a clipped surrogate;
     `a2c`: one gradient step on the whole batch; `trpo`: one natural-gradient step within a bound of the KL
-    divergence."""
+    divergence; `kfac`: one natural-gradient step too, by Kronecker factors of the Fisher information."""
+    critic_update: Literal["adam", "kfac"] = "adam"
+    """How the critic goes down its errors: `adam`, or `kfac`: along the natural gradient, by Kronecker
+    factors of the Gauss-Newton matrix."""
     order: Literal["simultaneous", "sequential"] = "simultaneous"
     """Whether policies are updated all at once, or one agent after another in a random order, each weighing
     its advantages by what those before it have changed (needs `policies: independent`)."""
@@ -65,7 +68,7 @@ class AlgoConfig:
     each goes on from it by itself, in the first iteration that begins after that. 0: never."""
     apart_lr: float = 1.0
     """Share of the learning rates with which policies learn once they have parted: each then has only its own
-    agents' experience, and noisier gradients. TRPO's KL bound is multiplied by the square."""
+    agents' experience, and noisier gradients. KL bounds are multiplied by the square."""
     model: ModelConfig = field(default_factory=ModelConfig)
     critic_actions: Literal["none", "others"] = "none"
     """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""
@@ -76,15 +79,16 @@ class AlgoConfig:
     gae_lambda: float = 0.95
     """Lambda of generalised advantage estimation."""
     lr: float = 5e-4
-    """Learning rate of the actor (Adam). TRPO's actor has none: there it is the critic's alone."""
+    """Learning rate of the actor (Adam). TRPO's actor has none: there it is the critic's alone. For K-FAC the
+    most of the natural gradient that a step goes, where the KL bound allows as much."""
     critic_lr: float | None = None
     """Learning rate of the critic; null: `lr`."""
     lr_end: float = 1.0
-    """Share of the learning rates left at the end of training (linear); 1: constant. TRPO's steps shrink
-    alike: its KL bound is multiplied by the square."""
+    """Share of the learning rates left at the end of training (linear); 1: constant. Steps within KL bounds
+    shrink alike: the bounds are multiplied by the square."""
     epochs: int = 5
-    """Passes over an iteration's experience: the critic's always, the actor's for PPO alone (A2C and TRPO
-    take one step on the whole batch)."""
+    """Passes over an iteration's experience: the critic's always, the actor's for PPO alone (A2C, TRPO and
+    K-FAC take one step on the whole batch)."""
     minibatches: int = 8
     """Minibatches a pass, for whom `epochs` counts; 1: the whole batch."""
     clip: float = 0.2
@@ -94,7 +98,7 @@ class AlgoConfig:
     kl_target: float = 0.01
     """KL divergence that PPO's adaptive coefficient aims at."""
     kl_bound: float = 0.01
-    """TRPO's bound of the mean KL divergence of a step (delta)."""
+    """TRPO's bound of the mean KL divergence of a step (delta); K-FAC's of what that is expected to be."""
     accept_ratio: float = 0.1
     """Least share of the improvement expected to first order that a step of TRPO must bring."""
     cg_iterations: int = 10
@@ -106,14 +110,28 @@ class AlgoConfig:
     fisher_share: float = 1.0
     """Share of the rows, evenly strided, over which TRPO's Fisher information is taken (1, 1/2, 1/3 ...;
     others are rounded to one of these). Less is faster, and was seen to learn worse on a few hundred rows."""
+    kfac_damping: float = 0.01
+    """Added to the diagonal of K-FAC's Fisher information (lambda), in factors."""
+    kfac_decay: float = 0.95
+    """Share of K-FAC's running averages that is left after another batch; the first batches weigh alike."""
+    kfac_every: int = 1
+    """Batches from one inversion of K-FAC's factors to the next; 1: after every one."""
+    kfac_length: Literal["exact", "factors"] = "exact"
+    """By which Fisher information K-FAC expects a step's KL divergence: `exact`: that of the batch;
+    `factors`: its own approximation, as published, which was seen to expect 2 to 8 times too little."""
+    kfac_momentum: float = 0.0
+    """Share of K-FAC's last direction in the next one; 0: none."""
+    critic_kl_bound: float = 0.3
+    """K-FAC's bound for a step of the critic: of half the mean squared change of its values, which is the
+    divergence of Gaussians with standard deviation 1; with `normalise_values` in normalised units."""
     entropy_coeff: float = 0.01
     """Weight of the policy's entropy in the objective (for TRPO: in the surrogate); 0: none."""
     value_clip: float | None = None
     """Bound of the critic's squared error, as RLlib's vf_clip_param, in units of return squared; with
     `normalise_values` in normalised ones, in which an error of 1 is a standard deviation. null: none."""
     grad_clip: float | None = 0.5
-    """Bound of the gradient's norm, for each policy (but TRPO's, which the KL bounds) and each critic; null:
-    none."""
+    """Bound of the gradient's norm, for each policy and each critic (but TRPO's and K-FAC's, which the KL
+    bounds); null: none."""
     normalise_advantages: bool = True
     """Standardise advantages per policy."""
     normalise_observations: bool = True
@@ -161,6 +179,11 @@ class AlgoConfig:
         _require(self.cg_damping > 0, "cg_damping must be above 0")
         _require(self.line_search_steps >= 0, "line_search_steps must be at least 0")
         _require(0 < self.fisher_share <= 1, "fisher_share must lie in (0, 1]")
+        _require(self.kfac_damping > 0, "kfac_damping must be above 0")
+        _require(0 <= self.kfac_decay < 1, "kfac_decay must lie in [0, 1)")
+        _require(self.kfac_every >= 1, "kfac_every must be at least 1")
+        _require(0 <= self.kfac_momentum < 1, "kfac_momentum must lie in [0, 1)")
+        _require(self.critic_kl_bound > 0, "critic_kl_bound must be above 0")
         _require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
         _require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
         _require(self.piece_samples >= 1, "piece_samples must be at least 1")

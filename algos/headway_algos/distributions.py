@@ -57,6 +57,14 @@ class MaskedCategorical:
         weighed = probabilities * direction
         return weighed - probabilities * weighed.sum(1, keepdim=True)
 
+    def drawn_score(self, noise: Tensor) -> Tensor:
+        """d log p(u) / d logits, (P, A, B), of actions u drawn by uniforms (P, B) in float64: 1 at the
+        action, minus the chances."""
+        cumulative = self.log_probs.double().exp().cumsum(1)
+        chosen = (cumulative <= noise[:, None] * cumulative[:, -1:]).sum(1, keepdim=True)
+        actions = torch.arange(cumulative.shape[1], device=chosen.device)[None, :, None]
+        return (actions == chosen).to(self.log_probs.dtype) - self.log_probs.exp()
+
 
 @dataclass(frozen=True)
 class DiagonalGaussian:
@@ -85,9 +93,13 @@ class DiagonalGaussian:
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
 
     def detach(self) -> Self:
-        """The same as a constant."""
-        return type(self)(self.mean.detach(), self.log_std.detach())
+        """The same as a constant, whatever becomes of the parameters."""
+        return type(self)(self.mean.detach(), self.log_std.detach().clone())
 
     def fisher_of_outputs(self, direction: Tensor) -> Tensor:
         """v / variance: the Fisher information in the mean, times v (P, A, B)."""
         return direction * torch.exp(-2 * self.log_std.detach())
+
+    def drawn_score(self, noise: Tensor) -> Tensor:
+        """d log p(u) / d mean, (P, A, B), of actions u drawn by standard normals (P, B, A)."""
+        return noise.transpose(1, 2).to(self.log_std.dtype) * torch.exp(-self.log_std)

@@ -5,7 +5,19 @@ from collections.abc import Sequence
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Learner, MultiDiscrete
 from headway_algos.config import AlgoConfig
 from headway_algos.offpolicy.entries import OFF_POLICY
-from headway_algos.recipes import coma, custom, happo, hatrpo, ia2c, ippo, itrpo, maa2c, mappo, matrpo
+from headway_algos.recipes import (
+    coma,
+    custom,
+    happo,
+    hatrpo,
+    ia2c,
+    ippo,
+    itrpo,
+    maa2c,
+    maacktr,
+    mappo,
+    matrpo,
+)
 from headway_algos.remembering import acting_policy
 
 
@@ -59,6 +71,7 @@ ENTRIES = {
     "ippo": _entry(ippo.SUMMARY, ippo.SOURCE, ippo.IPPOConfig),
     "itrpo": _entry(itrpo.SUMMARY, itrpo.SOURCE, itrpo.ITRPOConfig),
     "maa2c": _entry(maa2c.SUMMARY, maa2c.SOURCE, maa2c.MAA2CConfig),
+    "maacktr": _entry(maacktr.SUMMARY, maacktr.SOURCE, maacktr.MAACKTRConfig),
     "mappo": _entry(mappo.SUMMARY, mappo.SOURCE, mappo.MAPPOConfig),
     "matrpo": _entry(matrpo.SUMMARY, matrpo.SOURCE, matrpo.MATRPOConfig),
     **OFF_POLICY,

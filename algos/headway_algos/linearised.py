@@ -5,7 +5,7 @@ layer at a time (Pearlmutter 1994, "Fast Exact Multiplication by the Hessian"), 
 backpropagation does. The activations are kept, so that neither evaluates the network again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -54,12 +54,18 @@ class LinearisedMLP:
             change = change.baddbmm_(self.weights[i], before)
         return change
 
+    def back(self, signal: Tensor) -> Iterator[tuple[int, Tensor]]:
+        """Each layer from the last one to the first, with what of a signal u (P, A, B) at the outputs arrives
+        before its activation, (P, out, B)."""
+        for i in reversed(range(len(self.weights))):
+            yield i, signal
+            if i > 0:
+                signal = self._through(i, torch.bmm(self.weights[i].transpose(1, 2), signal))
+
     def pull(self, signal: Tensor) -> list[Tensor]:
         """J^T u summed over rows, for each parameter, from a signal u (P, A, B)."""
         of_weights, of_biases = [], []
-        for i in reversed(range(len(self.weights))):
-            of_weights.append(torch.bmm(signal, self.inputs[i].transpose(1, 2)))
-            of_biases.append(signal.sum(2, keepdim=True))
-            if i > 0:
-                signal = self._through(i, torch.bmm(self.weights[i].transpose(1, 2), signal))
+        for i, arrived in self.back(signal):
+            of_weights.append(torch.bmm(arrived, self.inputs[i].transpose(1, 2)))
+            of_biases.append(arrived.sum(2, keepdim=True))
         return of_weights[::-1] + of_biases[::-1]

@@ -67,7 +67,13 @@ def _slower(config: AlgoConfig) -> AlgoConfig:
     """The same with `apart_lr` of its learning rates."""
     share = config.apart_lr
     critic_lr = None if config.critic_lr is None else config.critic_lr * share
-    return replace(config, lr=config.lr * share, critic_lr=critic_lr, kl_bound=config.kl_bound * share**2)
+    return replace(
+        config,
+        lr=config.lr * share,
+        critic_lr=critic_lr,
+        kl_bound=config.kl_bound * share**2,
+        critic_kl_bound=config.critic_kl_bound * share**2,
+    )
 
 
 def _repeated(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states are nested plain values

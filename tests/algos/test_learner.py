@@ -32,6 +32,7 @@ from headway_algos.recipes.ia2c import IA2CConfig
 from headway_algos.recipes.ippo import IPPOConfig
 from headway_algos.recipes.itrpo import ITRPOConfig
 from headway_algos.recipes.maa2c import MAA2CConfig
+from headway_algos.recipes.maacktr import MAACKTRConfig
 from headway_algos.recipes.mappo import MAPPOConfig
 from headway_algos.recipes.matrpo import MATRPOConfig
 from headway_algos.scenes import Scene
@@ -60,6 +61,8 @@ COMA = COMAConfig(**SETTINGS, gae_lambda=0.8, target_every=2)
 IA2C, MAA2C = IA2CConfig(**SETTINGS), MAA2CConfig(**SETTINGS)
 ITRPO, MATRPO = ITRPOConfig(**SETTINGS), MATRPOConfig(**SETTINGS)
 HAPPO, HATRPO = HAPPOConfig(**SETTINGS, kl_coeff=0.2), HATRPOConfig(**SETTINGS)
+MAACKTR = MAACKTRConfig(model=MODEL, precision="float64", kfac_every=2, kfac_momentum=0.5)
+INDEPENDENT_ACKTR = replace(MAACKTR, policies="independent")
 HAA2C = AlgoConfig(**SETTINGS, critic="central", update="a2c", order="sequential")
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "ippo": (IPPO, DISCRETE),
@@ -87,6 +90,17 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "itrpo": (ITRPO, DISCRETE),
     "itrpo groups box": (replace(ITRPO, policies="groups"), BOX),
     "matrpo shared": (replace(MATRPO, policies="shared", fisher_share=0.5), WITH_STATE),
+    "maacktr": (MAACKTR, DISCRETE),
+    "maacktr independent box": (INDEPENDENT_ACKTR, BOX),
+    "maacktr groups, by factors": (replace(MAACKTR, policies="groups", kfac_length="factors"), DISCRETE),
+    "k-fac in turns, central": (
+        AlgoConfig(**SETTINGS, critic="central", update="kfac", critic_update="kfac", order="sequential"),
+        TEAM_BOX,
+    ),
+    "k-fac with a counterfactual critic": (
+        AlgoConfig(**SETTINGS, critic="counterfactual", update="kfac", critic_update="kfac"),
+        WITH_STATE,
+    ),
     "happo": (HAPPO, TEAM),
     "happo box": (HAPPO, BOX),
     "hatrpo": (HATRPO, TEAM),
@@ -170,6 +184,8 @@ each_by_itself = pytest.mark.parametrize(
         (ITRPO, DISCRETE),
         (ITRPO, BOX),
         (MATRPO, WITH_STATE),
+        (INDEPENDENT_ACKTR, DISCRETE),
+        (INDEPENDENT_ACKTR, BOX),
     ],
 )
 
@@ -604,7 +620,7 @@ def test_an_absurd_learning_rate_ends_in_one_line(fabricate: Fabricate, spec: En
         learn()
 
 
-@pytest.mark.parametrize("config", [IPPO, MATRPO, MAA2C, COMA])
+@pytest.mark.parametrize("config", [IPPO, MATRPO, MAA2C, COMA, MAACKTR])
 def test_a_critic_that_is_no_longer_finite_is_named_whatever_the_update(
     fabricate: Fabricate, config: AlgoConfig
 ) -> None:

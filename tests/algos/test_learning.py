@@ -78,11 +78,20 @@ def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
     return float(np.mean([float(row["return"]) for row in rows]))
 
 
-MATRIX_SETTINGS = {"minibatches": 1, "lr": 1e-2, "lr_end": 0.1, "entropy_coeff": 0.3}
+MATRIX_SETTINGS = {
+    "policies": "independent",
+    "minibatches": 1,
+    "lr": 1e-2,
+    "lr_end": 0.1,
+    "entropy_coeff": 0.3,
+}
+NATURAL_LR = {"lr": 0.25}
+"""K-FAC's: a share of the natural gradient."""
 CLIMBING: dict[str, tuple[dict[str, float], int]] = {
     "ppo": ({}, 45),
     "a2c": ({"lr": 2e-2, "lr_end": 0.5, "entropy_coeff": 0.7}, 120),
     "trpo": ({"kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
+    "kfac": ({**NATURAL_LR, "kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
 }
 """By update: what else is set, and iterations."""
 
@@ -91,7 +100,8 @@ CLIMBING: dict[str, tuple[dict[str, float], int]] = {
 def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
     """11 of 11, where it is the only equilibrium."""
     game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
-    evaluated = _train("matrix", game, algorithm, MATRIX_SETTINGS, (0, 1, 2), (16, 16, 30))
+    settings = {**MATRIX_SETTINGS, **(NATURAL_LR if UPDATE[algorithm] == "kfac" else {})}
+    evaluated = _train("matrix", game, algorithm, settings, (0, 1, 2), (16, 16, 30))
     assert _returns(evaluated) == [11.0] * 3
 
 
@@ -125,6 +135,8 @@ def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorith
         settings, iterations = {**settings, "minibatches": 1, "lr": 1e-2}, 120
     if UPDATE[algorithm] == "trpo":
         settings["kl_bound"] = 0.1 if algorithm not in IN_TURNS else 0.05
+    if UPDATE[algorithm] == "kfac":
+        settings, iterations = {**settings, **NATURAL_LR, "minibatches": 1, "kl_bound": 0.03}, 60
     episode = {"steps": 20}
     evaluated = _train("tracking", episode, algorithm, settings, (0, 1), (8, 40, iterations))
     best = _rule("tracking", episode, "optimal")
@@ -140,6 +152,8 @@ def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(al
     iterations = 10
     if UPDATE[algorithm] == "a2c":
         settings, iterations = {**settings, "lr": 5e-3, "epochs": 4}, 30
+    if UPDATE[algorithm] == "kfac":
+        settings |= NATURAL_LR
     if algorithm in IN_TURNS:
         settings, iterations = {**settings, "policies": "independent", "lr": 2e-3, "epochs": 3}, 20
     evaluated = _train("visitors", {}, algorithm, settings, (0, 1), (4, 64, iterations))

@@ -12,6 +12,7 @@ from headway.contracts import Trajectory, generator
 from headway_algos.acting import OBSERVATION_CLIP
 from headway_algos.config import AlgoConfig
 from headway_algos.critics.estimate import Estimate
+from headway_algos.critics.natural import NaturalRegression
 from headway_algos.critics.streams import Streams, presence
 from headway_algos.critics.views import View
 from headway_algos.experience import Layout, even_slices
@@ -103,9 +104,7 @@ class Regression:
     ) -> None:
         self.config, self.view, self.seeds = config, view, tuple(seeds)
         self.networks, self.layout = networks, layout
-        self.optimiser = StackedAdam(
-            networks.network.parameters(), config.critic_lr or config.lr, config.grad_clip
-        )
+        self.optimiser = _optimiser(config, networks.network)
 
     def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """Learn the returns where present. `loss`, (R,), is the mean squared error in normalised units;
@@ -142,6 +141,9 @@ class Regression:
                 loss = (error * piece.weight).sum(1)
                 loss.sum().backward()
                 loss_sum += loss.detach()
+                if isinstance(self.optimiser, NaturalRegression):
+                    taken = None if estimate.taken is None else piece.of(estimate.taken)
+                    self.optimiser.include(piece.of(estimate.inputs), taken, piece.weight)
             self.optimiser.step(active)
             steps += active
         self.networks.carry(memories)
@@ -182,6 +184,12 @@ class Regression:
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.networks.load_carried(state.get("memory"))
+
+
+def _optimiser(config: AlgoConfig, network: StackedMLP) -> StackedAdam | NaturalRegression:
+    if config.critic_update == "kfac":
+        return NaturalRegression(network, config)
+    return StackedAdam(network.parameters(), config.critic_lr or config.lr, config.grad_clip)
 
 
 def explained_variance(estimate: Estimate, replicas: int) -> NDArray[np.float64]:

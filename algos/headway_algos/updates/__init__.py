@@ -11,6 +11,7 @@ from headway_algos.config import AlgoConfig
 from headway_algos.experience import Layout
 from headway_algos.policy_rows import PolicyRows
 from headway_algos.updates.a2c import A2C
+from headway_algos.updates.kfac import KFAC
 from headway_algos.updates.ppo import PPO
 from headway_algos.updates.trpo import TRPO
 
@@ -25,8 +26,8 @@ class Update(Protocol):
     def improve(
         self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """Move the policies along advantages (P, B), used as they come; generators (P,), for shuffling. Rows
-        of policies that remember are told in which sequences they stand.
+        """Move the policies along advantages (P, B), used as they come; generators (P,) are for whatever it
+        shuffles or draws. Rows of policies that remember are told in which sequences they stand.
 
         Policies without a selected row stay as they were, and so does what is carried on for them. Returns
         info, each (P,).
@@ -55,4 +56,9 @@ class Update(Protocol):
         ...
 
 
-UPDATES: dict[str, Callable[[Actor, AlgoConfig, Layout], Update]] = {"ppo": PPO, "a2c": A2C, "trpo": TRPO}
+UPDATES: dict[str, Callable[[Actor, AlgoConfig, Layout], Update]] = {
+    "ppo": PPO,
+    "a2c": A2C,
+    "trpo": TRPO,
+    "kfac": KFAC,
+}

@@ -3,9 +3,9 @@
 The task of the comparison: a trivially cheap environment of ten agents (Box(4), Discrete(3), shared
 reward, 200 steps), MLP 64-64 tanh, PPO with 5 epochs, 4,000 environment steps a batch, one process and
 one thread. The peers step a dict-based PettingZoo environment, so the row to compare them with is `dict`.
-The other algorithms do the same task on the batched environment at their own defaults; TRPO's critic goes
-over a batch as often as PPO's, and who replays takes 128 steps on 128 transitions a policy after each. DDPG,
-whose actions are Box, tracks a target in the plane instead.
+The other algorithms do the same task on the batched environment at their own defaults, with a policy for each
+agent; TRPO's critic goes over a batch as often as PPO's, K-FAC's once, and who replays takes 128 steps on 128
+transitions a policy after each. DDPG, whose actions are Box, tracks a target in the plane instead.
 """
 
 from collections.abc import Sequence
@@ -67,7 +67,8 @@ def report() -> None:
     rows += [(False, algo, "independent") for algo in others]
     for algo in others:
         env, env_args = ELSEWHERE.get(algo, (BASE.env, BASE.env_args))
-        tasks.append(replace(BASE, env=env, env_args=env_args, algo=algo, algo_args={}))
+        task = replace(BASE, env=env, env_args=env_args, algo=algo, algo_args={"policies": "independent"})
+        tasks.append(task)
     for (dict_based, algo, policies), results in zip(rows, _in_turn(tasks), strict=True):
         face = "dict" if dict_based else f"batched{', tracking' * (algo in ELSEWHERE)}"
         print(
