@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from headway.contracts import HeadwayError
 from headway_algos.config import AlgoConfig
 from headway_algos.distributions import DiagonalGaussian
 from headway_algos.kronecker import KroneckerFactors, inner, joined
@@ -48,14 +49,17 @@ class StackedKFAC:
     """
 
     def __init__(
-        self, network: StackedMLP, log_std: nn.Parameter | None, config: AlgoConfig, lr: float, bound: float
+        self, network: nn.Module, log_std: nn.Parameter | None, config: AlgoConfig, lr: float, bound: float
     ) -> None:
-        self.network, self.log_std = network, log_std
+        """Raises HeadwayError for networks other than multilayer perceptrons."""
+        self.network, self.log_std = _perceptrons(network), log_std
         self.lr, self.bound, self.share = lr, bound, 1.0
         self.damping, self.momentum = config.kfac_damping, config.kfac_momentum
         self.exact = config.kfac_length == "exact"
         self.pieces: list[tuple[LinearisedMLP, Information, Tensor]] = []
-        self.factors = KroneckerFactors(network, config.kfac_damping, config.kfac_decay, config.kfac_every)
+        self.factors = KroneckerFactors(
+            self.network, config.kfac_damping, config.kfac_decay, config.kfac_every
+        )
         self.direction = [
             torch.zeros_like(part) for part in self._parts([p.detach() for p in self._learnable])
         ]
@@ -127,10 +131,10 @@ class StackedKFAC:
         """Take steps of `share` of their length from now on: the bound is `share` squared of its base."""
         self.share = share
 
-    def narrow(self, policies: Tensor, network: StackedMLP, log_std: nn.Parameter | None) -> Self:
+    def narrow(self, policies: Tensor, network: nn.Module, log_std: nn.Parameter | None) -> Self:
         """The same for networks `policies` (n,) alone, of which these are copies."""
         part = copy(self)
-        part.network, part.log_std, part.pieces = network, log_std, []
+        part.network, part.log_std, part.pieces = _perceptrons(network), log_std, []
         part.factors = self.factors.narrow(policies)
         part.direction = [tensor[policies] for tensor in self.direction]
         return part
@@ -150,3 +154,12 @@ class StackedKFAC:
         self.factors.load_state_dict(state["factors"])
         for mine, theirs in zip(self.direction, state["direction"], strict=True):
             mine.copy_(theirs)
+
+
+def _perceptrons(network: nn.Module) -> StackedMLP:
+    if not isinstance(network, StackedMLP):
+        raise HeadwayError(
+            "K-FAC takes multilayer perceptrons, and this model has others; use another algorithm, or "
+            "algo=custom with another algo.update than kfac and with algo.critic_update=adam"
+        )
+    return network

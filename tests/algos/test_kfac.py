@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.distributions import Categorical, Independent, Normal, kl_divergence
 
-from headway.contracts import Box, Discrete, EnvSpec, generator
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, generator
 from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.critics.natural import NaturalRegression
@@ -398,6 +398,16 @@ def test_drawn_scores_of_a_gaussian_are_the_slopes_of_its_log_density() -> None:
     drawn = mean.detach() + log_std.exp() * noise.transpose(1, 2)
     (expected,) = torch.autograd.grad(distribution.log_prob(drawn.transpose(1, 2)).sum(), mean)
     torch.testing.assert_close(distribution.drawn_score(noise), expected)
+
+
+def test_networks_of_another_form_are_refused_in_one_line() -> None:
+    update = _update(DISCRETE)
+    update.actor.network = nn.Linear(2, 2)  # type: ignore[assignment]
+    with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons") as caught:
+        KFAC(update.actor, CONFIG, Layout(Grouping.of("shared", BOX), P, torch.device("cpu"), DOUBLE))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons"):
+        NaturalRegression(nn.Linear(2, 2), CONFIG)
 
 
 def _regression(

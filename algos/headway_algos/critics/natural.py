@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from headway_algos.config import AlgoConfig
 from headway_algos.linearised import LinearisedMLP
-from headway_algos.networks import StackedMLP
 from headway_algos.trust_region import StackedKFAC
 
 
@@ -22,10 +21,11 @@ class NaturalRegression:
     of z^2 is 1. A step's divergence is half the mean squared change of that number, in the units of learning.
     """
 
-    def __init__(self, network: StackedMLP, config: AlgoConfig) -> None:
-        self.network = network
+    def __init__(self, network: nn.Module, config: AlgoConfig) -> None:
+        """Raises HeadwayError for networks other than multilayer perceptrons."""
         lr = config.critic_lr or config.lr
         self.optimiser = StackedKFAC(network, None, config, lr, config.critic_kl_bound)
+        self.network = self.optimiser.network
 
     def begin(self) -> None:
         """Forget the gradients, and begin a new batch."""

@@ -186,7 +186,7 @@ class Regression:
         self.networks.load_carried(state.get("memory"))
 
 
-def _optimiser(config: AlgoConfig, network: StackedMLP) -> StackedAdam | NaturalRegression:
+def _optimiser(config: AlgoConfig, network: nn.Module) -> StackedAdam | NaturalRegression:
     if config.critic_update == "kfac":
         return NaturalRegression(network, config)
     return StackedAdam(network.parameters(), config.critic_lr or config.lr, config.grad_clip)

@@ -62,7 +62,7 @@ class KFAC:
         self.optimiser.begin()
         for piece in batch.pieces(self.config.piece_samples):
             end = start + piece.weight.shape[1]
-            linear = LinearisedMLP.of(self.actor.network, piece.observations)
+            linear = LinearisedMLP.of(self.optimiser.network, piece.observations)
             outputs = linear.outputs.detach().requires_grad_()
             distribution = self.actor.distribution(outputs, piece.masks)
             entropy = distribution.entropy()
