@@ -1,7 +1,6 @@
-"""The finished runs of a study, one a seed, a word about the others, and what its cells are called."""
+"""The finished runs of a study, one a seed, and a word about the others."""
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,37 +37,3 @@ def finished_runs(root: Path, study: str) -> list["RunRow"]:
     if left_out:
         tell(f"headway: runs of {study} left out: {', '.join(left_out)}")
     return [row for row in finished if newest[row.cell, row.seed] is row]
-
-
-def labelled_cells(runs: Iterable["RunRow"]) -> dict[str, list["RunRow"]]:
-    """The runs of each cell by what it is called: what it is and, where that is the same, how it was set.
-    Labels are in order."""
-    cells: dict[str, list[RunRow]] = defaultdict(list)
-    for run in runs:
-        cells[run.cell].append(run)
-    alike: dict[str, list[list[RunRow]]] = defaultdict(list)
-    for members in cells.values():
-        first = members[0]
-        alike[f"{first.algorithm}, {first.policies}, {first.environment}"].append(members)
-    labelled = {
-        ", ".join((name, *settings)): members
-        for name, group in alike.items()
-        for settings, members in zip(_differing([_parameters(cell[0]) for cell in group]), group, strict=True)
-    }
-    return dict(sorted(labelled.items()))
-
-
-def _parameters(run: "RunRow") -> Mapping[str, str]:
-    from headway.store import RunRecord
-
-    return RunRecord.read(Path(run.directory)).parameters
-
-
-def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Of each cell, `name value` of the parameters that are not the same in all."""
-    names = list(dict.fromkeys(name for cell in cells for name in cell))
-    differing = [name for name in names if len({cell.get(name) for cell in cells}) > 1]
-    return [
-        [f"{name} {cell[name]}" if name in cell else f"without {name}" for name in differing]
-        for cell in cells
-    ]

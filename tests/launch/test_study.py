@@ -8,7 +8,8 @@ import pytest
 from headway.contracts.errors import HeadwayError
 from headway.store import RunIndex, RunRecord, Status
 from headway.store.folder import Process, create_run_folder, now
-from headway_launch.study import finished_runs, labelled_cells
+from headway.store.naming import labelled_cells
+from headway_launch.study import finished_runs
 
 
 def keep_run(

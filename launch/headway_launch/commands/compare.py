@@ -121,8 +121,9 @@ def execute(arguments: argparse.Namespace) -> int:
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
     """The finished runs of a study by label. Raises HeadwayError if there are none or if what they are
     reported on differs."""
+    from headway.store.naming import labelled_cells
     from headway_launch.stored import StoredRun
-    from headway_launch.study import finished_runs, labelled_cells
+    from headway_launch.study import finished_runs
 
     cells = {
         label: [StoredRun.find(root, row.run_id) for row in members]

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
+from headway.store.naming import labelled_cells
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.study import finished_runs, labelled_cells
+from headway_launch.study import finished_runs
 from headway_launch.tables import shown
 
 if TYPE_CHECKING:

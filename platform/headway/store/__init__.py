@@ -1,6 +1,7 @@
 """The experiment store: run folders that are the truth, MLflow and an index that follow them.
 
 A training process writes `RunLog` and checkpoints; the session process writes the rest by `SessionStore`.
+`select` gives any runs as pandas frames.
 Importing this costs neither MLflow nor pandas, pyarrow or torch.
 """
 
@@ -10,6 +11,7 @@ from headway.store.following import sync, sync_each
 from headway.store.index import RunIndex, RunRow
 from headway.store.log import RunLog, Table, read
 from headway.store.provenance import provenance
+from headway.store.selection import Selection, select
 from headway.store.session import Cell, Run, SessionStore
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "RunLog",
     "RunRecord",
     "RunRow",
+    "Selection",
     "SessionStore",
     "Status",
     "Table",
@@ -28,6 +31,7 @@ __all__ = [
     "provenance",
     "read",
     "save_checkpoint",
+    "select",
     "sync",
     "sync_each",
 ]

@@ -2,9 +2,14 @@
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from headway.contracts import HeadwayError
 from headway.events import Row
 from headway.store.durable import write_durably
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _NAME = "energy.parquet"
 _WRITE_SECONDS = 60.0
@@ -54,3 +59,20 @@ class EnergyLog:
             known = ({name: value for name, value in row.items() if value is not None} for row in stored)
             self._rows = [*known, *self._rows]
         self._loaded = True
+
+
+def read_energy(directory: Path) -> "pd.DataFrame":
+    """All samples of the run in `directory`, the oldest first; an empty frame if it has none. Raises
+    HeadwayError for a file that cannot be read."""
+    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = directory / _NAME
+    if not path.exists():
+        return pd.DataFrame()
+    try:
+        samples: pd.DataFrame = pq.ParquetFile(path).read().to_pandas()
+    except (OSError, pa.ArrowInvalid) as error:
+        raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
+    return samples

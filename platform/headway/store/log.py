@@ -6,7 +6,7 @@ that was committed and a resumed one drops what its checkpoint does not know.
 
 import numbers
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
@@ -75,16 +75,18 @@ class RunLog:
         sync_folder(self.directory)
 
 
-def read(directory: Path, table: Table, after: int = -1) -> "pd.DataFrame":
+def read(
+    directory: Path, table: Table, after: int = -1, columns: Sequence[str] | None = None
+) -> "pd.DataFrame":
     """All committed rows of a table, sorted by `iteration` (where that column exists) and otherwise in
-    the order written; only of segments newer than iteration `after`.
+    the order written; only of segments newer than iteration `after`, and only of `columns`, where they exist.
 
     Columns are float64, int64 (float64 where rows lack it) or string; columns may differ between segments.
     An empty frame if there are no rows. Raises HeadwayError for a segment that cannot be read.
     """
     import pandas as pd
 
-    tables = _tables(directory, table, after)
+    tables = _tables(directory, table, after, columns)
     if not tables:
         return pd.DataFrame()
     frame: pd.DataFrame = _concatenated(tables).to_pandas()
@@ -110,7 +112,9 @@ def read_curve(directory: Path, metric: str) -> dict[int, float]:
     return {int(row["env_steps"]): float(row[metric]) for row in rows if metric in row}
 
 
-def _tables(directory: Path, table: Table, after: int) -> "list[pa.Table]":
+def _tables(
+    directory: Path, table: Table, after: int, columns: Sequence[str] | None = None
+) -> "list[pa.Table]":
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -119,7 +123,9 @@ def _tables(directory: Path, table: Table, after: int) -> "list[pa.Table]":
         if iteration <= after:
             continue
         try:
-            tables.append(pq.ParquetFile(path).read())
+            segment = pq.ParquetFile(path)
+            known = [name for name in columns or () if name in segment.schema_arrow.names]
+            tables.append(segment.read(None if columns is None else known))
         except FileNotFoundError:
             continue  # a rewind took it between the listing and the reading
         except (OSError, pa.ArrowInvalid) as error:

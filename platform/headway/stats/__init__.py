@@ -1,0 +1,38 @@
+"""Figures of a run, over seeds, and of one algorithm against another.
+
+Importing this costs neither scipy nor pandas; `headway.stats.frames` takes and gives pandas frames.
+"""
+
+from headway.stats.curves import FINAL_SHARE, auc, final_reward, value_range
+from headway.stats.intervals import mean_and_half_width, paired_difference, paired_difference_over_seeds
+from headway.stats.samples import CONFIDENCE, Interval, MeanStd, mean_std
+from headway.stats.scores import (
+    Band,
+    interquartile_mean,
+    normalised,
+    performance_profile,
+    probability_of_improvement,
+    sample_efficiency,
+    stratified_bootstrap_interval,
+)
+
+__all__ = [
+    "CONFIDENCE",
+    "FINAL_SHARE",
+    "Band",
+    "Interval",
+    "MeanStd",
+    "auc",
+    "final_reward",
+    "interquartile_mean",
+    "mean_and_half_width",
+    "mean_std",
+    "normalised",
+    "paired_difference",
+    "paired_difference_over_seeds",
+    "performance_profile",
+    "probability_of_improvement",
+    "sample_efficiency",
+    "stratified_bootstrap_interval",
+    "value_range",
+]

@@ -1,0 +1,105 @@
+"""What the cells of a study are called: what they are and, where that is the same, how they were set."""
+
+from ast import literal_eval
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from headway.store.folder import RunRecord
+from headway.store.index import RunRow
+
+_OF_TASK = "env."
+_NOT_OF_TASK = "env.training_args."
+"""What is learned from, not what is reported on."""
+_WRAPPERS = "env.wrappers"
+
+
+@dataclass(frozen=True, slots=True)
+class CellName:
+    """One cell among others. Different cells have different labels, and different pairs of the rest."""
+
+    label: str
+    """`ippo, shared, bus, algo.lr 0.001`."""
+    task: str
+    """The environment, with those of its arguments that differ: `bus, env.args.scenario corridor`."""
+    controller: str
+    """The algorithm, with those of its settings that differ: `ippo, shared, algo.lr 0.001`."""
+
+
+def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
+    """The runs of each cell by its label. Labels are in order. Raises HeadwayError for a run whose record
+    cannot be read."""
+    rows = list(runs)
+    names = cell_names(rows)
+    cells: dict[str, list[RunRow]] = defaultdict(list)
+    for row in rows:
+        cells[names[row.cell].label].append(row)
+    return dict(sorted(cells.items()))
+
+
+def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
+    """What each cell is called. Raises HeadwayError for a run whose record cannot be read."""
+    first: dict[str, RunRow] = {}
+    for run in runs:
+        first.setdefault(run.cell, run)
+    parameters = {cell: RunRecord.read(Path(run.directory)).parameters for cell, run in first.items()}
+    of_task = {cell: _parted(every, of_task=True) for cell, every in parameters.items()}
+    of_controller = {cell: _parted(every, of_task=False) for cell, every in parameters.items()}
+    labels = _told_apart(
+        {cell: (f"{run.algorithm}, {run.policies}, {run.environment}",) for cell, run in first.items()},
+        parameters,
+    )
+    tasks = _told_apart({cell: (run.environment,) for cell, run in first.items()}, of_task)
+    # A controller is told apart from those on its own task only: other tasks may need other settings.
+    controllers = _told_apart({cell: (_kind(run), tasks[cell]) for cell, run in first.items()}, of_controller)
+    return {cell: CellName(labels[cell], tasks[cell], controllers[cell]) for cell in first}
+
+
+def _kind(run: RunRow) -> str:
+    return f"{run.algorithm}, {run.policies}" if run.policies else run.algorithm
+
+
+def _parted(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:
+    """The parameters of a cell that say what it is reported on, or the others."""
+
+    def says_what(name: str) -> bool:
+        return name.startswith(_OF_TASK) and not name.startswith(_NOT_OF_TASK)
+
+    parted = {name: value for name, value in parameters.items() if says_what(name) is of_task}
+    if wrappers := parameters.get(_WRAPPERS):
+        parted[_WRAPPERS] = str(_wrappers(wrappers, of_task))
+    return parted
+
+
+def _wrappers(text: str, of_task: bool) -> list[Mapping[str, object]]:
+    """Wrappers that only change rewards are there while learning only."""
+    from headway.registry import wrapper_entry
+
+    listed = literal_eval(text)
+    return [each for each in listed if wrapper_entry(each["name"]).only_rewards is not of_task]
+
+
+def _told_apart(
+    kinds: Mapping[str, tuple[str, ...]], parameters: Mapping[str, Mapping[str, str]]
+) -> dict[str, str]:
+    """Of each cell, the first of its `kinds` and, `name value`, the parameters that are not the same in all
+    cells of its kinds."""
+    alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for cell, kind in kinds.items():
+        alike[kind].append(cell)
+    told: dict[str, str] = {}
+    for kind, cells in alike.items():
+        settings = _differing([parameters[cell] for cell in cells])
+        told |= {cell: ", ".join((kind[0], *own)) for cell, own in zip(cells, settings, strict=True)}
+    return told
+
+
+def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
+    """Of each cell, `name value` of the parameters that are not the same in all."""
+    names = list(dict.fromkeys(name for cell in cells for name in cell))
+    differing = [name for name in names if len({cell.get(name) for cell in cells}) > 1]
+    return [
+        [f"{name} {cell[name]}" if name in cell else f"without {name}" for name in differing]
+        for cell in cells
+    ]

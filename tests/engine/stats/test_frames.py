@@ -1,0 +1,94 @@
+"""Frames in, frames out: the same figures as the functions that take arrays, and honest gaps."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from headway.stats import frames, interquartile_mean, mean_and_half_width, normalised
+
+
+def scores(**by_controller: dict[str, list[float]]) -> pd.DataFrame:
+    rows = [
+        {"controller": controller, "task": task, "score": score}
+        for controller, tasks in by_controller.items()
+        for task, values in tasks.items()
+        for score in values
+    ]
+    return pd.DataFrame(rows)
+
+
+def curves(**by_run: list[float]) -> pd.DataFrame:
+    """Runs named CONTROLLER_NUMBER of one task, with a point every ten steps."""
+    return pd.DataFrame(
+        [
+            {"controller": run[0], "task": "bus", "run_id": run, "env_steps": 10 * index, "value": value}
+            for run, values in by_run.items()
+            for index, value in enumerate(values)
+        ]
+    )
+
+
+def test_both_areas_of_a_curve_by_hand() -> None:
+    """The range of the study is 0 to 10; b climbs in its own range as a does, at half the height."""
+    found = frames.curve_figures(curves(a_0=[0, 10, 10], b_0=[0, 5, 5]))
+    assert found["auc_own"].tolist() == [0.75, 0.75]
+    assert found["auc_study"].tolist() == [0.75, 0.375]
+    assert found["final_reward"].tolist() == [10, 5]
+
+
+def test_a_study_in_which_nothing_moves_has_half_areas() -> None:
+    assert frames.curve_figures(curves(a_0=[3, 3]))["auc_study"].tolist() == [0.5]
+
+
+def test_learning_curves_have_the_interval_of_student_and_only_common_steps() -> None:
+    found = frames.mean_curves(curves(a_0=[0, 1, 2], a_1=[2, 5], b_0=[1, 1]))
+    of_a = found[found["controller"] == "a"]
+    assert of_a["env_steps"].tolist() == [0, 10]
+    mean, half = mean_and_half_width(np.array([[0.0, 1.0], [2.0, 5.0]]))
+    assert of_a["mean"].tolist() == mean.tolist()
+    assert of_a["high"].tolist() == (mean + half).tolist()
+    assert found[found["controller"] == "b"]["low"].isna().all()
+
+
+def test_one_run_has_neither_deviation_nor_interval() -> None:
+    found = frames.summary(scores(a={"bus": [3.0]}, b={"bus": [1.0, 2.0, 4.0, 9.0]}))
+    assert found.loc["a", ["mean", "iqm"]].tolist() == [3, 3]
+    assert found.loc["a", ["std", "iqm_low", "iqm_high"]].isna().all()
+    assert found.loc["b", "iqm"] == interquartile_mean([1, 2, 4, 9]) == 3
+    assert found.loc["b", "iqm_low"] < 3 < found.loc["b", "iqm_high"]
+
+
+def test_improvements_are_over_common_tasks_and_pairs_sum_to_one() -> None:
+    found = frames.improvements(
+        scores(a={"bus": [1.0, 4.0]}, b={"bus": [1.0, 3.0], "merge": [9.0]}, c={"merge": [2.0]})
+    )
+    chance = found.set_index(["a", "b"])["probability"]
+    assert chance["a", "b"] == (0.5 + 0 + 1 + 1) / 4
+    assert chance["a", "b"] + chance["b", "a"] == 1
+    assert ("a", "c") not in chance.index
+    assert found.set_index(["a", "b"]).loc[("b", "c"), ["low", "high"]].isna().all()
+
+
+def test_efficiency_needs_common_steps() -> None:
+    two_tasks = pd.concat([curves(a_0=[0, 1, 5]), curves(a_1=[4]).assign(task="merge")])
+    found = frames.efficiency(two_tasks)
+    assert found[["env_steps", "iqm"]].to_numpy().tolist() == [[0, 2]]
+    apart = pd.concat([curves(a_0=[0]), curves(a_1=[4]).assign(task="merge", env_steps=7)])
+    assert frames.efficiency(apart).empty
+
+
+def test_normalised_scores_are_0_for_random_play_and_1_for_the_best_rule() -> None:
+    frame = scores(a={"bus": [-100.0, 300.0], "merge": [5.0]})
+    found = frames.normalised_by_rules(frame, "score", {"bus": (-100, 100), "merge": (0, 10)})
+    assert found["score"].tolist() == [0, 2, 0.5]
+    with pytest.raises(ValueError, match="are known of merge"):
+        frames.normalised_by_rules(frame, "score", {"bus": (-100, 100)})
+    with pytest.raises(ValueError, match="must score above random play"):
+        normalised(1.0, 3.0, 3.0)
+
+
+def test_profiles_span_all_scores() -> None:
+    found = frames.profiles(scores(a={"bus": [0.0, 1.0]}, b={"bus": [10.0]}))
+    of_a, of_b = (found[found["controller"] == name]["share"].tolist() for name in "ab")
+    assert (of_a[0], of_a[-1], of_b[0], of_b[-1]) == (1, 0, 1, 0)
+    assert sum(of_b) > 5 * sum(of_a)

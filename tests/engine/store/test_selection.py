@@ -1,0 +1,163 @@
+"""Any runs of a store as frames."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from headway.contracts import HeadwayError
+from headway.store import RunLog, RunRecord, Status, select
+from headway.store.durable import write_json, write_text
+from headway.store.energy_log import EnergyLog
+from headway.store.folder import Process, cell_name, create_run_folder, now, rules_file
+
+
+def keep_run(
+    root: Path, algorithm: str, seed: int, status: Status = "FINISHED", study: str = "bus", **settings: str
+) -> str:
+    parameters = {f"algo.{name}": value for name, value in settings.items()}
+    cell = cell_name("bus", algorithm, parameters)
+    run_id, directory = create_run_folder(root, study, cell, seed)
+    elsewhere = replace(Process.current(), host="elsewhere")
+    record = RunRecord(run_id, study, "bus", algorithm, seed, 3, now(), elsewhere, status, "shared")
+    replace(record, parameters=parameters, tags={"version.headway": "1.2"}).write(directory)
+    write_json(directory / "summary.json", {"final_reward": float(seed), "cpu_seconds": 2.0})
+    write_text(directory / "config.yaml", f"seed: {seed}\n")
+    log = RunLog(directory)
+    for iteration in range(4):
+        row: dict[str, float] = {"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 0.5}
+        measured = {"evaluation_greedy/return": float(iteration + seed)} if iteration % 2 == 0 else {}
+        log.append("curve", [{**row, "training/return": 1.0, **measured}])
+        for mode in ("greedy", "sampled"):
+            label = {"mode": mode, "final": int(iteration == 3), "episode_seed": 5, "env_steps": iteration}
+            log.append("evaluation", [{**label, "iteration": iteration, "return": 7.0}])
+    log.commit(3)
+    energy = EnergyLog(directory)
+    energy.append({"time": 1.0, "kwh": 0.25})
+    energy.write()
+    days = [{"episode_seed": day, "return": 10.0 * day} for day in range(2)]
+    write_json(rules_file(root, study, cell), {"hold": days})
+    return run_id
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    keep_run(tmp_path, "ippo", 0)
+    keep_run(tmp_path, "ippo", 1, "KILLED")
+    keep_run(tmp_path, "mappo", 0, lr="0.1")
+    keep_run(tmp_path, "mappo", 0, lr="0.2")
+    keep_run(tmp_path, "mappo", 1, study="other", lr="0.1")
+    return tmp_path
+
+
+def test_runs_are_chosen_by_one_value_or_several(root: Path) -> None:
+    assert len(select(root).rows) == 5
+    assert [row.algorithm for row in select(root, study="bus", seed=0).rows] == ["ippo", "mappo", "mappo"]
+    assert len(select(root, algorithm=("ippo", "mappo"), status="FINISHED").rows) == 4
+    assert not select(root, status="RUNNING").rows
+    last = select(root).rows[-1]
+    assert select(root, run_id=last.run_id).rows == (last,)
+    assert len(select(root, cell=last.cell).rows) == 2
+
+
+def test_unknown_values_are_one_line_with_the_nearest(root: Path) -> None:
+    with pytest.raises(HeadwayError, match=r"has algorithm 'mapo'; did you mean mappo\?"):
+        select(root, algorithm="mapo")
+    with pytest.raises(HeadwayError, match="there is no store"):
+        select(root / "absent")
+    with pytest.raises(HeadwayError, match="status"):
+        select(root, status="finished")
+
+
+def test_of_a_seed_trained_twice_the_newest_counts(root: Path) -> None:
+    again = keep_run(root, "ippo", 0)
+    chosen = select(root, algorithm="ippo", seed=0, newest=True)
+    assert [row.run_id for row in chosen.rows] == [again]
+
+
+def test_every_frame_says_whose_rows_it_has(root: Path) -> None:
+    chosen = select(root, study="bus")
+    frames = {
+        "runs": (chosen.runs(), 4),
+        "summaries": (chosen.summaries(), 4),
+        "provenance": (chosen.provenance(), 4),
+        "curves": (chosen.curves(), 16),
+        "evaluations": (chosen.evaluations(), 32),
+        "energy": (chosen.energy(), 4),
+    }
+    for name, (frame, rows) in frames.items():
+        assert len(frame) == rows, name
+        assert set(frame["controller"]) == {
+            "ippo, shared",
+            "mappo, shared, algo.lr 0.1",
+            "mappo, shared, algo.lr 0.2",
+        }, name
+        assert set(frame["task"]) == {"bus"}, name
+    assert frames["summaries"][0]["cpu_seconds"].tolist() == [2.0] * 4
+    assert set(frames["provenance"][0]["version.headway"]) == {"1.2"}
+    assert frames["energy"][0]["kwh"].tolist() == [0.25] * 4
+    assert set(chosen.configurations().values()) == {"seed: 0\n", "seed: 1\n"}
+
+
+def test_names_stay_when_some_runs_are_left_out(root: Path) -> None:
+    finished = select(root, study="bus").with_status("KILLED")
+    assert finished.runs()["label"].tolist() == ["ippo, shared, bus"]
+    one = select(root, study="bus", algorithm="mappo").with_status("FINISHED")
+    assert set(one.runs()["controller"]) == {"mappo, shared, algo.lr 0.1", "mappo, shared, algo.lr 0.2"}
+
+
+def test_of_a_curve_only_what_is_asked_for_is_read(root: Path) -> None:
+    found = select(root, algorithm="ippo", seed=0).curves(["evaluation_greedy/return", "absent"])
+    assert found["env_steps"].tolist() == [0, 20]
+    assert found["evaluation_greedy/return"].tolist() == [0, 2]
+    assert "training/return" not in found
+    assert select(root).curves(["absent"]).empty
+
+
+def test_evaluations_by_mode_and_moment(root: Path) -> None:
+    chosen = select(root, algorithm="ippo", seed=0)
+    found = chosen.evaluations(["return"], mode="greedy", final=True)
+    assert found[["iteration", "mode", "episode_seed", "return"]].to_numpy().tolist() == [[3, "greedy", 5, 7]]
+    assert len(chosen.evaluations(final=False)) == 6
+
+
+def test_rules_of_cells_that_have_the_same_count_once(root: Path) -> None:
+    found = select(root, study="bus").rules()
+    assert found[["task", "rule", "episode_seed", "return"]].to_numpy().tolist() == [
+        ["bus", "hold", 0, 0.0],
+        ["bus", "hold", 1, 10.0],
+    ]
+
+
+def test_without_runs_frames_are_empty_and_have_labels(root: Path) -> None:
+    nothing = select(root, status="RUNNING")
+    for frame in (
+        nothing.runs(),
+        nothing.curves(["x"]),
+        nothing.episodes(),
+        nothing.energy(),
+        nothing.rules(),
+    ):
+        assert frame.empty
+        assert "task" in frame
+
+
+def test_hundreds_of_runs_are_read_in_seconds(tmp_path: Path) -> None:
+    rows = [
+        {"iteration": i, "env_steps": i, **{f"training/m{m}": np.sin(i) for m in range(20)}}
+        for i in range(100)
+    ]
+    for seed in range(100):
+        run_id, directory = create_run_folder(tmp_path, "big", "cell", seed)
+        RunRecord(run_id, "big", "bus", "ippo", seed, 3, now(), Process.current(), "FINISHED").write(
+            directory
+        )
+        log = RunLog(directory)
+        log.append("curve", rows)
+        log.commit(99)
+    began = time.monotonic()
+    found = select(tmp_path, study="big").curves(["training/m3"])
+    assert len(found) == 100 * 100
+    assert time.monotonic() - began < 5  # 0.2 s alone; a busy machine is slower
