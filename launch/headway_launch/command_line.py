@@ -55,6 +55,7 @@ _COMMANDS = {
     "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
     "plot": _Command("picture of a study's learning curves", "plot"),
     "render": _Command("picture or moving picture of an episode, by a policy or a rule", "render"),
+    "report": _Command("a whole study as one page, with tables and pictures", "report"),
     "browse": _Command("browse the store in MLflow's pages", "browse"),
     "sync": _Command("bring MLflow up to date with the run folders", "sync"),
     "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),

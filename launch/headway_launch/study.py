@@ -1,14 +1,19 @@
-"""The finished runs of a study, one a seed, and a word about the others."""
+"""The finished runs of a study, one a seed, a word about the others, and the curves to be drawn of them."""
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.telling import tell
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from headway.store import Selection
     from headway.store.index import RunRow
 
 
@@ -18,22 +23,90 @@ def finished_runs(root: Path, study: str) -> list["RunRow"]:
 
     Raises HeadwayError if there is no such study or nothing in it has finished.
     """
+    finished, left_out = counted_runs(study_runs(root, study), study)
+    if left_out:
+        tell(f"headway: runs of {study} left out: {', '.join(left_out)}")
+    return finished
+
+
+def study_runs(root: Path, study: str) -> list["RunRow"]:
+    """All runs of a study, the oldest first. Raises HeadwayError if there is no such study."""
     from headway.store import RunIndex
 
     rows = RunIndex(root).rows()
     studies = sorted({row.study for row in rows})
     if study not in studies:
         raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
-    of_study = [row for row in rows if row.study == study]
+    return [row for row in rows if row.study == study]
+
+
+def counted_runs(of_study: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], list[str]]:
+    """The runs of a study that count, as `finished_runs` has them, and a word about each kind of those that
+    do not. Raises HeadwayError if nothing has finished."""
+    from headway.store.selection import newest_runs
+
     finished = [row for row in of_study if row.status == "FINISHED"]
     others = Counter(row.status for row in of_study if row.status != "FINISHED")
     kinds = ", ".join(f"{count} {status}" for status, count in sorted(others.items()))
     if not finished:
         raise HeadwayError(f"study {study!r} has no finished run ({kinds}); see headway runs --study {study}")
-    newest = {(row.cell, row.seed): row for row in finished}
+    newest = newest_runs(finished)
     left_out = [f"{others.total()} not finished ({kinds})"] if others else []
     if repeats := len(finished) - len(newest):
         left_out.append(f"{repeats} of a seed that a newer one trained again")
-    if left_out:
-        tell(f"headway: runs of {study} left out: {', '.join(left_out)}")
-    return [row for row in finished if newest[row.cell, row.seed] is row]
+    return newest, left_out
+
+
+def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
+    """The curves of a metric as `headway.stats.frames` takes them. Raises HeadwayError for a run without it,
+    and for a cell whose runs share no step."""
+    curves = runs.curves([metric])
+    have = set(curves["run_id"])
+    for row in runs.rows:
+        if row.run_id not in have:
+            every = runs.curves().columns
+            known = [name for name in every if "/" in name]
+            raise HeadwayError(f"--metric: {row.run_id} has no {metric!r}; {suggestion(metric, known)}")
+    for cell, points in curves.groupby("cell"):
+        if points.groupby("env_steps")["run_id"].nunique().max() < points["run_id"].nunique():
+            raise HeadwayError(f"the runs of {cell} share no evaluation points")
+    kept = ["run_id", "cell", "label", "task", "controller", "seed", "env_steps"]
+    # In the order in which tables name the controllers, so that pictures do, too.
+    ordered = curves.sort_values("controller", kind="stable", ignore_index=True)
+    return ordered[[*kept, metric]].rename(columns={metric: "value"})
+
+
+def rules_beside(runs: "Selection", metric: str) -> dict[str, dict[str, float]]:
+    """Of each task the rules' means over the days of the curves, where the metric is an evaluation's: other
+    curves are of other days, and perhaps of another reward. The last evaluation, and the rules, may have
+    more days than the curves' points."""
+    group, _, column = metric.rpartition("/")
+    played = runs.rules()
+    if not group.startswith("evaluation_") or column not in played:
+        return {}
+    days = {
+        runs.names[row.cell].task: int(configuration(row.directory)["evaluation"]["episodes"])
+        for row in runs.rows
+    }
+    same = played[played["episode_seed"] < played["task"].map(days)].dropna(subset=[column])
+    means: dict[str, dict[str, float]] = {}
+    for task, of_task in same.groupby("task", sort=False):
+        by_rule = of_task.groupby("rule", sort=False)[column].mean()
+        means[str(task)] = {str(rule): float(value) for rule, value in by_rule.items()}
+    return means
+
+
+@lru_cache(maxsize=4096)
+def configuration(directory: str) -> Mapping[str, Any]:
+    """The configuration in a run's folder. Raises HeadwayError if it cannot be read."""
+    import yaml
+
+    path = Path(directory) / "config.yaml"
+    try:
+        # The same as safe_load, in C: a study may have hundreds.
+        found = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
+    except (OSError, yaml.YAMLError) as error:
+        raise HeadwayError(f"{path} cannot be read ({str(error).splitlines()[0]})") from error
+    if not isinstance(found, dict):
+        raise HeadwayError(f"{path} holds no configuration")
+    return found

@@ -1,8 +1,8 @@
 """The statistics from pandas frames to pandas frames.
 
 A frame of scores has a row a run: `controller` (what is compared: an algorithm with its settings), `task`
-(the environment) and `score`. A frame of curves has a row a point: `controller`, `task`, `run_id`, `env_steps`
-and `value`. Controllers stay in the order in which they first come.
+(the environment) and `score`. A frame of curves has a row a point: `controller`, `task`, `run_id`,
+`env_steps` and `value`. Controllers stay in the order in which they first come.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,0 +1,44 @@
+"""`headway report`: a study as one page, with its tables and pictures as files."""
+
+import argparse
+from pathlib import Path
+
+from headway.contracts.errors import HeadwayError
+from headway_launch.commands.runs import add_store_argument, existing_store
+
+EXAMPLES = """\
+examples:
+  headway report bus                                          makes report-bus/report.html
+  headway report bus --output supplement
+  headway report bus --metric evaluation_sampled/return
+  headway report bus --metric evaluation_greedy/mean_wait_min --lower-is-better
+
+One page that needs no network (report.html), and beside it tables/ (Markdown, and CSV with all digits),
+pictures/ (PNG), configs/ and commands.txt. It reads the store only: nothing is played or trained.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study, the metric and the folder."""
+    parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
+    parser.add_argument("--output", metavar="DIR", help="folder to write (default: report-STUDY)")
+    parser.add_argument(
+        "--metric", help="figure of evaluation that runs are judged by (default: evaluation_greedy/return)"
+    )
+    parser.add_argument("--lower-is-better", action="store_true", help="the metric is a cost, such as a wait")
+    add_store_argument(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Write the report and say where it is."""
+    root = existing_store(arguments.store)
+    folder = Path(arguments.output or f"report-{arguments.study}")
+    if folder.exists() and not folder.is_dir():
+        raise HeadwayError(f"--output: {folder} is a file; name a folder")
+    from headway_launch.report.composing import report_of
+    from headway_launch.report.gather import StudyData
+    from headway_launch.report.page import write_report
+
+    data = StudyData(root, arguments.study, arguments.metric, arguments.lower_is_better)
+    print(write_report(report_of(data), folder))
+    return 0

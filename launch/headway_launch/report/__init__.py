@@ -1,0 +1,1 @@
+"""`headway report`: a study as one page and its parts as files."""

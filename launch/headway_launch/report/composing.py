@@ -1,0 +1,131 @@
+"""All sections of a study's report, and what stands at its top."""
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+
+from headway_launch.comparison import SEEDS_FOR_A_CLAIM
+from headway_launch.report.costs import energy_section, tradeoff_section
+from headway_launch.report.gather import StudyData
+from headway_launch.report.learning import across_environments, curves_section, figures_section
+from headway_launch.report.making import making_section, runs_section
+from headway_launch.report.page import Report
+from headway_launch.report.parts import Section, counted, figure, scale_of, with_interval
+from headway_launch.report.rewards import improvement_section, published_form, sound_form
+
+
+def report_of(data: StudyData) -> Report:
+    """The report of a study."""
+    sections = [
+        published_form(data),
+        sound_form(data),
+        improvement_section(data),
+        curves_section(data),
+        across_environments(data),
+        figures_section(data),
+        energy_section(data),
+        tradeoff_section(data),
+        runs_section(data),
+        making_section(data),
+        _definitions(),
+    ]
+    moment = datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC")
+    return Report(
+        title=f"Study {data.study}",
+        subtitle=f"{', '.join(data.tasks)}: {counted(len(data.runs.rows), 'finished run')} of "
+        f"{counted(len(data.controllers), 'learner')}, and "
+        f"{counted(data.rules[['task', 'rule']].drop_duplicates().shape[0], 'classical rule')}",
+        summary=_summary(data),
+        sections=[section for section in sections if section is not None],
+        footer=f"Made by headway {version('headway')} on {moment} from the store's files alone. The tables "
+        "are beside this page as Markdown and CSV, with all digits, the pictures as PNG.",
+    )
+
+
+def _summary(data: StudyData) -> list[str]:
+    sentences = []
+    for task in data.tasks:
+        sentences += [_best_learner(data, task), *_against_rules(data, task)]
+    fewest = min(len(members) for members in data.cells.values())
+    if fewest < SEEDS_FOR_A_CLAIM:
+        sentences.append(
+            f"With {counted(fewest, 'seed')} in the smallest cell nothing here says surely which is better: "
+            f"that takes at least {SEEDS_FOR_A_CLAIM}."
+        )
+    sentences.append(_cost(data))
+    if data.left_out:
+        sentences.append(f"Runs left out: {'; '.join(data.left_out)}.")
+    return sentences
+
+
+def _best_learner(data: StudyData, task: str) -> str:
+    means = data.scores_on(task).groupby("controller")["score"].mean()
+    best = (means * data.sign).max()
+    names = [str(name) for name in means.index if means[name] * data.sign == best]
+    seeds = counted(min(len(data.on(task)[name]) for name in names), "seed")
+    where = f"On {task}, among" if len(data.tasks) > 1 else "Among"
+    kind = "lowest" if data.lower_is_better else "highest"
+    if len(means) == 1:
+        return (
+            f"{names[0]} has a mean final {data.what} of {figure(best * data.sign)} over {seeds} on {task}."
+        )
+    return (
+        f"{where} the learners, {' and '.join(names)} {'has' if len(names) == 1 else 'have'} the {kind} mean "
+        f"final {data.what}: {figure(best * data.sign)} over {seeds}."
+    )
+
+
+def _against_rules(data: StudyData, task: str) -> list[str]:
+    if task not in data.best_rules:
+        return [f"No rule was played on {task}: whether learning beats a simple rule is not known."]
+    rule = data.best_rules[task]
+    better, worse, open_ = [], [], []
+    for controller in data.on(task):
+        found = data.against_best_rule(task, controller).interval
+        if found is None:
+            continue
+        shown = f"{controller} ({with_interval(found.estimate, found.low, found.high, sign=True)})"
+        if not found.excludes_zero:
+            open_.append(shown)
+        elif data.sign * found.estimate > 0:
+            better.append(shown)
+        else:
+            worse.append(shown)
+    kinds = (("above", better), ("below", worse), ("not told apart from it", open_))
+    if data.lower_is_better:
+        kinds = (("better, below", better), ("worse, above", worse), ("not told apart from it", open_))
+    said = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
+    if not said:
+        return [f"The best rule on {task} is `{rule}`; no learner was evaluated on its days."]
+    return [f"Against the best rule there, `{rule}`, on the last evaluation's days [95% intervals]: {said}."]
+
+
+def _cost(data: StudyData) -> str:
+    used = data.summaries
+    cpu = used["cpu_seconds"].sum()
+    if not used["kwh"].notna().any():
+        return f"The finished runs used {figure(cpu)} CPU seconds; their energy was not measured."
+    kwh, co2 = float(used["kwh"].sum()), float(used["kg_co2"].sum())
+    kwh_unit, kwh_factor = scale_of(kwh, "kWh")
+    co2_unit, co2_factor = scale_of(co2, "kg")
+    return (
+        f"The finished runs used {figure(kwh * kwh_factor)} {kwh_unit} ({figure(cpu)} CPU seconds), which is "
+        f"{figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent."
+    )
+
+
+def _definitions() -> Section:
+    return Section(
+        "definitions",
+        "Definitions",
+        [
+            "Final reward: mean over the last 20% of the curve's steps. AUC: trapezoid area of the "
+            "min-max-normalised curve over its span of steps.",
+            "Interquartile mean, stratified bootstrap, probability of improvement, performance profile: "
+            "Agarwal et al. 2021, Deep RL at the Edge of the Statistical Precipice, arXiv:2108.13264.",
+            "Intervals of differences: Student's t over days for one seed or a rule; over seeds and days "
+            "for more, the squared half widths over seeds and over days added (Banerjee 1961, Sankhya A "
+            "23).",
+            "Energy and CO2: CodeCarbon, codecarbon.io; the machine's energy shared out to runs by their CPU "
+            "seconds, memory and share of the GPU.",
+        ],
+    )

@@ -1,0 +1,146 @@
+"""Sections on what it cost: energy, CO2, CPU seconds, and what was reached for them."""
+
+import pandas as pd
+
+from headway import drawing
+from headway.stats import mean_std
+from headway_launch.report.gather import StudyData
+from headway_launch.report.parts import (
+    MISSING,
+    Part,
+    Picture,
+    Section,
+    Table,
+    counted,
+    figure,
+    scale_of,
+    with_deviation,
+)
+
+_MODES = {"energy.cpu": "CPU", "energy.gpu": "GPU", "energy.ram": "RAM"}
+_PARTS = ("cpu_kwh", "gpu_kwh", "ram_kwh")
+NOT_MEASURED = (
+    "Energy was not measured for these runs (`energy=off`, or CodeCarbon gave no reading), so there is none "
+    "to report. CPU seconds, which the system counts, are in the table of runs."
+)
+
+
+def energy_section(data: StudyData) -> Section:
+    """kWh, CO2 and CPU seconds a controller, and the picture of them."""
+    title = "Energy and CO2"
+    used = data.summaries
+    known = used["kwh"].notna()
+    if not known.any():
+        return Section("energy", title, [NOT_MEASURED])
+    kwh_unit, kwh_factor = scale_of(float(used["kwh"].max()), "kWh")
+    co2_unit, co2_factor = scale_of(float(used["kg_co2"].max()), "kg")
+    labels, exact, rows = [], [], []
+    for (task, controller), members in data.cells.items():
+        of_cell = used.loc[[row.run_id for row in members]]
+        measured = of_cell[of_cell["kwh"].notna()]
+        figures = _over_runs(measured)
+        exact.append({"environment": task, "controller": controller, "seeds": len(measured), **figures})
+        labels.append(controller if len(data.tasks) == 1 else f"{controller}, {task}")
+        rows.append(
+            [
+                *([task] if len(data.tasks) > 1 else []),
+                controller,
+                str(len(measured)),
+                with_deviation(figures["kwh"] * kwh_factor, figures["kwh_std"] * kwh_factor),
+                with_deviation(figures["kg_co2"] * co2_factor, figures["kg_co2_std"] * co2_factor),
+                with_deviation(figures["cpu_seconds"], figures["cpu_seconds_std"]),
+                *(figure(figures[part] * kwh_factor) for part in _PARTS),
+                figure(float(measured["kwh"].sum()) * kwh_factor) if len(measured) else MISSING,
+                figure(float(measured["cpu_seconds"].sum())) if len(measured) else MISSING,
+            ]
+        )
+    frame = pd.DataFrame(exact)
+    body: list[Part] = [
+        _how_known(data),
+        "The session's energy is shared out to runs by what they used; what the machine used idle, and for "
+        "the session itself, is no run's. A seed of a stack has an equal share of it. Only finished runs "
+        "are counted here: tuning and failed runs used energy beside it.",
+    ]
+    if not known.all():
+        without = int((~known).sum())
+        body.append(f"{counted(without, 'run')} had no measurement and are left out of the means here.")
+    body.append(
+        Table(
+            "energy",
+            "Energy, CO2 and CPU seconds of a run, mean ± standard deviation over seeds, and sums over them.",
+            [
+                *(["environment"] if len(data.tasks) > 1 else []),
+                "controller",
+                "seeds",
+                f"{kwh_unit} a run",
+                f"{co2_unit} CO2eq a run",
+                "CPU s a run",
+                f"CPU, {kwh_unit}",
+                f"GPU, {kwh_unit}",
+                f"RAM, {kwh_unit}",
+                f"all seeds, {kwh_unit}",
+                "all seeds, CPU s",
+            ],
+            rows,
+            frame,
+            words=frozenset(range(2 if len(data.tasks) > 1 else 1)),
+        )
+    )
+    drawn = frame.set_index(pd.Index(labels))
+    drawn = drawn[drawn["seeds"] > 0]
+    units = {"kwh": (kwh_unit, kwh_factor), "kg_co2": (co2_unit, co2_factor)}
+    body.append(
+        Picture(
+            "footprint",
+            "What a run cost: (a) CO2, (b) energy by part of the machine, (c) CPU seconds; means over seeds, "
+            "whiskers one standard deviation.",
+            drawing.footprint(drawn, units),
+        )
+    )
+    return Section("energy", title, body)
+
+
+def tradeoff_section(data: StudyData) -> Section:
+    """Reward against energy, a point a run; against CPU seconds where energy was not measured."""
+    runs = data.scores.join(data.summaries[["kwh", "cpu_seconds"]])
+    known = runs[runs["kwh"].notna()]
+    body: list[Part] = []
+    if len(known):
+        unit, factor = scale_of(float(known["kwh"].max()), "kWh")
+        drawn, cost, label = known, "kwh", f"{unit} a run"
+    else:
+        body.append("Energy was not measured: CPU seconds stand in for it here.")
+        drawn, cost, factor, label = runs[runs["cpu_seconds"].notna()], "cpu_seconds", 1.0, "CPU s a run"
+    if not len(drawn):
+        return Section("tradeoff", "Reward against energy", ["Neither energy nor CPU seconds are known."])
+    picture = drawing.reward_against_cost(drawn, cost, factor, (label, f"final {data.what}"), data.styles)
+    caption = f"Final {data.what} over what the run cost: a dot a seed, a ring at each controller's mean."
+    body.append(Picture("reward_against_energy", caption, picture))
+    return Section("tradeoff", f"{data.what[0].upper()}{data.what[1:]} against energy", body)
+
+
+def _over_runs(measured: pd.DataFrame) -> dict[str, float]:
+    figures: dict[str, float] = {}
+    for name in ("kwh", "kg_co2", "cpu_seconds", *_PARTS):
+        values = measured[name].dropna()
+        found = mean_std(values.to_numpy()) if len(values) else None
+        figures[name] = found.mean if found else float("nan")
+        figures[f"{name}_std"] = found.std if found else float("nan")
+    return figures
+
+
+def _how_known(data: StudyData) -> str:
+    """How the power of each part is known, and of which country the mix is."""
+    from headway_launch.study import configuration
+
+    used = data.summaries[data.summaries["kwh"].notna()]
+    told = []
+    for column, part in _MODES.items():
+        modes = [str(mode) for mode in used[column].dropna().unique()] if column in used else []
+        told.append(f"{part} {' or '.join(modes) or 'unknown'}")
+    countries = sorted({str(configuration(row.directory)["energy"]["country"]) for row in data.runs.rows})
+    return (
+        f"By CodeCarbon, offline, with the energy mix of {', '.join(countries)}. How the power is known: "
+        f"{'; '.join(told)}. An estimate from the processor's name or load may be far from what a meter "
+        "shows; CPU seconds are counted by the system and stand beside it."
+    )

@@ -1,0 +1,259 @@
+"""The data of a report: what a study's runs came to, beside the rules on the same days."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from headway import drawing
+from headway.configuration import suggestion
+from headway.contracts.errors import HeadwayError
+from headway.events import LABELS
+from headway.stats import Interval, frames
+from headway.store import Selection
+from headway_launch.comparison import difference
+from headway_launch.study import configuration, counted_runs, curves_of, rules_beside, study_runs
+
+if TYPE_CHECKING:
+    from headway.store.index import RunRow
+
+RANDOM = "random"
+"""The rule that scores are 0 of, where environments are put together."""
+
+
+@dataclass(frozen=True)
+class Against:
+    """A controller's difference to the best rule of its task on common days; None where it is not known."""
+
+    interval: Interval | None
+    why_not: str = ""
+
+
+class StudyData:
+    """What the report of a study is made from; each part is read and computed when first asked for.
+
+    Raises HeadwayError if there is no such study, nothing in it has finished, or a finished run has not the
+    metric.
+    """
+
+    def __init__(
+        self, root: Path, study: str, metric: str | None = None, lower_is_better: bool = False
+    ) -> None:
+        self.study, self.lower_is_better = study, lower_is_better
+        self.every = Selection(root, tuple(study_runs(root, study)))
+        counted, self.left_out = counted_runs(self.every.rows, study)
+        self.runs = Selection(root, tuple(counted))
+        self.metric = metric or self._usual_metric()
+        group, _, self.column = self.metric.rpartition("/")
+        if not group.startswith("evaluation_"):
+            raise HeadwayError(
+                f"--metric: {self.metric!r} is no metric of evaluation; write evaluation_greedy/NAME or "
+                "evaluation_sampled/NAME"
+            )
+        self.mode = group.removeprefix("evaluation_")
+        self.curves = curves_of(self.runs, self.metric)
+
+    @property
+    def sign(self) -> int:
+        """Scores times it are the better the higher."""
+        return -1 if self.lower_is_better else 1
+
+    @property
+    def what(self) -> str:
+        """What the metric is called in text."""
+        return "reward" if self.column == "return" else self.column.replace("_", " ")
+
+    @cached_property
+    def tasks(self) -> list[str]:
+        """Environments, in the order of the runs."""
+        return list(dict.fromkeys(self.runs.names[row.cell].task for row in self.runs.rows))
+
+    @cached_property
+    def controllers(self) -> list[str]:
+        """Learners, in order."""
+        return sorted({self.runs.names[row.cell].controller for row in self.runs.rows})
+
+    @cached_property
+    def cells(self) -> dict[tuple[str, str], list["RunRow"]]:
+        """The runs of each task and controller, in order."""
+        found: dict[tuple[str, str], list[RunRow]] = {}
+        for row in self.runs.rows:
+            name = self.runs.names[row.cell]
+            found.setdefault((name.task, name.controller), []).append(row)
+        return {
+            (task, name): found[task, name]
+            for task in self.tasks
+            for name in self.controllers
+            if (task, name) in found
+        }
+
+    def on(self, task: str) -> dict[str, list["RunRow"]]:
+        """The runs of each controller on a task, in order."""
+        return {name: members for (of_task, name), members in self.cells.items() if of_task == task}
+
+    @cached_property
+    def everywhere(self) -> list[str]:
+        """The controllers that were trained on every task."""
+        return [name for name in self.controllers if all((task, name) in self.cells for task in self.tasks)]
+
+    @cached_property
+    def styles(self) -> dict[str, dict[str, Any]]:
+        """One colour a controller, in all pictures."""
+        return drawing.colours(self.controllers)
+
+    @cached_property
+    def figures(self) -> pd.DataFrame:
+        """`curve_figures` of the metric."""
+        return frames.curve_figures(self.curves)
+
+    @cached_property
+    def training_figures(self) -> pd.DataFrame | None:
+        """`curve_figures` of the training curve, in which the papers report; None where runs have none."""
+        try:
+            return frames.curve_figures(curves_of(self.runs, "training/return"))
+        except HeadwayError:  # no episode ended in some run, say
+            return None
+
+    @cached_property
+    def learned_from_another_reward(self) -> bool:
+        """The training curve is of other rewards or dynamics than what is reported."""
+        from headway.registry import wrapper_entry
+
+        def differs(env: dict[str, Any]) -> bool:
+            wrappers = [wrapper_entry(wrapper["name"]) for wrapper in env.get("wrappers", ())]
+            return bool(env.get("training_args")) or any(each.only_rewards for each in wrappers)
+
+        return any(differs(configuration(row.directory)["env"]) for row in self.runs.rows)
+
+    @cached_property
+    def scores(self) -> pd.DataFrame:
+        """A row a run: `controller`, `task`, `score` (its final reward, or what the metric is)."""
+        figures = self.figures.rename(columns={"final_reward": "score"})
+        in_order = [row.run_id for members in self.cells.values() for row in members]
+        return figures.loc[in_order, ["controller", "task", "score"]]
+
+    def scores_on(self, task: str) -> pd.DataFrame:
+        """The rows of `scores` of one task."""
+        return self.scores[self.scores["task"] == task]
+
+    def where(self, task: str) -> str:
+        """` on TASK`, where there are several."""
+        return f" on {task}" if len(self.tasks) > 1 else ""
+
+    @cached_property
+    def days(self) -> pd.DataFrame:
+        """A row a day of a run's last evaluation in the metric's mode, with all its figures."""
+        return self.runs.evaluations(mode=self.mode, final=True)
+
+    @cached_property
+    def rules(self) -> pd.DataFrame:
+        """A row a day of a rule, of those rules that have the metric."""
+        played = self.runs.rules()
+        return played.dropna(subset=[self.column]) if self.column in played else played.iloc[:0]
+
+    @cached_property
+    def rules_beside_curves(self) -> dict[str, dict[str, float]]:
+        """Task -> rule -> mean over the days of the curves."""
+        return rules_beside(self.runs, self.metric)
+
+    @cached_property
+    def best_rules(self) -> dict[str, str]:
+        """Of each task that has rules, the one with the best mean over the days of the last evaluation."""
+        ranked = {task: self.ranked_rules(task) for task in self.tasks}
+        return {task: rules[0] for task, rules in ranked.items() if rules}
+
+    @cached_property
+    def scale(self) -> dict[str, tuple[float, float]]:
+        """Of each task whose best rule is better than random play: (random, best), times the sign, on the
+        days of the curves."""
+        found = {}
+        for task, values in self.rules_beside_curves.items():
+            signed = {rule: self.sign * value for rule, value in values.items()}
+            if RANDOM in signed and max(signed.values()) > signed[RANDOM]:
+                found[task] = (signed[RANDOM], max(signed.values()))
+        return found
+
+    def ranked_rules(self, task: str) -> list[str]:
+        """A task's rules, the best first."""
+        of_task = self.rules[self.rules["task"] == task]
+        if of_task.empty:
+            return []
+        means = of_task.groupby("rule")[self.column].mean() * self.sign
+        return [str(rule) for rule in means.sort_values(ascending=False).index]
+
+    def numbered(self, place: int) -> str:
+        """What tells the names of files apart where there is one a task."""
+        return f"_{place + 1}" if len(self.tasks) > 1 else ""
+
+    def by_seed(self, task: str, controller: str, column: str) -> pd.DataFrame:
+        """Runs by days of a column, in the last evaluation."""
+        of_cell = self.days[(self.days["task"] == task) & (self.days["controller"] == controller)]
+        if column not in of_cell:
+            return pd.DataFrame()
+        return of_cell.pivot_table(index="run_id", columns="episode_seed", values=column)
+
+    def by_day(self, task: str, rule: str) -> "pd.Series[float]":
+        """A rule's days, by `episode_seed`."""
+        of_rule = self.rules[(self.rules["task"] == task) & (self.rules["rule"] == rule)]
+        return of_rule.set_index("episode_seed")[self.column]
+
+    def against_best_rule(self, task: str, controller: str) -> Against:
+        """Its learner's days minus the best rule's."""
+        if task not in self.best_rules:
+            return Against(None, "no rule was played")
+        best = self.by_day(task, self.best_rules[task])
+        return self._paired(task, self.by_seed(task, controller, self.column), best)
+
+    def rule_against_best(self, task: str, rule: str) -> Against:
+        """A rule's days minus the best rule's."""
+        if rule == self.best_rules[task]:
+            return Against(None)
+        best = self.by_day(task, self.best_rules[task])
+        return self._paired(task, self.by_day(task, rule).to_frame().T, best)
+
+    def _paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> Against:
+        if len(self._evaluation_seeds(task)) > 1:
+            return Against(None, "the cells were evaluated on different days")
+        common = [day for day in learned.columns if day in best.index]
+        whole = learned[common].dropna(axis="columns")
+        if whole.shape[1] < 2:
+            return Against(None, "fewer than two common days")
+        return Against(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
+
+    def _evaluation_seeds(self, task: str) -> set[int]:
+        return {
+            int(configuration(row.directory)["evaluation"]["seed"])
+            for members in self.on(task).values()
+            for row in members
+        }
+
+    @cached_property
+    def metrics(self) -> list[str]:
+        """Figures of the episodes of evaluation."""
+        known = {"run_id", "study", "cell", "label", "task", "controller", "seed"} | LABELS
+        return [
+            str(name) for name in self.days.columns if name not in known and self.days[name].notna().any()
+        ]
+
+    @cached_property
+    def summaries(self) -> pd.DataFrame:
+        """A row a run: what it used. Columns of energy are there even where nothing was measured."""
+        found = self.runs.summaries().set_index("run_id")
+        wanted = ["kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
+        for name in wanted:
+            found[name] = pd.to_numeric(found[name]) if name in found else float("nan")
+        return found
+
+    def _usual_metric(self) -> str:
+        """Greedy evaluation, or else the first mode in which all runs were evaluated."""
+        modes: Sequence[str] = ("greedy", "sampled")
+        for mode in modes:
+            if all(mode in configuration(row.directory)["evaluation"]["modes"] for row in self.runs.rows):
+                return f"evaluation_{mode}/return"
+        raise HeadwayError(
+            f"the runs of {self.study} were evaluated in different modes; "
+            f"{suggestion('evaluation_greedy', [f'evaluation_{mode}' for mode in modes])}"
+        )

@@ -1,0 +1,107 @@
+"""A report written down: one HTML page that needs nothing else, and its parts as files."""
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from headway.contracts.errors import HeadwayError
+from headway_launch.report.parts import Listing, Part, Picture, Section, Table
+
+PAGE = "report.html"
+_PARTS = ("tables", "pictures", "configs")
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that is on the page."""
+
+    title: str
+    subtitle: str
+    summary: Sequence[str]
+    """Sentences of the box at the top."""
+    sections: Sequence[Section]
+    footer: str
+
+
+def write_report(report: Report, folder: Path) -> Path:
+    """Write the page and its parts into `folder`, which is made if need be; returns the page. Raises
+    HeadwayError if it cannot be written."""
+    try:
+        for name in _PARTS:
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        for section in report.sections:
+            for part in section.body:
+                _write_part(part, folder)
+        page = folder / PAGE
+        page.write_text(html(report), encoding="utf-8")
+    except OSError as error:
+        raise HeadwayError(f"--output: {folder} cannot be written ({error.strerror or error})") from error
+    return page
+
+
+def html(report: Report) -> str:
+    """The page. Whatever comes from names and figures is escaped."""
+    from jinja2 import Environment
+
+    source = files("headway_launch.report").joinpath("page.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["code"] = _with_code
+    environment.filters["breakable"] = _breakable
+    environment.tests["table"] = lambda part: isinstance(part, Table)
+    environment.tests["picture"] = lambda part: isinstance(part, Picture)
+    environment.tests["listing"] = lambda part: isinstance(part, Listing)
+    return environment.from_string(source).render(report=report, picture_data=_inline)
+
+
+def markdown(table: Table) -> str:
+    """A table as Markdown, under its caption."""
+
+    def row(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+
+    ruler = ["---" if place in table.words else "---:" for place in range(len(table.headings))]
+    lines = [table.caption, "", row(table.headings), row(ruler), *map(row, table.rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _write_part(part: Part, folder: Path) -> None:
+    match part:
+        case Table(name=name, data=data):
+            (folder / "tables" / f"{name}.md").write_text(markdown(part), encoding="utf-8")
+            data.to_csv(folder / "tables" / f"{name}.csv", index=False)
+        case Picture(name=name, figure=figure):
+            figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
+        case Listing(text=text, file=file) if file:
+            (folder / file).write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")
+
+
+def _inline(picture: Picture) -> str:
+    """A picture as an address that holds it: SVG, sharp at any size."""
+    import matplotlib as mpl
+
+    content = io.BytesIO()
+    # Without the date and with a salt of its own, the same report is the same page.
+    with mpl.rc_context({"svg.hashsalt": picture.name}):
+        picture.figure.savefig(content, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(content.getvalue()).decode()
+
+
+def _breakable(heading: str) -> object:
+    """A heading that may break after an underscore, as names of rules are long."""
+    from markupsafe import Markup
+
+    return Markup("_<wbr>").join(heading.split("_"))
+
+
+def _with_code(text: str) -> object:
+    """A paragraph in which `this` is code."""
+    from markupsafe import Markup, escape
+
+    pieces = [
+        Markup("<code>{}</code>").format(piece) if place % 2 else escape(piece)
+        for place, piece in enumerate(text.split("`"))
+    ]
+    return Markup("").join(pieces)

@@ -1,0 +1,273 @@
+"""Pictures of a study: frames of `headway.stats.frames` and `headway.store` in, matplotlib figures out.
+
+Nothing is shown or kept globally, so these work alike in a command, a report and a notebook. A controller has
+one colour in all pictures that are given the same `colours`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours for all kinds of sight (jfly.uni-koeln.de/color), then four of Paul Tol's `muted`.
+_COLOURS = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9",
+    "#882255", "#999933", "#332288", "#117733",
+)  # fmt: skip
+_LINES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
+"""The second and third round through the colours."""
+_RULE_LINES: tuple[Any, ...] = ("--", ":", "-.")
+_FAR = 5.0
+"""Times the range of all else: farther away a rule is not drawn, only named."""
+_PARTS = {"cpu_kwh": "CPU", "gpu_kwh": "GPU", "ram_kwh": "RAM"}
+_PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA"}
+_WIDTH = 9.0
+_DOTS_PER_INCH = 150
+
+
+def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The colour and line of each controller, for matplotlib; the eleventh has the first one's colour with
+    another line."""
+    return {
+        name: {
+            "color": _COLOURS[place % len(_COLOURS)],
+            "linestyle": _LINES[place // len(_COLOURS) % len(_LINES)],
+        }
+        for place, name in enumerate(controllers)
+    }
+
+
+def learning_curves(
+    means: "pd.DataFrame",
+    rules: Mapping[str, Mapping[str, float]],
+    label: str,
+    styles: Mapping[str, Mapping[str, Any]],
+    low: float | None = None,
+    title: str = "",
+) -> "Figure":
+    """The frame of `mean_curves` or `efficiency` (column `mean` or `iqm`), one panel a task: each controller
+    with its interval, and the task's `rules` (task -> rule -> value) as dashed lines, but for one so far away
+    that nothing else could be seen. `low` cuts the vertical axis below."""
+    column = "mean" if "mean" in means.columns else "iqm"
+    tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
+    figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
+    panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
+    for task, axes in zip(tasks, panels, strict=True):
+        of_task = means[means["task"] == task] if task else means
+        for controller, curve in of_task.groupby("controller", sort=False):
+            runs = f" ({_counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
+            name = str(controller)
+            steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
+            axes.plot(steps, middle, label=f"{name}{runs}", linewidth=1.6, **styles[name])
+            ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
+            axes.fill_between(steps, *ends, color=styles[name]["color"], alpha=0.18, linewidth=0)
+        draw_rules(axes, rules.get(task, {}))
+        if low is not None:
+            axes.set_ylim(bottom=low)
+        _finish(axes, "environment steps", label)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        if len(tasks) > 1:
+            axes.set_title(task, loc="left", fontsize="medium")
+        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def draw_rules(axes: "Axes", rules: Mapping[str, float]) -> None:
+    """A grey line a rule across what is drawn already; the far ones in the legend only."""
+    near = near_rules(rules, *axes.get_ylim())
+    for place, (rule, value) in enumerate(sorted(rules.items())):
+        style: dict[str, Any] = {
+            "linestyle": _RULE_LINES[place % len(_RULE_LINES)],
+            "color": f"{0.2 + 0.4 * place / max(len(rules), 1):.2f}",
+            "linewidth": 1,
+        }
+        if rule in near:
+            axes.axhline(value, label=f"rule {rule}", **style)
+        else:
+            axes.plot([], [], label=f"rule {rule} (off, at {value:,.4g})", **style)
+
+
+def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
+    """The rules that may stretch an axis from `low` to `high`: the nearest, and each next one that is not
+    farther off than some times the range so far. One that fails (buses at random) would flatten the rest."""
+
+    def distance(rule: str) -> float:
+        return max(low - rules[rule], rules[rule] - high, 0.0)
+
+    near: set[str] = set()
+    for rule in sorted(rules, key=distance):
+        if near and distance(rule) > _FAR * (high - low):
+            break
+        near.add(rule)
+        low, high = min(low, rules[rule]), max(high, rules[rule])
+    return near
+
+
+def intervals(
+    summary: "pd.DataFrame", rules: Mapping[str, float], label: str, styles: Mapping[str, Mapping[str, Any]]
+) -> "Figure":
+    """The frame of `summary`: a line a controller, its interquartile mean and its interval; rules as upright
+    lines, but for those far away."""
+    figure = _figure(_WIDTH, 0.9 + 0.36 * len(summary) + 0.2 * len(rules))
+    axes = figure.subplots()
+    names = [str(name) for name in summary.index]
+    for place, name in enumerate(names):
+        row, colour = summary.loc[name], styles[name]["color"]
+        axes.barh(
+            place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
+        )
+        axes.plot([row["iqm"]] * 2, [place - 0.25, place + 0.25], color=colour, linewidth=2.5)
+    near = near_rules(rules, *axes.get_xlim()) if rules else set()
+    for place, (rule, value) in enumerate(sorted(rules.items())):
+        if rule in near:
+            style: dict[str, Any] = {"linestyle": _RULE_LINES[place % 3], "linewidth": 1}
+            shade = f"{0.2 + 0.4 * place / max(len(rules), 1):.2f}"
+            axes.axvline(value, label=f"rule {rule}", color=shade, **style)
+    axes.use_sticky_edges = False  # or the bars would end at the frame
+    axes.margins(x=0.05)
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    _finish(axes, label, "")
+    if near:
+        axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    return figure
+
+
+def performance_profiles(
+    profiles: "pd.DataFrame", label: str, styles: Mapping[str, Mapping[str, Any]]
+) -> "Figure":
+    """The frame of `profiles`: the share of runs above each score."""
+    figure = _figure(_WIDTH, 3.9)
+    axes = figure.subplots()
+    for controller, profile in profiles.groupby("controller", sort=False):
+        name, points = str(controller), profile["threshold"].to_numpy()
+        axes.step(points, profile["share"], where="post", label=name, linewidth=1.6, **styles[name])
+        ends = (profile["low"].to_numpy(), profile["high"].to_numpy())
+        axes.fill_between(points, *ends, step="post", color=styles[name]["color"], alpha=0.15, linewidth=0)
+    axes.set_ylim(-0.02, 1.02)
+    _finish(axes, f"{label} above", "share of runs")
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) -> "Figure":
+    """Three panels beside each other, a bar a controller (the index): CO2, energy by part, CPU seconds, each
+    a mean over runs with its standard deviation.
+
+    `energy` has `kg_co2`, `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds` and, of the first two and the
+    last, `..._std`; `units` the unit and its factor of `kg_co2` and `kwh`.
+    """
+    figure = _figure(_WIDTH, 1.4 + 0.36 * len(energy))
+    left, middle, right = figure.subplots(1, 3, sharey=True)
+    places, names = np.arange(len(energy)), [str(name) for name in energy.index]
+    errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
+    co2_unit, co2_factor = units["kg_co2"]
+    kwh_unit, kwh_factor = units["kwh"]
+    left.barh(
+        places,
+        energy["kg_co2"] * co2_factor,
+        xerr=energy["kg_co2_std"].fillna(0) * co2_factor,
+        color="#228833",
+        **errors,
+    )
+    drawn = np.zeros(len(energy))
+    for part, name in _PARTS.items():
+        share = energy[part].fillna(0).to_numpy() * kwh_factor
+        if share.any():
+            middle.barh(places, share, left=drawn, color=_PART_COLOURS[part], label=name, height=0.6)
+        drawn = drawn + share
+    spread = energy["kwh_std"].fillna(0) * kwh_factor
+    middle.errorbar(drawn, places, xerr=spread, fmt="none", ecolor="0.25", capsize=3)
+    right.barh(
+        places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
+    )
+    left.set_yticks(places, names)
+    left.invert_yaxis()
+    for axes, label in (
+        (left, f"(a) {co2_unit} CO2eq a run"),
+        (middle, f"(b) {kwh_unit} a run"),
+        (right, "(c) CPU s a run"),
+    ):
+        _finish(axes, label, "")
+        axes.set_xlim(left=0)
+    figure.legend(fontsize="small", loc="outside lower center", ncols=len(_PARTS), frameon=False)
+    return figure
+
+
+def reward_against_cost(
+    runs: "pd.DataFrame",
+    cost: str,
+    factor: float,
+    labels: tuple[str, str],
+    styles: Mapping[str, Mapping[str, Any]],
+) -> "Figure":
+    """A point a run: its `score` over its `cost` (a column, times `factor`), and a ring at each controller's
+    mean; `labels` of the horizontal and the vertical axis. One panel a task."""
+    tasks = list(dict.fromkeys(runs["task"]))
+    figure = _figure(_WIDTH, 3.7 * len(tasks))
+    for task, axes in zip(tasks, figure.subplots(len(tasks), squeeze=False)[:, 0], strict=True):
+        for controller, of_controller in runs[runs["task"] == task].groupby("controller", sort=False):
+            colour, spent = styles[str(controller)]["color"], of_controller[cost] * factor
+            axes.scatter(spent, of_controller["score"], s=18, color=colour, alpha=0.6, linewidths=0)
+            mean = (spent.mean(), of_controller["score"].mean())
+            axes.scatter(
+                *mean, s=110, facecolors="none", edgecolors=colour, linewidths=2, label=str(controller)
+            )
+        if len(tasks) > 1:
+            axes.set_title(task, loc="left", fontsize="medium")
+        _finish(axes, *labels)
+        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def reward_components(components: "pd.DataFrame", label: str) -> "Figure":
+    """Stacked bars, a bar a row (a controller or a rule) and a colour a column: what is paid to the right of
+    0, what is charged to the left, and a mark at the sum."""
+    figure = _figure(_WIDTH, 1.0 + 0.36 * len(components))
+    axes, places = figure.subplots(), np.arange(len(components))
+    paid, charged = np.zeros(len(components)), np.zeros(len(components))
+    for place, name in enumerate(components.columns):
+        values = components[name].fillna(0).to_numpy()
+        start = np.where(values >= 0, paid, charged)
+        axes.barh(
+            places,
+            values,
+            left=start,
+            height=0.6,
+            label=name,
+            color=_COLOURS[place % len(_COLOURS)],
+            alpha=0.85,
+        )
+        paid, charged = paid + np.maximum(values, 0), charged + np.minimum(values, 0)
+    axes.plot(paid + charged, places, "D", color="black", markersize=5, label="sum")
+    axes.axvline(0, color="0.3", linewidth=0.8)
+    axes.set_yticks(places, [str(name) for name in components.index])
+    axes.invert_yaxis()
+    _finish(axes, label, "")
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def _figure(width: float, height: float) -> "Figure":
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
+
+
+def _finish(axes: "Axes", across: str, upward: str) -> None:
+    axes.set_xlabel(across)
+    axes.set_ylabel(upward)
+    axes.grid(alpha=0.3)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
