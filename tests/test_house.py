@@ -93,6 +93,7 @@ def test_only_algorithms_import_torch_before_it_is_needed() -> None:
         "import sys; from headway_launch.command_line import run; run(['--help'])",
         "import sys; from headway_launch.command_line import run; run(['run', '--help'])",
         "import sys; from headway_launch.command_line import run; run(['runs', '--help'])",
+        "import sys; from headway_launch.command_line import run; run(['report', '--help'])",
     ],
 )
 def test_help_imports_nothing_heavy(statement: str) -> None:

@@ -79,6 +79,20 @@ def learning_curves(
     return figure
 
 
+def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure":
+    """The curves of one run, a panel each: label -> environment steps -> value."""
+    figure = _figure(_WIDTH, 1.0 + 2.2 * len(curves))
+    for (label, points), axes in zip(
+        curves.items(), figure.subplots(len(curves), squeeze=False, sharex=True)[:, 0], strict=True
+    ):
+        axes.plot(list(points), list(points.values()), color=_COLOURS[0], linewidth=1.4)
+        _finish(axes, "", label)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.set_xlabel("environment steps")
+    figure.suptitle(title, fontsize="medium")
+    return figure
+
+
 def draw_rules(axes: "Axes", rules: Mapping[str, float]) -> None:
     """A grey line a rule across what is drawn already; the far ones in the legend only."""
     near = near_rules(rules, *axes.get_ylim())

@@ -40,7 +40,9 @@ def test_errors_are_one_line_with_the_fix_and_exit_code_2(
         assert part in captured.err
 
 
-@pytest.mark.parametrize("command", ["run", "sweep", "resume", "runs", "evaluate", "browse", "list"])
+@pytest.mark.parametrize(
+    "command", ["run", "sweep", "resume", "runs", "evaluate", "compare", "plot", "report", "browse", "list"]
+)
 def test_every_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([command, "--help"]) == 0
     shown = capsys.readouterr().out

@@ -15,9 +15,11 @@ NOTEBOOKS = sorted((PROJECT / "notebooks").glob("*.ipynb"))
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("store")
-    command = [Path(sys.executable).with_name("headway"), "run", "experiment=toy_trivial", "seed=0,1"]
-    small = ["env_steps=4096", "energy=off", f"store.root={root}", "backend=serial"]
-    subprocess.run([*command, *small], check=True, cwd=PROJECT, capture_output=True, timeout=120)
+    command = [sys.executable, "-m", "headway_launch", "run", "experiment=toy_tracking", "study=notebooks"]
+    small = ["env_steps=4096", "energy.interval_s=1", f"store.root={root}", "backend=serial", "seed=0,1"]
+    for algorithm in ("ippo", "ia2c"):
+        words = [*command, *small, f"algo={algorithm}"]
+        subprocess.run(words, check=True, cwd=PROJECT, capture_output=True, timeout=240)
     return root
 
 
@@ -26,7 +28,7 @@ def test_notebook_runs(path: Path, store: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("HEADWAY_STORE", str(store))
     monkeypatch.setenv("MPLBACKEND", "Agg")
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": path.parent}}).execute()
+    NotebookClient(notebook, timeout=240, resources={"metadata": {"path": path.parent}}).execute()
     assert all(
         not cell.outputs for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"
     )

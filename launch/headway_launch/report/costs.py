@@ -1,12 +1,9 @@
 """Sections on what it cost: energy, CO2, CPU seconds, and what was reached for them."""
 
-import pandas as pd
-
 from headway import drawing
-from headway.stats import mean_std
+from headway.stats import frames
 from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import (
-    MISSING,
     Part,
     Picture,
     Section,
@@ -34,27 +31,25 @@ def energy_section(data: StudyData) -> Section:
         return Section("energy", title, [NOT_MEASURED])
     kwh_unit, kwh_factor = scale_of(float(used["kwh"].max()), "kWh")
     co2_unit, co2_factor = scale_of(float(used["kg_co2"].max()), "kg")
-    labels, exact, rows = [], [], []
-    for (task, controller), members in data.cells.items():
-        of_cell = used.loc[[row.run_id for row in members]]
-        measured = of_cell[of_cell["kwh"].notna()]
-        figures = _over_runs(measured)
-        exact.append({"environment": task, "controller": controller, "seeds": len(measured), **figures})
-        labels.append(controller if len(data.tasks) == 1 else f"{controller}, {task}")
+    costs = frames.costs(data.runs.summaries())
+    sums = used[known].groupby(["task", "controller"])[["kwh", "cpu_seconds"]].sum()
+    rows, labels = [], []
+    for task, controller in costs.index:
+        of_cell, whole = costs.loc[(task, controller)], sums.loc[(task, controller)]
+        labels.append(f"{controller}{data.where(task).replace(' on ', ', ')}")
         rows.append(
             [
                 *([task] if len(data.tasks) > 1 else []),
                 controller,
-                str(len(measured)),
-                with_deviation(figures["kwh"] * kwh_factor, figures["kwh_std"] * kwh_factor),
-                with_deviation(figures["kg_co2"] * co2_factor, figures["kg_co2_std"] * co2_factor),
-                with_deviation(figures["cpu_seconds"], figures["cpu_seconds_std"]),
-                *(figure(figures[part] * kwh_factor) for part in _PARTS),
-                figure(float(measured["kwh"].sum()) * kwh_factor) if len(measured) else MISSING,
-                figure(float(measured["cpu_seconds"].sum())) if len(measured) else MISSING,
+                str(int(of_cell["runs"])),
+                with_deviation(of_cell["kwh"] * kwh_factor, of_cell["kwh_std"] * kwh_factor),
+                with_deviation(of_cell["kg_co2"] * co2_factor, of_cell["kg_co2_std"] * co2_factor),
+                with_deviation(of_cell["cpu_seconds"], of_cell["cpu_seconds_std"]),
+                *(figure(of_cell[part] * kwh_factor) for part in _PARTS),
+                figure(whole["kwh"] * kwh_factor),
+                figure(whole["cpu_seconds"]),
             ]
         )
-    frame = pd.DataFrame(exact)
     body: list[Part] = [
         _how_known(data),
         "The session's energy is shared out to runs by what they used; what the machine used idle, and for "
@@ -82,19 +77,17 @@ def energy_section(data: StudyData) -> Section:
                 "all seeds, CPU s",
             ],
             rows,
-            frame,
+            costs.reset_index(),
             words=frozenset(range(2 if len(data.tasks) > 1 else 1)),
         )
     )
-    drawn = frame.set_index(pd.Index(labels))
-    drawn = drawn[drawn["seeds"] > 0]
     units = {"kwh": (kwh_unit, kwh_factor), "kg_co2": (co2_unit, co2_factor)}
     body.append(
         Picture(
             "footprint",
             "What a run cost: (a) CO2, (b) energy by part of the machine, (c) CPU seconds; means over seeds, "
             "whiskers one standard deviation.",
-            drawing.footprint(drawn, units),
+            drawing.footprint(costs.set_axis(labels, axis="index"), units),
         )
     )
     return Section("energy", title, body)
@@ -117,16 +110,6 @@ def tradeoff_section(data: StudyData) -> Section:
     caption = f"Final {data.what} over what the run cost: a dot a seed, a ring at each controller's mean."
     body.append(Picture("reward_against_energy", caption, picture))
     return Section("tradeoff", f"{data.what[0].upper()}{data.what[1:]} against energy", body)
-
-
-def _over_runs(measured: pd.DataFrame) -> dict[str, float]:
-    figures: dict[str, float] = {}
-    for name in ("kwh", "kg_co2", "cpu_seconds", *_PARTS):
-        values = measured[name].dropna()
-        found = mean_std(values.to_numpy()) if len(values) else None
-        figures[name] = found.mean if found else float("nan")
-        figures[f"{name}_std"] = found.std if found else float("nan")
-    return figures
 
 
 def _how_known(data: StudyData) -> str:

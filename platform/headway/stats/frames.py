@@ -25,6 +25,7 @@ from headway.stats.scores import (
 )
 
 _PROFILE_POINTS = 101
+_COSTS = ("kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "kg_co2", "cpu_seconds")
 
 
 def curve_figures(curves: pd.DataFrame) -> pd.DataFrame:
@@ -149,6 +150,17 @@ def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
             frames.append(_banded(str(controller), "env_steps", steps.to_numpy(), band, "iqm"))
     columns = ["controller", "env_steps", "iqm", "low", "high"]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
+
+
+def costs(summaries: pd.DataFrame) -> pd.DataFrame:
+    """What a run cost, of each task and controller (the index), from `Selection.summaries`: of `kwh`, its
+    parts, `kg_co2` and `cpu_seconds` the mean and, `..._std`, the deviation over runs (ddof = 1; NaN for
+    one), and how many `runs`. Only of runs whose energy was measured; what is not known is NaN, never 0."""
+    whole = summaries.reindex(columns=["task", "controller", *_COSTS])
+    measured = whole[whole["kwh"].notna()].astype(dict.fromkeys(_COSTS, np.float64))
+    grouped = measured.groupby(["task", "controller"], sort=False)
+    deviations = grouped[list(_COSTS)].std(ddof=1).add_suffix("_std")
+    return grouped[list(_COSTS)].mean().join(deviations).assign(runs=grouped.size())
 
 
 def normalised_by_rules(

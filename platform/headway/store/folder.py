@@ -2,7 +2,7 @@
 
 run.json config.yaml plan.json            identity, configuration, resolved plan
 curve-*.parquet episodes-*.parquet evaluation-*.parquet checkpoints/   the training process's
-energy.parquet summary.json tracking*.json                            the session's
+energy.parquet summary.json tracking*.json curves.png evaluations.csv  the session's
 """
 
 import os

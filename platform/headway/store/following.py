@@ -14,10 +14,21 @@ from headway.store.durable import locked, read_json, write_json
 from headway.store.folder import CHECKPOINTS, Process, RunRecord, now, read_summary, run_folders
 from headway.store.log import read_rows
 from headway.store.tracking import Tracker, database_uri
+from headway.store.views import write_views
 
 _SYNC_SECONDS = 600.0
 _STATE = "tracking.json"
-_FILES = ("config.yaml", "plan.json", "run.json", "summary.json", "*.parquet", "*.png", "*.svg", "*.html")
+_FILES = (
+    "config.yaml",
+    "plan.json",
+    "run.json",
+    "summary.json",
+    "*.parquet",
+    "*.csv",
+    "*.png",
+    "*.svg",
+    "*.html",
+)
 
 
 class RunFollower:
@@ -79,6 +90,7 @@ class RunFollower:
         if not self._child:
             self.begin(tracker)
         record = RunRecord.read(self.directory)
+        write_views(self.directory, record.run_id)
         files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
         status = record.settled_status
         figures = _figures(read_summary(self.directory)) if status == "FINISHED" else {}

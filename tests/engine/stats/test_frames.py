@@ -77,6 +77,26 @@ def test_efficiency_needs_common_steps() -> None:
     assert frames.efficiency(apart).empty
 
 
+def test_costs_are_of_measured_runs_only() -> None:
+    rows = [("a", 1.0, 4.0), ("a", 3.0, 6.0), ("a", None, 99.0), ("b", 5.0, 7.0)]
+    summaries = pd.DataFrame(
+        [
+            {"task": "bus", "controller": name, "kwh": kwh, "cpu_seconds": seconds, "gpu_kwh": None}
+            for name, kwh, seconds in rows
+        ]
+    )
+    found = frames.costs(summaries)
+    assert found.loc[("bus", "a"), ["runs", "kwh", "kwh_std", "cpu_seconds"]].tolist() == [
+        2,
+        2,
+        np.sqrt(2),
+        5,
+    ]
+    assert np.isnan(found.loc[("bus", "b"), "kwh_std"])
+    assert found["gpu_kwh"].isna().all()
+    assert frames.costs(summaries.assign(kwh=None)).empty
+
+
 def test_normalised_scores_are_0_for_random_play_and_1_for_the_best_rule() -> None:
     frame = scores(a={"bus": [-100.0, 300.0], "merge": [5.0]})
     found = frames.normalised_by_rules(frame, "score", {"bus": (-100, 100), "merge": (0, 10)})

@@ -1,0 +1,35 @@
+"""Tests of this folder share `chromium`, and a small study of real runs."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import chromium
+
+
+@pytest.fixture(scope="session")
+def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Page]:
+    """A page of a real browser."""
+    program = chromium.found()
+    if program is None:
+        pytest.skip("there is no Chromium; .ci/install_browser installs it (Debian, as root)")
+    with chromium.chromium(program, tmp_path_factory.mktemp("chromium")) as page:
+        yield page
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a study `pair` of real runs: two algorithms of two seeds beside two rules, with energy."""
+    root = tmp_path_factory.mktemp("trained")
+    for algorithm in ("ippo", "ia2c"):
+        words = ["experiment=toy_tracking", "study=pair", f"algo={algorithm}", "seed=0,1", "env_steps=3000"]
+        words += ["evaluation.every=1", "energy.interval_s=1", f"store.root={root}"]
+        command = [sys.executable, "-m", "headway_launch", "run", *words]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stderr
+    return root

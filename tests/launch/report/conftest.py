@@ -1,0 +1,85 @@
+"""Studies written by hand into a store: configurations are real, figures are chosen."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from headway.store import RunLog, RunRecord, Status
+from headway.store.durable import write_json, write_text
+from headway.store.folder import Process, create_run_folder, now, rules_file
+from headway_launch.composing import Experiment, compose
+from headway_launch.planning import cell_parameters, full_mapping
+
+DAYS = 4
+
+
+@lru_cache
+def composed(overrides: tuple[str, ...]) -> Experiment:
+    return compose(overrides)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def keep_run(root: Path) -> Callable[..., Path]:
+    """Keep a run that climbs from 0 to `final` and plays days of `final` + day in its last evaluation; each
+    rule's days are its value + day. `metrics` are the same on all days."""
+
+    def keep(
+        overrides: Sequence[str],
+        seed: int,
+        final: float,
+        status: Status = "FINISHED",
+        study: str = "study",
+        rules: Mapping[str, float] | None = None,
+        energy: Mapping[str, Any] | None = None,
+        **metrics: float,
+    ) -> Path:
+        experiment = composed((*overrides, f"study={study}", "evaluation.episodes=2"))
+        parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
+        env, algo = experiment.config.env.id, experiment.algo_name
+        mapping = full_mapping(experiment, [seed])
+        elsewhere = replace(Process.current(), host="elsewhere")
+        record = RunRecord("", study, env, algo, seed, 4, now(), elsewhere, status, "independent")
+        run_id, directory = create_run_folder(root, study, replace(record, parameters=parameters).cell, seed)
+        tags = {"version.headway": "0.1.0", "git.dirty": "true"}
+        record = replace(record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40)
+        record.write(directory)
+        write_text(directory / "config.yaml", yaml.safe_dump(mapping, sort_keys=False))
+        summary = {"final_reward": final, "cpu_seconds": 3.0 + seed, "steps_per_second": 10.0}
+        write_json(directory / "summary.json", {**summary, **(energy or {})})
+        log = RunLog(directory)
+        for iteration in range(5):
+            value = final * min(iteration / 2, 1.0)
+            row = {
+                "iteration": iteration,
+                "env_steps": 10 * iteration,
+                "wall_s": 1.0,
+                "training/return": value / 2,
+            }
+            log.append("curve", [{**row, "evaluation_greedy/return": value, **_of_curve(metrics)}])
+        label = {"iteration": 4, "env_steps": 40, "mode": "greedy", "final": 1, "length": 5}
+        days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(DAYS)]
+        log.append("evaluation", days)
+        log.commit(4)
+        played = {
+            rule: [{"episode_seed": day, "return": value + day, **metrics} for day in range(DAYS)]
+            for rule, value in (rules or {}).items()
+        }
+        if played:
+            write_json(rules_file(root, study, record.cell), played)
+        return directory
+
+    return keep
+
+
+def _of_curve(metrics: Mapping[str, float]) -> dict[str, float]:
+    return {f"evaluation_greedy/{name}": value for name, value in metrics.items()}

@@ -1,0 +1,277 @@
+"""The page says what the store holds, and what it does not hold it says too."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import pandas as pd
+import pytest
+
+from headway.contracts.errors import HeadwayError
+from headway.stats import paired_difference_over_seeds
+from headway.store import Status
+from headway_launch.command_line import run as run_command
+from headway_launch.report.composing import report_of
+from headway_launch.report.gather import StudyData
+from headway_launch.report.page import Report, html
+from headway_launch.report.parts import Listing, Picture, Section, Table
+
+
+class KeepRun(Protocol):
+    """What the fixture is."""
+
+    def __call__(
+        self,
+        overrides: Sequence[str],
+        seed: int,
+        final: float,
+        status: Status = "FINISHED",
+        study: str = "study",
+        rules: Mapping[str, float] | None = None,
+        energy: Mapping[str, Any] | None = None,
+        **metrics: float,
+    ) -> Path: ...
+
+
+TRACKING, MATRIX = ("experiment=toy_tracking",), ("experiment=toy_matrix",)
+KNOWN = {
+    "kwh": 3e-5,
+    "kg_co2": 3e-6,
+    "cpu_kwh": 2e-5,
+    "gpu_kwh": None,
+    "ram_kwh": 1e-5,
+    "energy.cpu": "estimated (cpu_load, 8 W at full load)",
+    "energy.gpu": "not measured",
+    "energy.ram": "estimated (by size)",
+}
+RULES = {"random": -20.0, "optimal": 10.0}
+
+
+def made(root: Path, study: str = "study", metric: str | None = None, lower: bool = False) -> Report:
+    return report_of(StudyData(root, study, metric, lower))
+
+
+def said(report: Report) -> str:
+    """All its words."""
+    lines = [report.title, report.subtitle, *report.summary]
+    for part in (part for section in report.sections for part in section.body):
+        match part:
+            case Table(caption=caption, headings=headings, rows=rows):
+                lines += [caption, *headings, *(" ".join(row) for row in rows)]
+            case Listing(text=text):
+                lines.append(text)
+            case Picture(caption=caption):
+                lines.append(caption)
+            case _:
+                lines.append(part)
+    return "\n".join(lines)
+
+
+def names(report: Report) -> set[str]:
+    """Of its tables and pictures."""
+    parts = [part for section in report.sections for part in section.body]
+    return {part.name for part in parts if isinstance(part, Table | Picture)}
+
+
+def table(report: Report, name: str) -> pd.DataFrame:
+    [found] = [part for section in report.sections for part in section.body if _is(part, name)]
+    assert isinstance(found, Table)
+    return found.data
+
+
+def _is(part: object, name: str) -> bool:
+    return isinstance(part, Table) and part.name == name
+
+
+def two_algorithms(keep_run: KeepRun, **more: float) -> None:
+    for seed in range(3):
+        keep_run((*TRACKING, "algo=ippo"), seed, 5.0 + seed, rules=RULES, energy=KNOWN, **more)
+        keep_run((*TRACKING, "algo=ia2c"), seed, 2.0 * seed, rules=RULES, energy=KNOWN, **more)
+
+
+def test_both_forms_have_the_figures_of_the_store(keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run)
+    report = made(root)
+    published = table(report, "published_form").set_index("controller")
+    ippo = published.loc["ippo, independent"]
+    assert [ippo[f"greedy_final_reward_{name}"] for name in ("mean", "std")] == [6.0, 1.0]
+    assert ippo["training_final_reward_mean"] == 3.0
+    # 0, half, 1, 1, 1 of the way up, at even steps; seed 0 of ia2c is flat, which is 0.5 by definition.
+    assert ippo["greedy_auc_own_mean"] == pytest.approx(0.75)
+    assert ippo["greedy_auc_study_mean"] == pytest.approx(0.75 * 6 / 7)
+    assert published.loc["ia2c, independent", "greedy_auc_own_mean"] == pytest.approx((0.5 + 2 * 0.75) / 3)
+    assert published.loc["rule optimal", "greedy_final_reward_mean"] == 10.5  # days 0 and 1, as the curve
+    assert "6.0 ± 1.0" in said(report)
+
+    sound = table(report, "sound_form").set_index("controller")
+    learned = [[5.0 + seed + day for day in range(4)] for seed in range(3)]
+    expected = paired_difference_over_seeds(learned, [[10.0 + day for day in range(4)]] * 3)
+    found = [sound.loc["ippo, independent", f"minus_best_rule{end}"] for end in ("", "_low", "_high")]
+    assert found == pytest.approx([expected.estimate, expected.low, expected.high])
+    assert sound.loc["rule random", "minus_best_rule"] == -30
+    assert "no claim (worse)" in said(report)
+    chances = table(report, "probability_of_improvement").set_index(["a", "b"])["probability"]
+    assert chances["ippo, independent", "ia2c, independent"] == 1.0
+
+
+def test_every_part_is_a_file_and_the_page_needs_none(keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run, reward_service=1.5, reward_regularity=-0.5)
+    folder = root.parent / "report"
+    assert run_command(["report", "study", "--store", str(root), "--output", str(folder)]) == 0
+    page = (folder / "report.html").read_text()
+    pictures = {path.stem for path in (folder / "pictures").iterdir()}
+    assert {"learning_curves", "sample_efficiency", "profiles", "components", "footprint"} < pictures
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in (folder / "pictures").iterdir())
+    assert page.count('<img src="data:image/svg+xml;base64,') == len(pictures)
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert len(list((folder / "configs").iterdir())) == 2
+    for markdown in (folder / "tables").glob("*.md"):
+        header, *rows = [line for line in markdown.read_text().splitlines() if line.startswith("|")]
+        assert {line.count("|") for line in rows} == {header.count("|")}
+    figures = list(csv.DictReader(io.StringIO((folder / "tables" / "figures.csv").read_text())))
+    assert figures[-1]["ippo, independent"] == "-0.5"
+
+
+def test_energy_stands_beside_cpu_seconds(keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run)
+    report = made(root)
+    ippo = table(report, "energy").set_index("controller").loc["ippo, independent"]
+    assert (ippo["kwh"], ippo["cpu_seconds"]) == pytest.approx((3e-5, 4.0))
+    assert math.isnan(ippo["gpu_kwh"])
+    assert "mWh a run" in said(report)
+    assert "CPU estimated (cpu_load, 8 W at full load); GPU not measured" in said(report)
+
+
+def test_energy_that_was_not_measured_is_not_zero(keep_run: KeepRun, root: Path) -> None:
+    for seed in range(2):
+        keep_run((*TRACKING, "energy=off"), seed, 1.0, rules=RULES)
+    report = made(root)
+    assert "Energy was not measured for these runs" in said(report)
+    assert "their energy was not measured" in said(report)
+    assert "CPU seconds stand in" in said(report)
+    assert not {"energy", "footprint"} & names(report)
+
+
+def test_some_runs_without_energy_are_said_and_left_out_of_its_means(keep_run: KeepRun, root: Path) -> None:
+    keep_run(TRACKING, 0, 1.0, energy=KNOWN)
+    keep_run(TRACKING, 1, 1.0)
+    report = made(root)
+    assert "1 run had no measurement" in said(report)
+    assert table(report, "energy")["runs"].tolist() == [1]
+
+
+def test_one_seed_and_no_rule_are_said(keep_run: KeepRun, root: Path) -> None:
+    keep_run(TRACKING, 0, 1.0)
+    report = made(root)
+    assert "Of ippo, independent there is one seed" in said(report)
+    assert "No classical rule was played" in said(report)
+    assert "There is one learner only" in said(report)
+    assert "There is no performance profile" in said(report)
+    assert not {"intervals", "profiles"} & names(report)
+
+
+def test_runs_that_do_not_count_are_said_with_the_reason(keep_run: KeepRun, root: Path) -> None:
+    keep_run(TRACKING, 0, 1.0)
+    keep_run(TRACKING, 1, 2.0, status="KILLED")
+    failed = keep_run(TRACKING, 2, 3.0, status="FAILED")
+    (failed / "traceback.txt").write_text("Traceback\n  somewhere\nValueError: NaN in layer 2\n")
+    report = made(root)
+    assert "Left out of all figures on this page: 2 not finished (1 FAILED, 1 KILLED)" in said(report)
+    assert f"{failed.name} failed: ValueError: NaN in layer 2" in said(report)
+    assert table(report, "runs")["counted"].tolist() == [True, False, False]
+
+
+def test_environments_are_put_together_where_rules_give_them_a_scale(keep_run: KeepRun, root: Path) -> None:
+    for seed in range(2):
+        keep_run((*TRACKING, "algo=ippo"), seed, 10.5, rules=RULES)
+        keep_run((*MATRIX, "algo=ippo"), seed, 2.0, rules={"random": 0.0, "optimal": 3.0})
+        keep_run((*MATRIX, "algo=ia2c"), seed, 1.0, rules={"random": 0.0, "optimal": 3.0})
+    report = made(root)
+    assert report.subtitle == "tracking, matrix: 6 finished runs of 2 learners, and 4 classical rules"
+    [row] = table(report, "across_environments").to_dict("records")
+    # On the curves' days 0 and 1 tracking's rules have -19.5 and 10.5, matrix's 0.5 and 3.5.
+    assert (row["controller"], row["mean"]) == ("ippo, independent", pytest.approx((1 + 0.5) / 2))
+    assert "Not trained on every environment, and so left out here: ia2c, independent" in said(report)
+
+
+def test_environments_without_a_scale_are_not_put_together(keep_run: KeepRun, root: Path) -> None:
+    keep_run(TRACKING, 0, 1.0, rules=RULES)
+    keep_run(MATRIX, 0, 2.0, rules={"optimal": 3.0})
+    report = made(root)
+    assert "Scores cannot be put together: matrix has not both random play (0) and a rule" in said(report)
+    assert "across_environments" not in names(report)
+
+
+def test_days_that_differ_give_no_difference(keep_run: KeepRun, root: Path) -> None:
+    keep_run((*TRACKING, "algo=ippo"), 0, 1.0, rules=RULES)
+    keep_run((*TRACKING, "algo=ia2c", "evaluation.seed=5"), 0, 1.0, rules=RULES)
+    assert "best rule is given on tracking: the cells were evaluated on different days" in said(made(root))
+
+
+def test_another_reward_in_training_is_said(keep_run: KeepRun, root: Path) -> None:
+    keep_run((*TRACKING, "env.training_args={effort: 0.5}"), 0, 1.0)
+    assert "the training columns are of that reward and do not compare" in said(made(root))
+
+
+def test_a_cost_is_better_the_lower(keep_run: KeepRun, root: Path) -> None:
+    for seed in range(2):
+        keep_run((*TRACKING, "algo=ippo"), seed, 1.0, rules=RULES, wait=2.0)
+        keep_run((*TRACKING, "algo=ia2c"), seed, 9.0, rules=RULES, wait=7.0)
+    report = made(root, metric="evaluation_greedy/wait", lower=True)
+    assert "ippo, independent has the lowest mean final wait: 2 over 2 seeds" in said(report)
+    chances = table(report, "probability_of_improvement").set_index("a")["probability"]
+    assert chances["ippo, independent"] == 1
+
+
+def test_names_and_text_cannot_break_the_page() -> None:
+    frame = pd.DataFrame({"a": [1]})
+    parts = [Table("t", "<i>", ["a_<b>"], [["<c>"]], frame), "<d> and `<e>`", Listing("<f>", "<g>")]
+    page = html(Report("<h>", "<k>", ["<l>"], [Section("s", "<m>", list(parts))], "<n>"))
+    for letter in "bcdefghklmn":
+        assert f"<{letter}>" not in page
+        assert f"&lt;{letter}&gt;" in page
+    assert "<code>&lt;e&gt;</code>" in page
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("stdy",), "there is no study 'stdy' in"),
+        (("stdy",), "did you mean study?"),
+        (("empty",), "study 'empty' has no finished run (1 KILLED)"),
+        (("study", "--metric", "training/return"), "'training/return' is no metric of evaluation"),
+        (("study", "--metric", "evaluation_greedy/retrun"), "did you mean evaluation_greedy/return?"),
+        (("study", "--output", "FILE"), "--output: "),
+        (("study", "--output", "FILE/report"), "--output: "),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: tuple[str, ...],
+    line: str,
+    keep_run: KeepRun,
+    root: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    keep_run(TRACKING, 0, 1.0)
+    keep_run(TRACKING, 0, 1.0, status="KILLED", study="empty")
+    monkeypatch.chdir(tmp_path)
+    Path("FILE").write_text("")
+    assert run_command(["report", *words, "--store", str(root)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("headway: ")
+    assert line in told
+    assert told.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["FILE", "store"]
+
+
+def test_of_evaluation_in_another_mode_that_is_taken(keep_run: KeepRun, root: Path) -> None:
+    directory = keep_run((*TRACKING, "evaluation.modes=[sampled]"), 0, 1.0)
+    assert directory.exists()
+    with pytest.raises(HeadwayError, match="has no 'evaluation_sampled/return'"):
+        StudyData(root, "study")

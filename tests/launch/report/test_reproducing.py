@@ -1,0 +1,38 @@
+"""The command line of a stored run composes that run's configuration again, whatever its values look like."""
+
+import shlex
+from collections.abc import Sequence
+
+import pytest
+
+from headway_launch.composing import compose
+from headway_launch.planning import full_mapping
+from headway_launch.report.reproducing import reproducing_line
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("experiment=bus_mappo",),
+        ("experiment=bus_mappo", "preset=bus_tuned_independent", "algo=happo", "algo.lr=3e-5"),
+        ("experiment=bus_mappo", "preset=paper", "rollout=paper", "algo=coma"),
+        ("experiment=toy_matrix", "energy=off", "evaluation.rules=[]", "algo.grad_clip=null"),
+        (
+            "experiment=toy_trivial",
+            "env.wrappers=[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]",
+            "study=with spaces = and 'quotes'",
+        ),
+        ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.args.N=3", "backend.stack=2"),
+        ("env=bus", "algo=ippo", "env.training_args={reward: {shared: false}}"),
+    ],
+)
+def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
+    stored = full_mapping(compose([*overrides, "seed=3,4", "store.root=elsewhere"]), [3])
+    program, command, *words = shlex.split(reproducing_line(stored, "3"))
+    assert (program, command) == ("headway", "run")
+    again = full_mapping(compose(words), [3])
+    assert again["seed"] == [3]
+    for key in ("study", "env", "algo", "rollout", "evaluation", "env_steps", "device", "energy"):
+        assert again[key] == stored[key], key
+    assert again["backend"]["stack"] == stored["backend"]["stack"]
+    assert "elsewhere" not in words
