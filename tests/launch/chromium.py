@@ -66,6 +66,12 @@ class Page:
         """Wait until the page shows a text."""
         self.wait_until(f"document.body.innerText.includes({json.dumps(text)})")
 
+    def click(self, text: str) -> None:
+        """Click on what shows just this text, once it is there."""
+        found = f"[...document.querySelectorAll('body *')].filter(e => e.textContent.trim() === {json.dumps(text)})"
+        self.wait_until(f"{found}.length")
+        self.value(f"{found}.at(-1).click()")
+
     def text(self) -> str:
         """What the page shows."""
         return str(self.value("document.body.innerText"))

@@ -63,9 +63,9 @@ def test_curves_tables_pictures_and_the_configuration_are_files(
     browser_page.open(page_of(address, run, "artifacts"))
     for name in ("config.yaml", "curves.png", "evaluations.csv", "curve-", "energy.parquet", "summary.json"):
         browser_page.wait_for(name)
-    browser_page.open(page_of(address, run, "artifacts/config.yaml"))
+    browser_page.click("config.yaml")
     browser_page.wait_for("study: pair")
-    browser_page.open(page_of(address, run, "artifacts/evaluations.csv"))
-    browser_page.wait_for("env_steps")
-    browser_page.open(page_of(address, run, "artifacts/curves.png"))
+    browser_page.click("evaluations.csv")
+    browser_page.wait_for("evaluation_greedy/return")
+    browser_page.click("curves.png")
     browser_page.wait_until("[...document.images].some(image => image.naturalWidth > 500)")

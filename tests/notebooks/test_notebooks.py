@@ -15,11 +15,9 @@ NOTEBOOKS = sorted((PROJECT / "notebooks").glob("*.ipynb"))
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("store")
-    command = [sys.executable, "-m", "headway_launch", "run", "experiment=toy_tracking", "study=notebooks"]
-    small = ["env_steps=4096", "energy.interval_s=1", f"store.root={root}", "backend=serial", "seed=0,1"]
-    for algorithm in ("ippo", "ia2c"):
-        words = [*command, *small, f"algo={algorithm}"]
-        subprocess.run(words, check=True, cwd=PROJECT, capture_output=True, timeout=240)
+    command = [sys.executable, "-m", "headway_launch", "run", "experiment=toy_tracking", "seed=0,1"]
+    small = ["env_steps=4096", "energy.interval_s=1", f"store.root={root}", "backend=serial"]
+    subprocess.run([*command, *small], check=True, cwd=PROJECT, capture_output=True, timeout=600)
     return root
 
 

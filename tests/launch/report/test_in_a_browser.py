@@ -22,7 +22,7 @@ def test_the_page_shows_everything_at_every_width_and_asks_for_nothing(
     browser_page.open(address, width)
     shown = browser_page.text()
     assert "Study pair" in shown
-    assert "4 finished runs of 2 learners, and 2 classical rules" in shown
+    assert "2 finished runs of 1 learner, and 2 classical rules" in shown
     assert "ippo, independent" in shown
     assert "rule optimal" in shown
     pictures = "[...document.images].filter(image => image.naturalWidth > 300).length"
@@ -44,4 +44,4 @@ def test_what_is_folded_away_opens(address: str, browser_page: Page) -> None:
     browser_page.value("document.querySelectorAll('details').forEach(part => part.open = true)")
     shown = browser_page.text()
     assert "checkpoint_every: 20" in shown
-    assert "headway run env=tracking algo=ia2c" in shown
+    assert "headway run env=tracking algo=ippo" in shown

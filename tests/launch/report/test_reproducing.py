@@ -20,7 +20,7 @@ from headway_launch.report.reproducing import reproducing_line
         (
             "experiment=toy_trivial",
             "env.wrappers=[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]",
-            "study=with spaces = and 'quotes'",
+            "study=\"with spaces = and 'quotes'\"",
         ),
         ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.args.N=3", "backend.stack=2"),
         ("env=bus", "algo=ippo", "env.training_args={reward: {shared: false}}"),
