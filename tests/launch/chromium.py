@@ -68,7 +68,8 @@ class Page:
 
     def click(self, text: str) -> None:
         """Click on what shows just this text, once it is there."""
-        found = f"[...document.querySelectorAll('body *')].filter(e => e.textContent.trim() === {json.dumps(text)})"
+        every = "[...document.querySelectorAll('body *')]"
+        found = f"{every}.filter(element => element.textContent.trim() === {json.dumps(text)})"
         self.wait_until(f"{found}.length")
         self.value(f"{found}.at(-1).click()")
 
