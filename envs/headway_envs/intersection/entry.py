@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
+from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
 from headway_envs.intersection.config import IntersectionConfig
 
 if TYPE_CHECKING:
@@ -58,6 +58,12 @@ def _reservation(prepared: "Prepared") -> Rule:
     return Reservation()
 
 
+def _painter(prepared: "Prepared") -> Painter:
+    from headway_envs.intersection.picture import IntersectionPainter
+
+    return IntersectionPainter()
+
+
 ENTRY = EnvEntry(
     summary="Automated vehicles among human drivers at a crossing without signals (SUMO)",
     config=IntersectionConfig,
@@ -72,5 +78,6 @@ ENTRY = EnvEntry(
         "random": lambda prepared: RandomRule(),
         "reservation": _reservation,
     },
+    painter=_painter,
     preload=("headway_envs.intersection.kernel", "headway_envs.intersection.env"),
 )

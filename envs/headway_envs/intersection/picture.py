@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from headway.contracts import BatchedEnv
 from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
@@ -83,6 +84,25 @@ class Camera:
         self._marks = [mark for mark in self._marks if now.time_s - _MARKED_S <= mark[0] < now.time_s]
         self._marks += [(now.time_s, place) for place in now.crashes]
         return replace(now, crashes=tuple(place for _, place in self._marks))
+
+
+class IntersectionPainter:
+    """Paints the crossing for `headway render`."""
+
+    def __init__(self) -> None:
+        self._camera: Camera | None = None
+        self._last: NDArray[np.uint8] | None = None
+
+    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """See `headway.contracts.Painter`. SUMO forgets an episode as the next begins: its end looks like the
+        step before."""
+        assert isinstance(env, IntersectionBatchedEnv)
+        if at_end and self._last is not None:
+            return self._last
+        if self._camera is None:
+            self._camera = Camera(env)
+        self._last = render(self._camera.frame())
+        return self._last
 
 
 def save_film(path: Path, frames: Iterable[Frame], seconds_each: float = STEP_S) -> None:

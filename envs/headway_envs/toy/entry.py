@@ -31,7 +31,7 @@ def _tracking_parallel(config: TrackingConfig) -> Any:  # noqa: ANN401 - EnvEntr
 
 
 def _recall_parallel(config: RecallConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.toy.parallel_face import ParallelFace
+    from headway_envs.parallel_face import ParallelFace
 
     return ParallelFace(lambda copies: Recall(config, copies))
 

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL import Image
 
-    from headway.contracts import Observed
+    from headway.contracts import Observed, Outcome
     from headway_launch.composing import PreparedEnv
 
     Act = Callable[[Any, Observed], NDArray[Any]]
+    Heed = Callable[[Outcome], None]
 
 EXAMPLES = """\
 examples:
@@ -55,11 +56,12 @@ def execute(arguments: argparse.Namespace) -> int:
     limit_threads()
     from headway_launch.kernels import compile_kernels
 
-    found, root, act = _player(arguments)
+    found, root, act, heed = _player(arguments)
     if found.entry.painter is None:
         raise HeadwayError(f"{found.spec.name} cannot be drawn: its entry has no painter")
     compile_kernels(found.entry)
-    frames = list(_frames(found, root if arguments.seed is None else arguments.seed, arguments.episode, act))
+    root = root if arguments.seed is None else arguments.seed
+    frames = list(_frames(found, root, arguments.episode, act, heed))
     _write(frames, output, arguments.step, arguments.fps)
     print(output)
     return 0
@@ -78,10 +80,10 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
         raise HeadwayError(f"{arguments.overrides[0]}: a run is played as it was trained; leave it out")
 
 
-def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act"]:
-    """The environment, the root of its evaluation seeds and who plays it."""
+def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "Heed"]:
+    """The environment, the root of its evaluation seeds, who plays it and who is told what came of it."""
     if arguments.rule is None:
-        from headway.rollout.sampler import BlockwiseActing
+        from headway.rollout.blockwise import BlockwiseActing
         from headway_launch.stored import StoredRun
         from headway_launch.trained import newest_policy
 
@@ -90,7 +92,12 @@ def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act"]:
         policy = newest_policy(run, found)
         acting = BlockwiseActing(policy.plan, 1, 1)
         root = run.experiment.config.evaluation.seed
-        return found, root, lambda env, observed: acting.act(policy.parameters, observed, None)[0]
+        return (
+            found,
+            root,
+            lambda env, observed: acting.act(policy.parameters, observed, None)[0],
+            acting.heed,
+        )
     from headway_launch.composing import compose
 
     experiment = compose([f"env={arguments.name}", *arguments.overrides])
@@ -98,10 +105,12 @@ def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act"]:
     if arguments.rule not in rules:
         raise HeadwayError(f"--rule: {arguments.rule!r} is no rule here; {suggestion(arguments.rule, rules)}")
     rule = rules[arguments.rule](found.prepared)
-    return found, experiment.config.evaluation.seed, rule.act
+    return found, experiment.config.evaluation.seed, rule.act, lambda outcome: None
 
 
-def _frames(found: "PreparedEnv", root: int, episode: int, act: "Act") -> Iterator["NDArray[np.uint8]"]:
+def _frames(
+    found: "PreparedEnv", root: int, episode: int, act: "Act", heed: "Heed"
+) -> Iterator["NDArray[np.uint8]"]:
     """Pictures of one evaluation episode, from its beginning to its end."""
     from contextlib import closing
 
@@ -115,6 +124,7 @@ def _frames(found: "PreparedEnv", root: int, episode: int, act: "Act") -> Iterat
         yield painter.paint(behind_wrappers(env), at_end=False)
         while not ended:
             outcome, observed = env.step(act(env, observed))
+            heed(outcome)
             ended = bool(outcome.episode_ended[0])
             yield painter.paint(behind_wrappers(env), at_end=ended)
 
