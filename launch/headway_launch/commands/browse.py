@@ -43,7 +43,9 @@ def execute(arguments: argparse.Namespace) -> int:
     command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", uri]
     command += ["--host", _HOST, "--port", str(arguments.port), "--workers", "1"]
     with StopRequests() as requests, TemporaryFile("w+") as log:
-        server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        # MLflow's jobs (scoring of traces) are nothing of ours, and seven processes that take a while to start.
+        without_jobs = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+        server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, env=without_jobs)
         try:
             ready = _wait_until_ready(server, arguments.port, requests)
             if ready:
