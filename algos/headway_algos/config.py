@@ -167,6 +167,10 @@ class AlgoConfig:
             "critic_actions must be none unless critic is central: a local critic sees no one else, and a "
             "counterfactual one sees the others' actions always",
         )
+        _require(
+            self.model.core == "none" or "kfac" not in (self.update, self.critic_update),
+            "model.core must be none with kfac, whose factors are of multilayer perceptrons",
+        )
         _require(self.target_every >= 1, "target_every must be at least 1")
         _require(self.epochs >= 1, "epochs must be at least 1")
         _require(self.minibatches >= 1, "minibatches must be at least 1")

@@ -161,8 +161,9 @@ def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) ->
 
 
 REMEMBERING = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
-WITH_CORES = [name for name in algo_entries() if hasattr(algo_entry(name).config().model, "core")]
+REPLAYING = [name for name in algo_entries() if not hasattr(algo_entry(name).config().model, "core")]
 """Who replays single transitions cannot learn what to remember."""
+WITH_CORES = [name for name in algo_entries() if name not in (*REPLAYING, "maacktr")]
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared"])
@@ -177,7 +178,12 @@ def test_it_trains_with_a_memory_or_says_why_not(task: str, algorithm: str, poli
         assert_trains(task, entry, config, policies)
 
 
-@pytest.mark.parametrize("algorithm", sorted(set(algo_entries()) - set(WITH_CORES)))
+def test_kronecker_factors_are_of_networks_without_memory() -> None:
+    with pytest.raises(HeadwayError, match=r"model\.core must be none with kfac"):
+        configured("maacktr", "shared", **REMEMBERING)
+
+
+@pytest.mark.parametrize("algorithm", REPLAYING)
 def test_a_memory_is_no_setting_of_who_replays(algorithm: str) -> None:
     with pytest.raises(HeadwayError, match=r"core is not a key of .*; there is: activation, hidden"):
         configured(algorithm, "shared", **REMEMBERING)
