@@ -38,6 +38,7 @@ def through_supersuit(wrapped: Wrapped, entry: EnvEntry, wrappers: Sequence[Any]
         shared_reward=spec.shared_reward,
         groups=spec.groups,
         agents_come_and_go=spec.agents_come_and_go,
+        max_copies_per_process=spec.max_copies_per_process,
         metrics=spec.metrics,
     )
     make = WrappedParallelEnv(entry.parallel_env, wrapped.prepared, listed)
