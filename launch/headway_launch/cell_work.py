@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
+from headway.configuration import plain
 from headway.events import Row
 from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
@@ -54,7 +55,7 @@ class CellWork:
         experiment = planned.experiment
         plan = {
             "stack": list(planned.seeds),
-            "rollout": full_mapping(experiment, ())["rollout"],
+            "rollout": plain(planned.config.rollout),
             "workers": workers_of(planned, shares),
         }
         return [
@@ -81,7 +82,7 @@ class CellWork:
             make_learner=experiment.algo.learner,
             algo_config=experiment.algo_config,
             seeds=planned.seeds,
-            config=replace(experiment.config, seed=planned.seeds),
+            config=replace(planned.config, seed=planned.seeds),
             workers=workers_of(planned, shares),
             directories=tuple(str(run.directory) for run in runs),
             resume=bool(planned.resumed) and with_checkpoint,

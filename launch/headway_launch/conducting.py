@@ -15,7 +15,14 @@ from headway.store.session import SessionStore
 from headway.training import TrainingJob
 from headway_launch.cell_work import CellWork, Rules
 from headway_launch.kernels import compile_kernels
-from headway_launch.planning import CellPlan, PlannedJob, Shares, require_free_disk, share_cores
+from headway_launch.planning import (
+    CellPlan,
+    PlannedJob,
+    Shares,
+    require_free_disk,
+    share_cores,
+    uses_gpu,
+)
 from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
 from headway_launch.results import print_cells, print_results, seed_result
@@ -46,12 +53,7 @@ class Conductor:
         self._config: ExperimentConfig = cells[0].experiment.config
         self._debug, self._plan_kept = debug, plan_kept
         planned = [job for cell in cells for job in cell.jobs]
-        self._shares: Shares = share_cores(
-            self._config.backend,
-            len(planned),
-            usable_cores(),
-            max([1, *(job.workers or 1 for job in planned)]),
-        )
+        self._shares: Shares = share_cores(self._config.backend, planned, usable_cores())
         require_free_disk(Path(self._config.store.root), sum(len(job.seeds) for job in planned))
         for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
             compile_kernels(env)
@@ -98,7 +100,7 @@ class Conductor:
         job = self._jobs[index]
         runs = job.cell.runs(job.planned, self._shares)
         before = [run.energy_so_far for run in runs] if job.planned.resumed else []
-        job.recording = JobRecording(runs, uses_gpu=_uses_gpu(self._config.device), before=before)
+        job.recording = JobRecording(runs, uses_gpu=uses_gpu(job.planned), before=before)
         return job.cell.training_job(job.planned, runs, self._shares)
 
     def _take(self, index: int, event: Event) -> None:
@@ -256,10 +258,6 @@ def _session_figures(report: EnergyReport) -> dict[str, float]:
     """What the machine used, and the parts of it that are no run's."""
     parts = {"total": report.total, "session": report.session, "idle": report.idle}
     return {f"energy_{name}_kwh": part.kwh for name, part in parts.items() if part.kwh is not None}
-
-
-def _uses_gpu(device: str) -> bool:
-    return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
 
 
 def _from_here(folder: str) -> str:

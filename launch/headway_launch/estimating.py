@@ -17,7 +17,7 @@ from headway.events import EvaluationFinished, Event, Failed, IterationFinished,
 from headway.store.provenance import usable_cores
 from headway.training import TrainingJob
 from headway_launch.kernels import compile_kernels
-from headway_launch.planning import CellPlan, PlannedJob, Shares, share_cores, workers_of
+from headway_launch.planning import CellPlan, PlannedJob, Shares, share_cores, uses_gpu, workers_of
 from headway_launch.progress import duration
 from headway_launch.study_plan import Standing
 from headway_launch.tables import Cell, print_table
@@ -89,8 +89,7 @@ def print_estimate(standings: Sequence[Standing], cells: Sequence[CellPlan]) -> 
     """
     planned = [job for cell in cells for job in cell.jobs]
     config = cells[0].experiment.config
-    workers = max([1, *(job.workers or 1 for job in planned)])
-    shares = share_cores(config.backend, len(planned), usable_cores(), workers)
+    shares = share_cores(config.backend, planned, usable_cores())
     paces, modes = _calibrate([cell for cell in cells if cell.jobs], shares) if planned else ({}, "")
     rows: list[tuple[Cell, ...]] = []
     expected: list[Expectation] = []
@@ -168,6 +167,7 @@ class _Trial:
     process: TrainingProcess
     name: str
     launched: float
+    uses_gpu: bool = False
     began: float = 0.0
     evaluated: float = 0.0
     cpu_start_s: float = 0.0
@@ -274,7 +274,7 @@ def _hear(running: dict[str, tuple[CellPlan, _Trial]]) -> None:
 def _trial(cell: CellPlan, shares: Shares, folder: Path) -> _Trial:
     job: PlannedJob = cell.jobs[0]
     experiment = job.experiment
-    config = replace(experiment.config, seed=job.seeds)
+    config = replace(job.config, seed=job.seeds)
     never = replace(config.store, checkpoint_every=config.iterations)
     directories = [folder / str(seed) for seed in job.seeds]
     for directory in directories:
@@ -294,8 +294,10 @@ def _trial(cell: CellPlan, shares: Shares, folder: Path) -> _Trial:
         training_prepared=job.training_prepared,
     )
     launched = time.monotonic()
-    return _Trial(TrainingProcess(training), cell.label or experiment.algo_name, launched)
+    name = cell.label or experiment.algo_name
+    return _Trial(TrainingProcess(training), name, launched, uses_gpu(job))
 
 
 def _usage(trial: _Trial) -> JobUsage:
-    return JobUsage(trial.usage.cpu_seconds, trial.usage.memory_bytes, process_ids=trial.process_ids)
+    used = trial.usage
+    return JobUsage(used.cpu_seconds, used.memory_bytes, trial.uses_gpu, trial.process_ids)

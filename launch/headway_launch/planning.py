@@ -21,6 +21,9 @@ class PlannedJob:
     """One stack of seeds that one training process will train."""
 
     experiment: Experiment
+    """As it was asked for, and is kept."""
+    config: ExperimentConfig
+    """As it trains: with blocks and workers as `within_processes` has them."""
     prepared: Any
     """What `EnvEntry.prepare` gave; shared by all jobs of an experiment."""
     training_prepared: Any
@@ -43,7 +46,7 @@ class Shares:
     parallel: int
     """Training processes at once."""
     workers: int
-    """Rollout workers of each."""
+    """Rollout workers of each that does not say how many it needs."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +71,16 @@ def new_jobs(
 ) -> tuple[PlannedJob, ...]:
     """The jobs of some seeds of an experiment; `known` as for `Experiment.prepare`, raises as it does."""
     found = experiment.prepare(known)
-    experiment = replace(experiment, config=within_processes(experiment.config, found.spec))
-    stack = experiment.config.backend.stack
+    config = within_processes(experiment.config, found.spec)
+    stack = config.backend.stack
     return tuple(
         PlannedJob(
-            experiment, found.prepared, found.training, found.spec, tuple(seeds[first : first + stack])
+            experiment,
+            config,
+            found.prepared,
+            found.training,
+            found.spec,
+            tuple(seeds[first : first + stack]),
         )
         for first in range(0, len(seeds), stack)
     )
@@ -108,21 +116,35 @@ def _holds(spec: EnvSpec, limit: int) -> str:
     return f"a process can hold {copies} of {spec.name}"
 
 
-def share_cores(backend: BackendConfig, jobs: int, cores: int, stored_workers: int = 1) -> Shares:
+def share_cores(backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> Shares:
     """As many training processes as cores (at most one a job); each has its share of the cores as workers.
-    Stored jobs, whose number of workers is fixed, run side by side as far as the cores go round."""
-    parallel = max(1, min(backend.parallel or max(1, cores // stored_workers), jobs))
-    return Shares(parallel, backend.workers or max(1, cores // parallel))
+    Jobs whose number of workers is fixed run side by side as far as the cores go round."""
+    most = max([1, *(_fixed_workers(job) or 1 for job in jobs)])
+    parallel = max(1, min(backend.parallel or max(1, cores // most), len(jobs)))
+    return Shares(parallel, max(1, cores // parallel))
 
 
 def workers_of(job: PlannedJob, shares: Shares) -> int:
-    """Rollout workers of a job: what its checkpoints were made with, or as many as have work to do."""
-    config = job.experiment.config
+    """Rollout workers of a job: what its checkpoints were made with, or what it asks for, or its share of the
+    cores; a new job has no more than have work to do."""
     if job.workers is not None:
         return job.workers
-    if config.backend.name == "serial":
-        return 1
-    return min(shares.workers, config.rollout.copies // config.rollout.block)
+    rollout = job.config.rollout
+    return min(_fixed_workers(job) or shares.workers, rollout.copies // rollout.block)
+
+
+def _fixed_workers(job: PlannedJob) -> int | None:
+    """Rollout workers that a job has however many cores there are; None where it takes its share."""
+    if job.workers is not None:
+        return job.workers
+    backend = job.config.backend
+    return 1 if backend.name == "serial" else backend.workers
+
+
+def uses_gpu(job: PlannedJob) -> bool:
+    """Whether a job trains on a GPU."""
+    device = job.config.device
+    return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
 
 
 def require_free_disk(root: Path, seeds: int) -> None:

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,9 @@ class StoredRun:
     stack: tuple[int, ...]
     workers: int | None
     """Rollout workers, each with its part of a checkpoint; None where the run's plan does not tell."""
+    block: int | None = None
+    """Copies whose actions are computed in one piece, which may be fewer than were asked for; None where the
+    run's plan does not tell."""
 
     @classmethod
     def find(cls, root: Path, run_id: str) -> "StoredRun":
@@ -54,7 +57,8 @@ class StoredRun:
         mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
         plan = read_json(directory / "plan.json")
         stack = tuple(int(seed) for seed in plan["stack"])
-        return cls(directory, RunRecord.read(directory), mapping, stack, plan.get("workers"))
+        block = plan.get("rollout", {}).get("block")
+        return cls(directory, RunRecord.read(directory), mapping, stack, plan.get("workers"), block)
 
     @property
     def configuration(self) -> str:
@@ -116,10 +120,21 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             )
         run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
         iteration = min(by_seed[seed].record.durable_iteration for seed in stack)
-        workers = by_seed[stack[0]].workers
+        planned = by_seed[stack[0]]
+        config = experiment.config
+        if planned.block is not None:
+            config = replace(config, rollout=replace(config.rollout, block=planned.block))
         jobs.append(
             PlannedJob(
-                experiment, found.prepared, found.training, found.spec, stack, run_ids, iteration, workers
+                experiment,
+                config,
+                found.prepared,
+                found.training,
+                found.spec,
+                stack,
+                run_ids,
+                iteration,
+                planned.workers,
             )
         )
     return tuple(jobs)

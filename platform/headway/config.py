@@ -64,7 +64,8 @@ class RolloutConfig:
     steps: int = 512
     """T: steps of each copy in one iteration; an iteration is copies x steps environment steps."""
     block: int = 4
-    """Copies whose actions are computed in one piece; divides `copies`. Worker processes get whole blocks."""
+    """Copies whose actions are computed in one piece; divides `copies`. Worker processes get whole blocks.
+    Smaller where a process can hold only few copies of the environment: a run's `plan.json` has what it was."""
 
     def __post_init__(self) -> None:
         _require(self.copies >= 1, "copies must be at least 1")
@@ -82,9 +83,11 @@ class BackendConfig:
     name: Literal["serial", "process"] = "process"
     """`serial`: in the training process itself; `process`: in worker processes."""
     workers: int | None = None
-    """Worker processes of each training process; null: what the machine's cores allow."""
+    """Worker processes of each training process; null: what the machine's cores allow, and more where a
+    process can hold only few copies of the environment."""
     parallel: int | None = None
-    """Training processes at once; null: one per core, at most one per seed."""
+    """Training processes at once; null: one per core, at most one per seed, and fewer where each has a fixed
+    number of workers."""
     stack: int = 1
     """Seeds trained in one process as one stack (for GPUs; on a CPU processes are faster)."""
 

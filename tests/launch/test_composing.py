@@ -5,7 +5,14 @@ from headway.configuration import describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
 from headway_launch.composing import compose, groups, resolve, summary_of
-from headway_launch.planning import cell_parameters, full_mapping, plan_jobs, share_cores
+from headway_launch.planning import (
+    Shares,
+    cell_parameters,
+    full_mapping,
+    new_jobs,
+    plan_jobs,
+    share_cores,
+)
 
 
 def test_overrides_reach_keys_that_no_file_has() -> None:
@@ -209,7 +216,7 @@ def test_jobs_are_stacks_of_seeds_in_order() -> None:
 
 
 def test_cores_go_to_training_processes_first() -> None:
-    backend = compose(["env=trivial"]).config.backend
-    assert (share_cores(backend, 50, 16).parallel, share_cores(backend, 50, 16).workers) == (16, 1)
-    assert (share_cores(backend, 4, 16).parallel, share_cores(backend, 4, 16).workers) == (4, 4)
-    assert (share_cores(backend, 1, 2).parallel, share_cores(backend, 1, 2).workers) == (1, 2)
+    experiment = compose(["env=trivial"])
+    for seeds, cores, expected in ((50, 16, Shares(16, 1)), (4, 16, Shares(4, 4)), (1, 2, Shares(1, 2))):
+        jobs = new_jobs(experiment, range(seeds))
+        assert share_cores(experiment.config.backend, jobs, cores) == expected

@@ -6,7 +6,8 @@ import pytest
 
 from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError
-from headway_launch.planning import within_processes
+from headway_launch.composing import Experiment, compose
+from headway_launch.planning import new_jobs, share_cores, uses_gpu, within_processes, workers_of
 
 ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
 SIX = replace(ONE, max_copies_per_process=6)
@@ -59,3 +60,31 @@ def test_what_needs_no_change_is_left_alone() -> None:
 def test_what_cannot_be_is_refused(spec: EnvSpec, config: ExperimentConfig, line: str) -> None:
     with pytest.raises(HeadwayError, match=f"a process can hold {line}"):
         within_processes(config, spec)
+
+
+def _crowded(*overrides: str) -> Experiment:
+    """On an environment of which a process holds four copies."""
+    bare = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=4")
+    return compose([*bare, "algo=ippo", "seed=0,1", "rollout.copies=8", *overrides])
+
+
+def test_jobs_have_the_workers_that_their_own_configuration_needs() -> None:
+    """Not those of the session's first cell, nor its share of few cores."""
+    plain = compose(["env=trivial", "algo=ippo", "seed=0,1", "backend.workers=1"])
+    asked = compose(["env=trivial", "algo=ippo", "seed=0", "backend.workers=2"])
+    serial = compose(["env=trivial", "algo=ippo", "seed=0", "backend=serial"])
+    crowded = _crowded("rollout.block=8")
+    cells = [new_jobs(each, each.config.seed) for each in (plain, asked, serial, crowded)]
+    jobs = [job for cell in cells for job in cell]
+    for cores, parallel in ((1, 1), (2, 1), (8, 4)):
+        shares = share_cores(plain.config.backend, jobs, cores)
+        assert shares.parallel == parallel
+        assert [workers_of(job, shares) for job in jobs] == [1, 1, 2, 1, 2, 2]
+    assert {job.config.rollout.block for job in cells[-1]} == {4}
+    assert all(job.experiment is crowded for job in cells[-1])  # it is known by what was asked for
+
+
+def test_jobs_use_a_gpu_by_their_own_device() -> None:
+    [job] = new_jobs(compose(["env=trivial", "device=cpu"]), (0,))
+    assert not uses_gpu(job)
+    assert uses_gpu(replace(job, config=replace(job.config, device="cuda:1")))

@@ -9,10 +9,13 @@ import yaml
 
 from headway.contracts.errors import HeadwayError
 from headway.store import RunIndex, RunRecord, Status
+from headway.store.durable import read_json
 from headway.store.folder import Process, cell_name, create_run_folder, now, plans_folder
+from headway.store.session import SessionStore
+from headway_launch.cell_work import CellWork
 from headway_launch.command_line import run
 from headway_launch.composing import Experiment
-from headway_launch.planning import cell_parameters, full_mapping
+from headway_launch.planning import Shares, cell_parameters, full_mapping, workers_of
 from headway_launch.study_plan import Standing, keep_plan, kept_plans, plan_cells
 from headway_launch.sweeping import compose_sweep
 
@@ -107,6 +110,25 @@ def test_what_goes_on_takes_the_session_of_the_command_and_the_backend_of_its_ch
     assert going_on.experiment.config.backend.parallel == 5
     assert going_on.experiment.config.store.root == str(tmp_path)
     assert (new.resumed, new.seeds, new.experiment.config.backend.name) == ((), (1,), "process")
+
+
+def test_smaller_blocks_than_were_asked_for_are_no_other_configuration(tmp_path: Path) -> None:
+    """A run is known by what was asked for, and goes on in the blocks that it began with."""
+    limited = ("algo=ippo", "env=pettingzoo", "env.id=mpe2.simple_spread_v3",
+               "env.max_copies_per_process=2", "backend=process", "evaluation.rules=[]")  # fmt: skip
+    [cell] = plan_cells([standing(tmp_path, *limited, "seed=0")])
+    store = SessionStore.open(cell.experiment.config.store)
+    work = CellWork(store, cell)
+    [run] = work.runs(cell.jobs[0], Shares(1, 1))
+    run.finish("KILLED", {})
+    store.close()
+    assert read_json(run.directory / "plan.json")["rollout"]["block"] == 2
+    found = standing(tmp_path, *limited, "seed=0")
+    assert [each.record.run_id for each in found.unfinished] == [run.run_id]
+    [cell] = plan_cells([found])
+    assert cell.jobs[0].config.rollout.block == 2
+    assert workers_of(cell.jobs[0], Shares(1, 1)) == 4
+    assert cell.experiment.config.rollout.block == 4
 
 
 def test_seeds_of_a_stack_go_on_together_or_begin_together(tmp_path: Path) -> None:
