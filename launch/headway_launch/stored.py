@@ -79,8 +79,11 @@ class StoredRun:
 
 def identity(mapping: Mapping[str, Any]) -> str:
     """What makes two runs of a seed the same run: the study and everything that decides their curves. How
-    many processes train them, where they are kept and whether energy is measured decides nothing."""
+    many processes train them, where they are kept, which rules play beside them and whether energy is measured
+    decides nothing."""
     decides = {name: mapping.get(name) for name in _DECIDES}
+    evaluation = mapping.get("evaluation") or {}
+    decides["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)
     return json.dumps([decides, stack], sort_keys=True, default=str)
 

@@ -80,6 +80,7 @@ def test_each_seed_stands_where_its_best_run_does(tmp_path: Path) -> None:
         ("backend=process", True),
         ("energy.country=FRA", True),
         ("store.checkpoint_every=3", True),
+        ("evaluation.rules=[random]", True),
         ("algo.lr=1e-3", False),
         ("env.args.agents=3", False),
         ("evaluation.episodes=3", False),
