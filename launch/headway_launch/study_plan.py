@@ -73,11 +73,22 @@ class Standing:
     def plan(self, known: dict[str, PreparedEnv], label: str = "") -> CellPlan:
         """What is left to do for it. Raises HeadwayError for what cannot run."""
         jobs: list[PlannedJob] = []
+        self._require_whole_stacks()
         for batch in jobs_to_resume([_in_session(run, self.experiment) for run in self.unfinished], known):
             jobs += batch
         if self.new:
             jobs += new_jobs(self.experiment, self.new, known)
         return CellPlan(self.experiment, tuple(jobs), tuple(run.directory for run in self.finished), label)
+
+    def _require_whole_stacks(self) -> None:
+        there = {run.record.seed for run in self.unfinished}
+        for run in self.unfinished:
+            if not there.issuperset(run.stack):
+                seeds = ",".join(map(str, run.stack))
+                raise HeadwayError(
+                    f"seeds {seeds} were trained in one stack and go on together: sweep seed={seeds}, "
+                    f"or headway resume --study {self.experiment.config.study}"
+                )
 
 
 def _keep_stacks_whole(finished: list[StoredRun], unfinished: list[StoredRun], new: list[int]) -> None:

@@ -147,6 +147,16 @@ def test_seeds_of_a_stack_go_on_together_or_begin_together(tmp_path: Path) -> No
     assert [(job.seeds, bool(job.resumed)) for job in cell.jobs] == [((0, 1), True), ((2, 3), False)]
 
 
+def test_a_part_of_a_stack_is_refused_with_a_way_to_go_on(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo", "backend.stack=4"])
+    for seed in range(4):
+        keep_run(tmp_path, experiment, seed, "KILLED", 5, (0, 1, 2, 3))
+    found = standing(tmp_path, "algo=ippo", "backend.stack=4", "seed=0,1")
+    with pytest.raises(HeadwayError) as caught:
+        plan_cells([found])
+    assert "sweep seed=0,1,2,3, or headway resume --study toys" in str(caught.value)
+
+
 def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:
     experiments = compose_sweep([*BASE, "algo=ippo,ia2c", "seed=0..2"])
     keep_plan(tmp_path, "toys", experiments)
