@@ -3,7 +3,7 @@
 import math
 import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,6 +60,16 @@ def parse_conditions(texts: Sequence[str]) -> list[Condition]:
     return conditions
 
 
+def require_known(rows: Sequence["RunRow"], conditions: Sequence[Condition], keys: str) -> None:
+    """Raise HeadwayError for a parameter in the conditions, or in the keys of `in_order`, that no run has."""
+    named = [("--where", condition.field) for condition in conditions]
+    named += [("--sort", key.split()[0]) for key in keys.split(",") if key.strip()]
+    for option, field in named:
+        if "." in field and rows and all(value_of(row, field) is None for row in rows):
+            known = {name for row in rows for name in _parameters(row)}
+            raise HeadwayError(f"{option}: no run has the parameter {field!r}; {suggestion(field, known)}")
+
+
 def in_order(rows: Sequence["RunRow"], keys: str) -> list["RunRow"]:
     """The runs sorted by fields with commas between, ` desc` after one for the largest first; runs of which a
     field is not known come last. Raises HeadwayError for what is no field."""
@@ -82,9 +92,13 @@ def value_of(row: "RunRow", field: str) -> Value:
     if "." not in field:
         value: Value = getattr(row, field)
         return None if isinstance(value, float) and math.isnan(value) else value
+    return _parameters(row).get(field)
+
+
+def _parameters(row: "RunRow") -> Mapping[str, str]:
     from headway.store.folder import RunRecord
 
-    return RunRecord.read(Path(row.directory)).parameters.get(field)
+    return RunRecord.read(Path(row.directory)).parameters
 
 
 def _require_field(option: str, field: str) -> None:

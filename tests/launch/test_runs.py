@@ -72,6 +72,8 @@ def test_conditions_and_order(
     ("arguments", "part"),
     [
         (["--where", "final_rewrd>3"], "did you mean final_reward?"),
+        (["--where", "algo.lrr<1"], "--where: no run has the parameter 'algo.lrr'; did you mean algo.lr?"),
+        (["--sort", "seed, algo.lrr desc"], "--sort: no run has the parameter 'algo.lrr'"),
         (["--where", "status>3"], "status>3 compares text (FINISHED) by its size"),
         (["--where", "final_reward"], "'final_reward' is no condition; write FIELD<VALUE"),
         (["--sort", "sede"], "did you mean seed?"),

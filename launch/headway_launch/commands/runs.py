@@ -11,7 +11,7 @@ from headway.config import StoreConfig
 from headway.configuration import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.folder import STATUSES
-from headway_launch.choosing import in_order, parse_conditions
+from headway_launch.choosing import in_order, parse_conditions, require_known
 from headway_launch.results import AUC_HEADING
 from headway_launch.tables import Cell, print_table
 
@@ -113,6 +113,7 @@ def execute(arguments: argparse.Namespace) -> int:
     _require_known("status", status, set(STATUSES))
     seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
     conditions = parse_conditions(arguments.where)
+    require_known(everything, conditions, arguments.sort)
     rows = [
         row
         for row in everything
