@@ -183,12 +183,12 @@ def cell_parameters(experiment: Experiment) -> dict[str, Any]:
     return dict(flat(kept))
 
 
-def flat(mapping: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
-    """Nested mappings as (dotted name, value)."""
+def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:
+    """Nested mappings as (dotted name, value); `with_empty`, empty mappings are values, too."""
     items: list[tuple[str, Any]] = []
     for key, value in mapping.items():
-        if isinstance(value, Mapping):
-            items += flat(value, f"{path}{key}.")
+        if isinstance(value, Mapping) and (value or not with_empty):
+            items += flat(value, f"{path}{key}.", with_empty)
         else:
             items.append((f"{path}{key}", value))
     return items

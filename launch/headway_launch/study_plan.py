@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from headway.contracts.errors import HeadwayError
 from headway.store.durable import make_folder, read_json, write_json
 from headway.store.folder import cell_name, plans_folder
+from headway.store.naming import told_apart
 from headway_launch.composing import Experiment, PreparedEnv, resolve
 from headway_launch.planning import CellPlan, PlannedJob, cell_parameters, full_mapping, new_jobs
 from headway_launch.stored import StoredRun, identity, jobs_to_resume
@@ -125,22 +126,13 @@ def cell_labels(experiments: Sequence[Experiment]) -> list[str]:
         f"{experiment.algo_name} on {experiment.config.env.id}" if several else experiment.algo_name
         for experiment in experiments
     ]
-    labels = list(names)
-    for name in set(names):
-        alike = [place for place, other in enumerate(names) if other == name]
-        parameters = [
-            {key: str(value) for key, value in cell_parameters(experiments[place]).items()} for place in alike
-        ]
-        for place, settings in zip(alike, _differing(parameters), strict=True):
-            labels[place] = ", ".join((name, *settings))
-    return labels
-
-
-def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Of each cell, `name value` of the parameters that are not the same in all."""
-    names = dict.fromkeys(name for cell in cells for name in cell)
-    telling = [name for name in names if len({cell.get(name) for cell in cells}) > 1]
-    return [[f"{name} {cell.get(name, '-')}" for name in telling] for cell in cells]
+    kinds = {str(place): (name,) for place, name in enumerate(names)}
+    parameters = {
+        str(place): {name: str(value) for name, value in cell_parameters(experiment).items()}
+        for place, experiment in enumerate(experiments)
+    }
+    told = told_apart(kinds, parameters)
+    return [told[place] for place in kinds]
 
 
 def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:

@@ -65,7 +65,7 @@ class RolloutConfig:
     """T: steps of each copy in one iteration; an iteration is copies x steps environment steps."""
     block: int = 4
     """Copies whose actions are computed in one piece; divides `copies`. Worker processes get whole blocks.
-    Smaller where a process can hold only few copies of the environment: a run's `plan.json` has what it was."""
+    Smaller where a process can hold few copies of the environment: a run's `plan.json` has what it was."""
 
     def __post_init__(self) -> None:
         _require(self.copies >= 1, "copies must be at least 1")

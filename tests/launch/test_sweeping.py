@@ -41,6 +41,8 @@ def test_cells_are_experiments_named_by_what_differs() -> None:
     ]  # fmt: skip
     assert cell_labels(experiments[::2]) == ["ippo", "ia2c"]
     assert cell_labels(experiments[:1]) == [""]
+    wrapped = compose_sweep(["env=trivial", "algo=ippo", "env.wrappers=[],[clip_reward_v0]"])
+    assert cell_labels(wrapped)[0] == "ippo, without env.wrappers"  # as where the store names cells
 
 
 def test_a_cell_named_twice_is_one() -> None:

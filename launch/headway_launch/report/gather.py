@@ -14,6 +14,7 @@ from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
 from headway.stats import Interval, frames
 from headway.store import Selection
+from headway.store.selection import LABELS as WHOSE
 from headway_launch.comparison import difference
 from headway_launch.study import configuration, counted_runs, curves_of, rules_beside, study_runs
 
@@ -233,7 +234,7 @@ class StudyData:
     @cached_property
     def metrics(self) -> list[str]:
         """Figures of the episodes of evaluation."""
-        known = {"run_id", "study", "cell", "label", "task", "controller", "seed"} | LABELS
+        known = {*WHOSE, *LABELS}
         return [
             str(name) for name in self.days.columns if name not in known and self.days[name].notna().any()
         ]

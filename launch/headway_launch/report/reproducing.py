@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from headway_launch.composing import compose
-from headway_launch.planning import full_mapping
+from headway_launch.planning import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""
@@ -22,7 +22,9 @@ def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
 
     Raises HeadwayError if this version cannot compose it: an environment that is not installed, say.
     """
-    changing_results = [(key, value) for key, value in _flat(mapping) if not key.startswith(_ELSEWHERE)]
+    changing_results = [
+        (key, value) for key, value in flat(mapping, with_empty=True) if not key.startswith(_ELSEWHERE)
+    ]
     return f"{_line_without_seeds(json.dumps(changing_results))} seed={seeds}"
 
 
@@ -33,20 +35,12 @@ def _line_without_seeds(keys: str) -> str:
     pairs = [(key, value) for key, value in json.loads(keys)]
     values = dict(pairs)
     words = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
-    defaults = dict(_flat(full_mapping(compose(words), ())))
-    words += [f"{key}={_written(value)}" for key, value in pairs if defaults.get(key, _flat) != value]
+    defaults = dict(flat(full_mapping(compose(words), ()), with_empty=True))
+    words += [
+        f"{key}={_written(value)}" for key, value in pairs if key not in defaults or defaults[key] != value
+    ]
     compose(words)
     return " ".join(["headway run", *map(shlex.quote, words)])
-
-
-def _flat(mapping: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
-    items: list[tuple[str, Any]] = []
-    for key, value in mapping.items():
-        if isinstance(value, Mapping) and value:
-            items += _flat(value, f"{path}{key}.")
-        else:
-            items.append((f"{path}{key}", value))
-    return items
 
 
 def _written(value: object) -> str:

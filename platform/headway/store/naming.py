@@ -46,14 +46,29 @@ def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
     parameters = {cell: RunRecord.read(Path(run.directory)).parameters for cell, run in first.items()}
     of_task = {cell: _parted(every, of_task=True) for cell, every in parameters.items()}
     of_controller = {cell: _parted(every, of_task=False) for cell, every in parameters.items()}
-    labels = _told_apart(
+    labels = told_apart(
         {cell: (f"{run.algorithm}, {run.policies}, {run.environment}",) for cell, run in first.items()},
         parameters,
     )
-    tasks = _told_apart({cell: (run.environment,) for cell, run in first.items()}, of_task)
+    tasks = told_apart({cell: (run.environment,) for cell, run in first.items()}, of_task)
     # A controller is told apart from those on its own task only: other tasks may need other settings.
-    controllers = _told_apart({cell: (_kind(run), tasks[cell]) for cell, run in first.items()}, of_controller)
+    controllers = told_apart({cell: (_kind(run), tasks[cell]) for cell, run in first.items()}, of_controller)
     return {cell: CellName(labels[cell], tasks[cell], controllers[cell]) for cell in first}
+
+
+def told_apart(
+    kinds: Mapping[str, tuple[str, ...]], parameters: Mapping[str, Mapping[str, str]]
+) -> dict[str, str]:
+    """Of each cell, the first of its `kinds` and, `name value`, the parameters that are not the same in all
+    cells of its kinds; `without name` where it has none."""
+    alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for cell, kind in kinds.items():
+        alike[kind].append(cell)
+    told: dict[str, str] = {}
+    for kind, cells in alike.items():
+        settings = _differing([parameters[cell] for cell in cells])
+        told |= {cell: ", ".join((kind[0], *own)) for cell, own in zip(cells, settings, strict=True)}
+    return told
 
 
 def _kind(run: RunRow) -> str:
@@ -78,21 +93,6 @@ def _wrappers(text: str, of_task: bool) -> list[Mapping[str, object]]:
 
     listed = literal_eval(text)
     return [each for each in listed if wrapper_entry(each["name"]).only_rewards is not of_task]
-
-
-def _told_apart(
-    kinds: Mapping[str, tuple[str, ...]], parameters: Mapping[str, Mapping[str, str]]
-) -> dict[str, str]:
-    """Of each cell, the first of its `kinds` and, `name value`, the parameters that are not the same in all
-    cells of its kinds."""
-    alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
-    for cell, kind in kinds.items():
-        alike[kind].append(cell)
-    told: dict[str, str] = {}
-    for kind, cells in alike.items():
-        settings = _differing([parameters[cell] for cell in cells])
-        told |= {cell: ", ".join((kind[0], *own)) for cell, own in zip(cells, settings, strict=True)}
-    return told
 
 
 def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
