@@ -41,18 +41,7 @@ class StoredRun:
     @classmethod
     def read(cls, root: Path, directory: Path) -> "StoredRun":
         """The run in a folder. Raises HeadwayError if that is incomplete."""
-        import yaml
-
-        path = directory / "config.yaml"
-        # The loader in C is ten times faster, which shows where a study has hundreds of runs.
-        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        try:
-            mapping = yaml.load(path.read_text(encoding="utf-8"), loader)
-        except (OSError, yaml.YAMLError) as error:
-            reason = str(error).splitlines()[0]
-            raise HeadwayError(f"{path} cannot be read ({reason}): the run cannot be used") from error
-        if not isinstance(mapping, dict):
-            raise HeadwayError(f"{path} holds no configuration: the run cannot be used")
+        mapping = read_configuration(directory)
         # The store may have been moved since.
         mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
         plan = read_json(directory / "plan.json")
@@ -77,10 +66,27 @@ class StoredRun:
         return resolve(self.mapping)
 
 
+def read_configuration(directory: Path) -> dict[str, Any]:
+    """The configuration in a run's folder. Raises HeadwayError if it cannot be read."""
+    import yaml
+
+    path = directory / "config.yaml"
+    # The loader in C is ten times faster, which shows where a study has hundreds of runs.
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        mapping = yaml.load(path.read_text(encoding="utf-8"), loader)
+    except (OSError, yaml.YAMLError) as error:
+        reason = str(error).splitlines()[0]
+        raise HeadwayError(f"{path} cannot be read ({reason}): the run cannot be used") from error
+    if not isinstance(mapping, dict):
+        raise HeadwayError(f"{path} holds no configuration: the run cannot be used")
+    return mapping
+
+
 def identity(mapping: Mapping[str, Any]) -> str:
     """What makes two runs of a seed the same run: the study and everything that decides their curves. How
-    many processes train them, where they are kept, which rules play beside them and whether energy is measured
-    decides nothing."""
+    many processes train them, where they are kept, which rules play beside them and whether energy is
+    measured decides nothing."""
     decides = {name: mapping.get(name) for name in _DECIDES}
     evaluation = mapping.get("evaluation") or {}
     decides["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}

@@ -99,14 +99,6 @@ def rules_beside(runs: "Selection", metric: str) -> dict[str, dict[str, float]]:
 @lru_cache(maxsize=4096)
 def configuration(directory: str) -> Mapping[str, Any]:
     """The configuration in a run's folder. Raises HeadwayError if it cannot be read."""
-    import yaml
+    from headway_launch.stored import read_configuration
 
-    path = Path(directory) / "config.yaml"
-    try:
-        # The same as safe_load, in C: a study may have hundreds.
-        found = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
-    except (OSError, yaml.YAMLError) as error:
-        raise HeadwayError(f"{path} cannot be read ({str(error).splitlines()[0]})") from error
-    if not isinstance(found, dict):
-        raise HeadwayError(f"{path} holds no configuration")
-    return found
+    return read_configuration(Path(directory))

@@ -4,12 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
 from headway.contracts.errors import HeadwayError
 from headway.store import RunIndex, RunRecord, Status
 from headway.store.folder import Process, create_run_folder, now
 from headway.store.naming import labelled_cells
-from headway_launch.study import finished_runs
+from headway_launch.study import configuration, finished_runs
 
 
 def keep_run(
@@ -76,3 +77,16 @@ def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None
         "ippo, shared, bus, algo.lr 0.01": [0],
         "ippo, shared, bus, without algo.lr": [0],
     }
+
+
+def test_a_configuration_is_read_without_the_loader_in_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not every build of PyYAML has it."""
+    monkeypatch.delattr(yaml, "CSafeLoader", raising=False)
+    (tmp_path / "config.yaml").write_text("algo: {name: ippo}")
+    assert configuration(str(tmp_path)) == {"algo": {"name": "ippo"}}
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "config.yaml").write_text("algo: [")
+    with pytest.raises(HeadwayError, match=r"config\.yaml cannot be read"):
+        configuration(str(tmp_path / "broken"))

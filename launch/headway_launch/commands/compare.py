@@ -126,7 +126,7 @@ def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
     from headway_launch.study import finished_runs
 
     cells = {
-        label: [StoredRun.find(root, row.run_id) for row in members]
+        label: [StoredRun.read(root, Path(row.directory)) for row in members]
         for label, members in labelled_cells(finished_runs(root, study)).items()
     }
     first, *others = [members[0].experiment.reported_on for members in cells.values()]

@@ -1,7 +1,7 @@
 """A study that is killed again and again ends as one that never was: the same curves, the same tables, and in
 the store everything once.
 
-    python -m headway_launch.trials.killed_study --root /tmp/killed_study --seeds 10
+    python -m headway_launch.trials.killed_study --root FOLDER --seeds 10
 
 sweeps three algorithms over the bus line twice. The second time a signal ends it at random points, each time
 another process by another signal; it is gone on with by `headway resume --study` and by the same sweep in
