@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from headway.energy import Energy, EnergyMeter, JobUsage
 from headway_launch.command_line import run
 from headway_launch.composing import compose
 from headway_launch.estimating import Pace, makespan
@@ -37,8 +38,17 @@ def test_a_job_takes_its_start_iterations_and_evaluations() -> None:
 
 
 def test_a_dry_run_lists_estimates_and_keeps_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    finished: list[JobUsage] = []
+    finish = EnergyMeter.finish
+
+    def watched(meter: EnergyMeter, name: str, others: dict[str, JobUsage], usage: JobUsage) -> Energy:
+        finished.append(usage)
+        return finish(meter, name, others, usage)
+
+    monkeypatch.setattr(EnergyMeter, "finish", watched)
+    monkeypatch.setattr("headway_launch.estimating.uses_gpu", lambda job: True)
     sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout=short", "env_steps=1e6",
              "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
     sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
@@ -54,3 +64,5 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert "energy not measured" in told.out
     assert "rests on" in told.out
     assert not (tmp_path / "runs").exists()
+    assert len(finished) >= 2
+    assert all(usage.uses_gpu for usage in finished)
