@@ -9,7 +9,7 @@ import yaml
 from headway.contracts.errors import HeadwayError
 from headway.store import RunIndex, RunRecord, Status
 from headway.store.folder import Process, create_run_folder, now
-from headway.store.naming import labelled_cells
+from headway.store.naming import cell_names, labelled_cells
 from headway_launch.study import configuration, finished_runs
 
 
@@ -90,3 +90,15 @@ def test_a_configuration_is_read_without_the_loader_in_c(
     (tmp_path / "broken" / "config.yaml").write_text("algo: [")
     with pytest.raises(HeadwayError, match=r"config\.yaml cannot be read"):
         configuration(str(tmp_path / "broken"))
+
+
+def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
+    """As a run keeps them: text of a list. What only changes rewards belongs to the controller."""
+    clipped = "{'name': 'clip_reward_v0', 'lower_bound': -inf, 'upper_bound': 10.0}"
+    stacked = "{'name': 'frame_stack_v1', 'stack_size': 2, 'stack_dim': -1}"
+    keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": f"[{clipped}, {stacked}]"})
+    keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": f"[{stacked}]"})
+    keep_run(tmp_path, 0, "FINISHED")
+    names = cell_names(RunIndex(tmp_path).rows()).values()
+    assert {name.task for name in names} == {f"bus, env.wrappers [{stacked}]", "bus, without env.wrappers"}
+    assert {name.controller for name in names} == {f"ippo, env.wrappers [{clipped}]", "ippo, env.wrappers []", "ippo"}

@@ -1,6 +1,6 @@
 """What the cells of a study are called: what they are and, where that is the same, how they were set."""
 
-from ast import literal_eval
+import ast
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -83,16 +83,26 @@ def _parted(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:
 
     parted = {name: value for name, value in parameters.items() if says_what(name) is of_task}
     if wrappers := parameters.get(_WRAPPERS):
-        parted[_WRAPPERS] = str(_wrappers(wrappers, of_task))
+        parted[_WRAPPERS] = _wrappers(wrappers, of_task)
     return parted
 
 
-def _wrappers(text: str, of_task: bool) -> list[Mapping[str, object]]:
+def _wrappers(text: str, of_task: bool) -> str:
     """Wrappers that only change rewards are there while learning only."""
     from headway.registry import wrapper_entry
 
-    listed = literal_eval(text)
-    return [each for each in listed if wrapper_entry(each["name"]).only_rewards is not of_task]
+    # Not evaluated: an argument may be infinite, and `inf` is no literal.
+    listed = ast.parse(text, mode="eval").body
+    assert isinstance(listed, ast.List)
+    kept = [each for each in listed.elts if wrapper_entry(_name(each)).only_rewards is not of_task]
+    return f"[{', '.join(ast.unparse(each) for each in kept)}]"
+
+
+def _name(wrapper: ast.expr) -> str:
+    assert isinstance(wrapper, ast.Dict)
+    items = zip(wrapper.keys, wrapper.values, strict=True)
+    named = {key.value: value for key, value in items if isinstance(key, ast.Constant)}
+    return str(ast.literal_eval(named["name"]))
 
 
 def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
