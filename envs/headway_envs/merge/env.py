@@ -105,8 +105,10 @@ class MergeBatchedEnv:
         seeds = np.ascontiguousarray(seeds, np.uint64)
         if seeds.shape != (self.num_copies,):
             raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
-        for array in (*self.world, *self.outputs):
-            array[...] = np.zeros(1, array.dtype)
+        for name, array in {**self.world._asdict(), **self.outputs._asdict()}.items():
+            # The end before stays: the adapter of a ParallelEnv begins anew before the end can be drawn.
+            if not name.startswith("final_"):
+                array[...] = np.zeros(1, array.dtype)
         steps.begin(self.network, self.settings, self.world, self.outputs, seeds)
         return self.observed()
 

@@ -42,6 +42,20 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(
     assert count(painter.paint(env, at_end=False), CRASHED) == 0
 
 
+def test_the_end_can_be_drawn_after_the_next_episode_has_been_asked_for(
+    make: Callable[..., MergeBatchedEnv],
+) -> None:
+    """As through the adapter of a ParallelEnv, which resets within its step."""
+    env = make(steps=4)
+    painter = MergePainter(env.prepared)
+    for _ in range(4):
+        env.step(np.ones((1, env.spec.num_agents), np.int64))
+    last = painter.paint(env, at_end=True)
+    env.reset(np.ones(1, np.uint64))
+    assert count(last, CAV) > 0.6 * CAR_PIXELS
+    np.testing.assert_array_equal(painter.paint(env, at_end=True), last)
+
+
 def test_it_says_what_it_cannot_draw(make: Callable[..., MergeBatchedEnv]) -> None:
     with pytest.raises(TypeError, match="the picture of a merge needs a MergeBatchedEnv, not object"):
         MergePainter(make().prepared).paint(object(), at_end=False)
