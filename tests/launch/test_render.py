@@ -1,11 +1,14 @@
 """`headway render`: episodes by a rule and by a trained policy, and what it refuses."""
 
+import weakref
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from headway_envs.merge.picture import MergePainter
 from headway_launch.command_line import run
 
 
@@ -30,6 +33,40 @@ def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
         picture.seek(3)
         apart = np.abs(np.asarray(picture.convert("RGB"), int) - np.asarray(moment, int))
     assert np.quantile(apart, 0.9999) < 40  # the palette has the few yellow pixels of the obstacle, too
+
+
+@pytest.mark.parametrize("suffix", [".png", ".gif"])
+def test_the_frames_of_an_episode_are_not_all_held_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    painted: list[weakref.ref[Any]] = []
+    most = 0
+
+    def paint(self: object, env: object, at_end: bool) -> np.ndarray:
+        nonlocal most
+        frame = np.full((40, 40, 3), len(painted), np.uint8)
+        painted.append(weakref.ref(frame))
+        most = max(most, sum(one() is not None for one in painted))
+        return frame
+
+    monkeypatch.setattr(MergePainter, "paint", paint)
+    output = tmp_path / f"idle{suffix}"
+    words = ["render", "merge", "--rule", "idle", "env.args.density=1", "env.args.steps=30"]
+    assert run([*words, "--output", str(output)]) == 0
+    assert len(painted) == 31
+    assert most <= 3
+
+
+def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    painted, paint = [], MergePainter.paint
+    monkeypatch.setattr(
+        MergePainter, "paint", lambda *words, **named: painted.append(1) or paint(*words, **named)
+    )
+    words = ["render", "merge", "--rule", "idle", "env.args.steps=20", "--step", "2"]
+    assert run([*words, "--output", str(tmp_path / "moment.png")]) == 0
+    assert len(painted) == 3
 
 
 def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 """`headway render`: an episode as a picture of a moment or as a moving one."""
 
 import argparse
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,8 +64,11 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"{found.spec.name} cannot be drawn: its entry has no painter")
     compile_kernels(found.entry)
     root = root if arguments.seed is None else arguments.seed
-    frames = list(_frames(found, root, arguments.episode, act, heed))
-    _write(frames, output, arguments.step, arguments.fps)
+    with closing(_frames(found, root, arguments.episode, act, heed)) as frames:
+        if output.suffix == ".png":
+            _write_picture(_moment(frames, arguments.step), output)
+        else:
+            _write_film([_Packed.of(frame) for frame in frames], output, arguments.fps)
     print(output)
     return 0
 
@@ -110,10 +116,8 @@ def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "
 
 def _frames(
     found: "PreparedEnv", root: int, episode: int, act: "Act", heed: "Heed"
-) -> Iterator["NDArray[np.uint8]"]:
-    """Pictures of one evaluation episode, from its beginning to its end."""
-    from contextlib import closing
-
+) -> "Generator[NDArray[np.uint8]]":
+    """Pictures of one evaluation episode, from its beginning to its end, or until it is closed."""
     from headway.rollout.episodes import evaluation_seeds
     from headway.wrappers.wrapping import behind_wrappers
 
@@ -129,30 +133,68 @@ def _frames(
             yield painter.paint(behind_wrappers(env), at_end=ended)
 
 
-def _write(frames: "list[NDArray[np.uint8]]", output: Path, step: int | None, fps: float) -> None:
+def _moment(frames: "Iterable[NDArray[np.uint8]]", step: int | None) -> "NDArray[np.uint8]":
+    """The picture after `step` steps, or the last one. All before it are painted, too: a painter may show
+    what happened lately."""
+    played, last = -1, None
+    for played, last in enumerate(frames):
+        if played == step:
+            break
+    assert last is not None
+    if step is not None and played < step:
+        raise HeadwayError(f"--step: the episode ends after {played} steps, before {step}")
+    return last
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """A frame in little memory: an episode may have thousands, of a megabyte each."""
+
+    content: bytes
+    shape: tuple[int, ...]
+
+    @classmethod
+    def of(cls, frame: "NDArray[np.uint8]") -> "_Packed":
+        return cls(zlib.compress(frame.tobytes(), 1), frame.shape)
+
+    def unpacked(self) -> "NDArray[np.uint8]":
+        import numpy as np
+
+        return np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
+
+
+def _write_picture(frame: "NDArray[np.uint8]", output: Path) -> None:
     from PIL import Image
 
     try:
-        if output.suffix == ".png":
-            moment = len(frames) - 1 if step is None else step
-            if moment >= len(frames):
-                raise HeadwayError(f"--step: the episode ends after {len(frames) - 1} steps, before {step}")
-            Image.fromarray(frames[moment]).save(output)
-            return
-        palette = _palette(frames)
-        pictures = [
-            Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
-        ]
-        pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
-        pictures[0].save(output, save_all=True, append_images=pictures[1:], duration=pause, loop=0)
+        Image.fromarray(frame).save(output)
     except OSError as error:
-        raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
+        raise _unwritten(output, error) from error
 
 
-def _palette(frames: "list[NDArray[np.uint8]]") -> "Image.Image":
+def _write_film(frames: Sequence[_Packed], output: Path, fps: float) -> None:
+    from PIL import Image
+
+    palette = _palette(frames)
+    pictures = (
+        Image.fromarray(frame.unpacked()).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    )
+    pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
+    try:
+        next(pictures).save(output, save_all=True, append_images=pictures, duration=pause, loop=0)
+    except OSError as error:
+        raise _unwritten(output, error) from error
+
+
+def _unwritten(output: Path, error: OSError) -> HeadwayError:
+    return HeadwayError(f"--output: {output} cannot be written ({error})")
+
+
+def _palette(frames: Sequence[_Packed]) -> "Image.Image":
     """One for all frames, so that what stands still is stored once; with rare colours, as that of a crash."""
     import numpy as np
     from PIL import Image
 
-    some = [*frames[:: max(len(frames) // 8, 1)], frames[-1]]
+    some = [frame.unpacked() for frame in (*frames[:: max(len(frames) // 8, 1)], frames[-1])]
     return Image.fromarray(np.concatenate(some)).quantize(256, Image.Quantize.MAXCOVERAGE)
