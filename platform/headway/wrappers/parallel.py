@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from headway.contracts import HeadwayError, ObservationBounds
 from headway.registry import wrapper_entry
 from headway.wrappers.listed import ListedWrapper
 
-CARRIED = ("alive", "acting", "action_mask")
+CARRIED = ("alive", "acting", "action_mask", "slot_ended")
 """What infos hold that PettingZoo has no place for, at any step."""
 _TRIED_STEPS = 5
 
@@ -85,7 +85,7 @@ def _tried(made: WrappedParallelEnv, who: str, what: str) -> set[str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            env = made()
+            env = replace(made, make=_EndingSlots(made.make))()
             try:
                 return _carried(env)
             finally:
@@ -95,6 +95,28 @@ def _tried(made: WrappedParallelEnv, who: str, what: str) -> set[str]:
     except Exception as error:  # anything may go wrong in the code of others
         reason = str(error).splitlines()[0] if str(error) else "no reason given"
         raise HeadwayError(f"{who} {what}: {type(error).__name__}: {reason}") from error
+
+
+@dataclass(frozen=True)
+class _EndingSlots:
+    """A ParallelEnv in which a slot's stream ends at every step wherever agents come and go: in a few steps
+    of play that would hardly happen by itself."""
+
+    make: Callable[[Any], Any]
+
+    def __call__(self, prepared: object) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+        from pettingzoo.utils import BaseParallelWrapper
+
+        class Ending(BaseParallelWrapper):  # type: ignore[misc]
+            def step(self, actions: Mapping[str, Any]) -> tuple[Any, ...]:
+                *rest, infos = self.env.step(actions)
+                marked = {
+                    agent: {**info, "slot_ended": "truncated"} if "alive" in info else info
+                    for agent, info in infos.items()
+                }
+                return (*rest, marked)
+
+        return Ending(self.make(prepared))
 
 
 def _carried(env: Any) -> set[str]:  # noqa: ANN401 - PettingZoo comes without types

@@ -139,7 +139,7 @@ def dropping(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) ->
     return ListedWrapper("dropping_v0", entry, NoArguments(), "env.wrappers[0]")
 
 
-@pytest.mark.parametrize("dropping", ["alive", "acting", "action_mask"], indirect=True)
+@pytest.mark.parametrize("dropping", ["alive", "acting", "action_mask", "slot_ended"], indirect=True)
 def test_a_wrapper_that_loses_what_infos_carry_is_refused(
     dropping: ListedWrapper, request: pytest.FixtureRequest
 ) -> None:
