@@ -140,6 +140,9 @@ class _Training:
                 self._checkpoint()
         if self.saved_iteration < self.iteration:
             self._checkpoint()
+        if self.iteration >= total:
+            # Here, and not with the last checkpoint: the session before may have died just after that.
+            remove_experience(self.job.checkpoints[0])
         stopped = self.iteration < total
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
@@ -225,7 +228,7 @@ class _Training:
         a learner replays is written once, before the checkpoint that needs it, and goes when training is
         over."""
         began = time.monotonic()
-        learner, first = self.learner, self.job.checkpoints[0]
+        learner = self.learner
         going_on = self.iteration < self.config.iterations
         experience = learner.experience() if isinstance(learner, ReplayingLearner) and going_on else None
         state = {
@@ -240,11 +243,9 @@ class _Training:
             log.commit(self.iteration)
         content = checkpoint_bytes(state)
         if experience is not None:
-            write_experience(first, self.iteration, checkpoint_bytes(experience))
+            write_experience(self.job.checkpoints[0], self.iteration, checkpoint_bytes(experience))
         for directory in self.job.checkpoints:
             write_checkpoint(directory, self.iteration, content)
-        if not going_on:
-            remove_experience(first)
         self.saved_iteration = self.iteration
         self.store_s += time.monotonic() - began
         self.report(CheckpointSaved(self.iteration))

@@ -102,6 +102,24 @@ def test_experience_is_kept_with_the_last_two_checkpoints_and_goes_with_the_end(
     assert _files(tmp_path, 5) == _files(tmp_path, 6) == ["checkpoint-000005.pt", "checkpoint-000006.pt"]
 
 
+def test_experience_goes_where_the_session_died_just_after_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = _job("madqn", tmp_path)
+    with monkeypatch.context() as dying:
+        dying.setattr("headway.training.remove_experience", _die)
+        with pytest.raises(KeyboardInterrupt):
+            trained(job)
+    left = ["checkpoint-000004.pt", "checkpoint-000006.pt"]
+    assert _files(tmp_path) == [*left, "experience-000002.pt", "experience-000004.pt"]
+    trained(replace(job, resume=True))
+    assert _files(tmp_path) == left
+
+
+def _die(directory: Path) -> None:
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("harm", ["cut", "removed"])
 def test_broken_experience_falls_back_to_the_checkpoint_before(
     whole: dict[str, Log], tmp_path: Path, harm: str
