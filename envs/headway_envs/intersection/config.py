@@ -135,8 +135,3 @@ class IntersectionConfig:
         _mode(7, av_speed_mode=self.av_speed_mode, hdv_speed_mode=self.hdv_speed_mode)
         _mode(12, av_lane_change_mode=self.av_lane_change_mode)
         _at_least(0, warm_up_s=self.warm_up_s)
-
-    @property
-    def expected_inflow(self) -> float:
-        """Vehicles an hour that want to enter, over all lanes."""
-        return 8 * (self.vph_per_lane_hdv + self.vph_per_lane_av)

@@ -1,8 +1,7 @@
 """Pictures of the crossing, drawn by us: no window, no screen."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +23,10 @@ HUMAN, CRASH = (236, 236, 236), (224, 40, 40)
 SLOW, FAST = np.array((196, 64, 196)), np.array((32, 170, 255))
 _FASTEST = 20.0
 """Speed from which the colour of an AV is that of FAST, m/s."""
-
-
 _MARKED_S = 2.0
 """How long a film shows where a crash was."""
+_EDGE_M = 10.4
+"""Where the junction begins, from the centre."""
 
 
 @dataclass(frozen=True)
@@ -95,23 +94,17 @@ class IntersectionPainter:
 
     def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """See `headway.contracts.Painter`. SUMO forgets an episode as the next begins: its end looks like the
-        step before."""
-        assert isinstance(env, IntersectionBatchedEnv)
+        step before. Raises TypeError for any other environment."""
+        if not isinstance(env, IntersectionBatchedEnv):
+            raise TypeError(
+                f"the picture of a crossing needs an IntersectionBatchedEnv, not {type(env).__name__}"
+            )
         if at_end and self._last is not None:
             return self._last
         if self._camera is None:
             self._camera = Camera(env)
         self._last = render(self._camera.frame())
         return self._last
-
-
-def save_film(path: Path, frames: Iterable[Frame], seconds_each: float = STEP_S) -> None:
-    """Write frames as an animated GIF that shows each so long. Raises ValueError where there are none."""
-    pictures = [Image.fromarray(render(frame)) for frame in frames]
-    if not pictures:
-        raise ValueError("a film needs at least one frame")
-    first, *rest = (picture.quantize(64) for picture in pictures)
-    first.save(path, save_all=True, append_images=rest, duration=round(1000 * seconds_each), loop=0)
 
 
 def render(frame: Frame, size: int = 640, reach_m: float = 80.0) -> NDArray[np.uint8]:
@@ -138,11 +131,9 @@ def render(frame: Frame, size: int = 640, reach_m: float = 80.0) -> NDArray[np.u
 
 
 def _draw_roads(pen: ImageDraw.ImageDraw, at: Callable[[float, float], Point], per_m: float) -> None:
-    width, end = _LANES_M, ROAD_M
+    width, edge, end = _LANES_M, _EDGE_M, ROAD_M
     for corners in (((-width, end), (width, -end)), ((-end, width), (end, -width))):
         pen.rectangle([*at(*corners[0]), *at(*corners[1])], fill=ROAD)
-    edge = 10.4
-    """Where the junction begins."""
     thin = max(round(0.25 * per_m), 1)
     for side in (-1, 1):
         pen.line([at(0, side * edge), at(0, side * end)], fill=LINE, width=2 * thin)

@@ -85,12 +85,6 @@ class Trivial:
     def num_copies(self) -> int:
         return len(self._seeds)
 
-    @property
-    def right_actions(self) -> NDArray[np.int64]:
-        """(C, N): the actions that are right now."""
-        right: NDArray[np.int64] = self._right[self._step]
-        return right
-
     def reset(self, seeds: NDArray[np.uint64]) -> Observed:
         self._seeds[:] = seeds
         self._begin(episode=0)

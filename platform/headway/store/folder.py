@@ -156,11 +156,6 @@ def rules_file(root: Path, study: str, cell: str) -> Path:
     return root / _slug(study) / f"{cell}.rules.json"
 
 
-def rules_files(root: Path, study: str) -> list[Path]:
-    """The files of `rules_file` that a study has."""
-    return sorted((root / _slug(study)).glob("*.rules.json"))
-
-
 def plans_folder(root: Path, study: str) -> Path:
     """Where a study keeps what its sweeps set out to do."""
     return root / _slug(study) / "sweeps"

@@ -103,12 +103,6 @@ class Selection:
         """What the cells are called among each other."""
         return cell_names(self.rows)
 
-    def with_status(self, status: str) -> "Selection":
-        """Those of the runs that have a status, under the names they have here."""
-        chosen = Selection(self.root, tuple(row for row in self.rows if row.status == status))
-        chosen.__dict__["names"] = self.names
-        return chosen
-
     def runs(self) -> "pd.DataFrame":
         """One row a run: what the index knows of it, and nothing else read."""
         columns = (*_ROW, "final_reward", "auc", "kwh", "kg_co2", "directory")

@@ -101,13 +101,6 @@ def test_every_frame_says_whose_rows_it_has(root: Path) -> None:
     assert set(chosen.configurations().values()) == {"seed: 0\n", "seed: 1\n"}
 
 
-def test_names_stay_when_some_runs_are_left_out(root: Path) -> None:
-    finished = select(root, study="bus").with_status("KILLED")
-    assert finished.runs()["label"].tolist() == ["ippo, shared, bus"]
-    one = select(root, study="bus", algorithm="mappo").with_status("FINISHED")
-    assert set(one.runs()["controller"]) == {"mappo, shared, algo.lr 0.1", "mappo, shared, algo.lr 0.2"}
-
-
 def test_of_a_curve_only_what_is_asked_for_is_read(root: Path) -> None:
     found = select(root, algorithm="ippo", seed=0).curves(["evaluation_greedy/return", "absent"])
     assert found["env_steps"].tolist() == [0, 20]
