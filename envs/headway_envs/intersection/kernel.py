@@ -1,24 +1,23 @@
 """What follows from where all vehicles are: observations, reward terms and sums for the metrics; compiled.
 
-All compiled functions stand in this one file, since numba's cache notices changes of the file it is called
-in only. Axes: V vehicles, N slots, L = 16 links (ways through the junction), D, S.
+Axes: V vehicles, N slots, L = 16 links (ways through the junction), D, S.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple, ParamSpec, TypeVar, cast
+from pathlib import Path
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from headway_envs.compiling import compiled_allocating, drop_stale_cache
 from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.demand import MIN_GAP_M
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
 
+drop_stale_cache(Path(__file__).parent)  # constants of other files are compiled in, too
+
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
-P = ParamSpec("P")
-R = TypeVar("R")
 
 TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
 """Of the reward. The paper has no term for collisions: its velocity term is 0 in such a step."""
@@ -112,11 +111,7 @@ class Seen(NamedTuple):
     """(4,): steps that AVs have spent here, by approach."""
 
 
-def _compiled(function: Callable[P, R]) -> Callable[P, R]:
-    return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-@_compiled
+@compiled_allocating
 def _until_line(traffic: Traffic, row: int) -> float:
     """Time to the stop line at the speed of now, s, cut; 0 for who has passed it."""
     distance = max(ROAD_M - traffic.position[row], 0.0)
@@ -124,7 +119,7 @@ def _until_line(traffic: Traffic, row: int) -> float:
     return min(seconds, _LONGEST_S)
 
 
-@_compiled
+@compiled_allocating
 def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[np.float32]) -> None:
     """Section 5.2 of the paper: own place on its edge, speed, leader and follower; the fifth is taken over
     the speed limit, as in Flow, where the paper prints the length. The way through the junction is one
@@ -150,7 +145,7 @@ def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[
     out[5] = follow_gap / crossing.total_length
 
 
-@_compiled
+@compiled_allocating
 def _observe_extended(
     crossing: Crossing, traffic: Traffic, count: int, row: int, out: NDArray[np.float32]
 ) -> None:
@@ -196,7 +191,7 @@ def _observe_extended(
         place += NEIGHBOUR_SIZE
 
 
-@_compiled
+@compiled_allocating
 def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """The state: for each approach, AVs, HDVs and mean speed in each cell of the road, then vehicles inside
     the junction and beyond it with their mean speeds; the share of the episode passed, vehicles waiting."""
@@ -227,7 +222,7 @@ def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happen
     state[4 * width + 1] = min(happened.pending / 50.0, 5.0)
 
 
-@_compiled
+@compiled_allocating
 def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists, and
     their sum is its equation 4."""
@@ -276,7 +271,7 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
     seen.rewards[1] = 0.2 * combined + paper[0] + 0.5 * paper[6]
 
 
-@_compiled
+@compiled_allocating
 def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
     """Means over the vehicles of this step, in the order of SUMS."""
     sums = seen.sums
@@ -314,7 +309,7 @@ def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
         sums[8] += change_hdv / human
 
 
-@_compiled
+@compiled_allocating
 def look(crossing: Crossing, traffic: Traffic, count: int, seen: Seen) -> None:
     """Observations of all AVs among V vehicles; rows of empty slots are 0."""
     seen.observations[:] = 0.0
@@ -329,7 +324,7 @@ def look(crossing: Crossing, traffic: Traffic, count: int, seen: Seen) -> None:
             _observe_extended(crossing, traffic, count, row, seen.observations[slot])
 
 
-@_compiled
+@compiled_allocating
 def take_in(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """All that follows from a step."""
     look(crossing, traffic, count, seen)
