@@ -20,19 +20,8 @@ from headway_algos.orders import ORDERS
 from headway_algos.policy_rows import PolicyRows, standardise
 from headway_algos.recurrent import RecurrentNetwork
 from headway_algos.remembering import acting_policy
+from headway_algos.stack import Stack, resolve_device
 from headway_algos.updates import UPDATES
-
-
-def resolve_device(device: str) -> torch.device:
-    """`auto` is a GPU if torch sees one; raises HeadwayError for a device that is not there."""
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise HeadwayError("device: cuda was asked for, but torch sees no GPU; use device=auto or device=cpu")
-    try:
-        return torch.device(device)
-    except RuntimeError:
-        raise HeadwayError(f"device: {device!r} is no device; use device=auto, cpu or cuda") from None
 
 
 class OnPolicyLearner:
@@ -42,6 +31,7 @@ class OnPolicyLearner:
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
         self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
         self.grouping = Grouping.of(config.policies, spec)
+        self.stack = Stack(self.grouping, spec, self.seeds)
         self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
         policies = self.grouping.num_policies
         self.actor = Actor(config.model, spec, seeds, policies, self.dtype).to(self.device)
@@ -69,8 +59,10 @@ class OnPolicyLearner:
         info = self._improve_policies(trajectory, observations, memories, estimate.advantages, iteration)
         judged = self.critic.fit(estimate, iteration)
         self._absorb(trajectory)
-        self._refuse_divergence(iteration)
-        metrics = {f"policy/{name}": self._per_replica(value) for name, value in info.items()}
+        self.stack.refuse_divergence(
+            self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
+        )
+        metrics = {f"policy/{name}": self.stack.per_replica(value) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in judged.items()}
 
     def _observations(self, trajectory: Trajectory) -> Tensor:
@@ -129,19 +121,6 @@ class OnPolicyLearner:
             rows = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
             self.actor.moments.include(rows, torch.from_numpy(self.layout.selection(alive)).to(self.device))
 
-    def _refuse_divergence(self, iteration: int) -> None:
-        """Raise HeadwayError where policies are no longer finite: workers would act on them all the same."""
-        for array in self.acting_parameters().values():
-            broken = ~np.isfinite(array).all(axis=(1, 2))
-            if broken.any():
-                replica, policy = divmod(int(broken.argmax()), self.grouping.num_policies)
-                owner = self.grouping.owner(policy, self.spec)
-                raise HeadwayError(
-                    f"{self.config.name} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not "
-                    f"finite after iteration {iteration}; lower algo.lr and algo.critic_lr, or bound the "
-                    "gradients by algo.grad_clip"
-                )
-
     def _refuse_blind_critic(self, advantages: NDArray[np.float64], iteration: int) -> None:
         """Raise HeadwayError where advantages (T, C, W) are not finite: a trust region would stay put on
         them, and training go on for nothing."""
@@ -156,11 +135,6 @@ class OnPolicyLearner:
     def _generators(self, purpose: str, iteration: int) -> list[np.random.Generator]:
         policies = range(self.grouping.num_policies)
         return [generator(seed, purpose, k, iteration) for seed in self.seeds for k in policies]
-
-    def _per_replica(self, values: Tensor) -> NDArray[np.float64]:
-        """(P,) -> (R,): the mean over a replica's networks."""
-        means: NDArray[np.float64] = values.double().cpu().numpy().reshape(len(self.seeds), -1).mean(axis=1)
-        return means
 
     def state_dict(self) -> dict[str, Any]:
         """The policies, and all that the update and the critic carry on."""

@@ -9,16 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
+from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.acting import OBSERVATION_CLIP
 from headway_algos.experience import Layout, zero_where_absent
 from headway_algos.grouping import Grouping
-from headway_algos.learner import resolve_device
 from headway_algos.networks import StackedMLP
 from headway_algos.normalisation import RunningMoments
 from headway_algos.offpolicy.config import ReplayConfig
 from headway_algos.offpolicy.memory import Batch, ReplayMemory
 from headway_algos.offpolicy.transitions import TransitionMaker
+from headway_algos.stack import Stack, resolve_device
 
 
 class Method(Protocol):
@@ -60,6 +60,7 @@ class ReplayLearner:
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
         self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
         self.grouping = Grouping.of(config.policies, spec)
+        self.stack = Stack(self.grouping, spec, self.seeds)
         self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
         policies = len(seeds) * self.grouping.num_policies
         self.method = method(config, spec, self.seeds, self.grouping.num_policies, self.device)
@@ -70,12 +71,16 @@ class ReplayLearner:
         """(N,): which of a replica's K policies each agent follows."""
         for policy, members in enumerate(self.grouping.members):
             self.policy_of[members[members >= 0]] = policy
-        self.progress, self.env_steps = 0.0, 0
+        self.env_steps = 0
+        """Of each seed, so far."""
+        self.progress, self.scheduled_steps = 0.0, 0
+        """Share of training, and environment steps, done before the last update: schedules go by these."""
 
     @property
     def exploration(self) -> float:
-        """How much is explored until the next update."""
-        return self.config.exploration(self.progress, self.env_steps)
+        """How much is explored until the next update: what the schedule, of either kind, has for the
+        beginning of the iteration before, since no more is known of the budget."""
+        return self.config.exploration(self.progress, self.scheduled_steps)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """The acting network's tensors, its normaliser and how much it explores, by the names of the acting
@@ -100,12 +105,15 @@ class ReplayLearner:
         self._remember(trajectory)
         info = self._learn(iteration)
         steps, copies = trajectory.rewards.shape[:2]
-        self.progress, self.env_steps = progress, self.env_steps + steps * copies // len(self.seeds)
-        self._refuse_divergence(iteration)
+        self.progress, self.scheduled_steps = progress, self.env_steps
+        self.env_steps += steps * copies // len(self.seeds)
+        self.stack.refuse_divergence(
+            self.acting_parameters(), self.config.name, iteration, "lower algo.lr, scale rewards down"
+        )
         held = torch.from_numpy(self.memory.filled)
-        metrics = {name: self._per_replica(value) for name, value in info.items()}
+        metrics = {name: self.stack.per_replica(value) for name, value in info.items()}
         return metrics | {
-            "memory/transitions": self._per_replica(held),
+            "memory/transitions": self.stack.per_replica(held),
             "policy/exploration": np.full(len(self.seeds), explored),
         }
 
@@ -151,30 +159,13 @@ class ReplayLearner:
         )
         return replace(batch, observations=now, next_observations=then)
 
-    def _refuse_divergence(self, iteration: int) -> None:
-        """Raise HeadwayError where networks are no longer finite: workers would act on them all the same."""
-        for array in self.acting_parameters().values():
-            broken = ~np.isfinite(array).all(axis=(1, 2))
-            if broken.any():
-                replica, policy = divmod(int(broken.argmax()), self.grouping.num_policies)
-                owner = self.grouping.owner(policy, self.spec)
-                raise HeadwayError(
-                    f"{self.config.name} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not "
-                    f"finite after iteration {iteration}; lower algo.lr, scale rewards down, or bound the "
-                    "gradients by algo.grad_clip"
-                )
-
-    def _per_replica(self, values: Tensor) -> NDArray[np.float64]:
-        """(P,) -> (R,): the mean over a replica's networks."""
-        means: NDArray[np.float64] = values.double().cpu().numpy().reshape(len(self.seeds), -1).mean(axis=1)
-        return means
-
     def state_dict(self) -> dict[str, Any]:
         """The networks, and how far training is."""
         return {
             "method": self.method.state_dict(),
             "moments": self.moments.state_dict(),
             "progress": self.progress,
+            "scheduled_steps": self.scheduled_steps,
             "env_steps": self.env_steps,
         }
 
@@ -182,7 +173,8 @@ class ReplayLearner:
         """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
         self.method.load_state_dict(state["method"])
         self.moments.load_state_dict(state["moments"])
-        self.progress, self.env_steps = state["progress"], state["env_steps"]
+        self.progress, self.scheduled_steps = state["progress"], state["scheduled_steps"]
+        self.env_steps = state["env_steps"]
 
     def experience(self) -> dict[str, Any]:
         """The transitions held, and the decisions still open."""

@@ -194,10 +194,23 @@ def test_exploration_follows_its_schedule_and_is_reported(fabricate: Fabricate) 
         reported.append(info["policy/exploration"].tolist())
     assert reported == [[value] * 2 for value in acted]
     np.testing.assert_allclose(acted, [0.8, 0.8, 0.5, 0.2, 0.2])
-    slow = _learner(replace(config, exploration_decay_steps=8.0), DISCRETE, (1, 2))
-    slow.update(fabricate(DISCRETE, 4, 4, seed=0), 1, 0.0)
-    assert slow.env_steps == 8
-    assert slow.exploration == pytest.approx(0.2 + 0.6 / np.e)
+
+
+@pytest.mark.parametrize("decay", [None, 8.0])
+def test_exploration_of_both_schedules_lags_by_one_iteration(
+    fabricate: Fabricate, decay: float | None
+) -> None:
+    """Also where training goes on from a checkpoint."""
+    config = replace(MADQN, exploration_start=0.8, exploration_end=0.2, exploration_decay_steps=decay)
+    learner = _learner(config, DISCRETE, (1, 2))
+    for iteration in (1, 2, 3):
+        done = iteration - 1
+        learner.update(fabricate(DISCRETE, 4, 4, seed=iteration), iteration, done / 9)
+        assert learner.env_steps == 8 * iteration
+        assert learner.exploration == config.exploration(done / 9, 8 * done)
+        other = _learner(config, DISCRETE, (1, 2))
+        other.load_state_dict(learner.state_dict())
+        assert other.exploration == learner.exploration
 
 
 @pytest.mark.parametrize(("progress", "share"), [(0.0, 1.0), (0.5, 0.55), (1.0, 0.1)])
