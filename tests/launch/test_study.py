@@ -101,4 +101,8 @@ def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED")
     names = cell_names(RunIndex(tmp_path).rows()).values()
     assert {name.task for name in names} == {f"bus, env.wrappers [{stacked}]", "bus, without env.wrappers"}
-    assert {name.controller for name in names} == {f"ippo, env.wrappers [{clipped}]", "ippo, env.wrappers []", "ippo"}
+    assert {name.controller for name in names} == {
+        f"ippo, env.wrappers [{clipped}]",
+        "ippo, env.wrappers []",
+        "ippo",
+    }

@@ -7,21 +7,10 @@ from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway_envs.bus.kernel import tick
-from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
+from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES
 from headway_envs.bus.kernel.memory import allocate_outputs, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
-
-Snapshot = dict[str, dict[str, NDArray[Any]]]
-"""The whole state of a batch and what was observed with it: plain arrays by name, as checkpoints hold."""
-
-
-def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """The same memory as numbers: records become bytes."""
-    return array.view(np.uint8) if array.dtype.names else array
-
-
-def _copied(arrays: World | Outputs) -> dict[str, NDArray[Any]]:
-    return {name: _plain(array).copy() for name, array in arrays._asdict().items()}
+from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
 
 
 class BusBatchedEnv:
@@ -103,18 +92,11 @@ class BusBatchedEnv:
         return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
 
     def snapshot(self) -> Snapshot:
-        return {"world": _copied(self.world), "outputs": _copied(self.outputs)}
+        return snapshot_of(self.world, self.outputs)
 
     def restore(self, snapshot: Snapshot) -> Observed:
         """Continue from a snapshot of the same scenario and number of copies, else HeadwayError."""
-        saved = {**snapshot["world"], **snapshot["outputs"]}
-        for name, array in {**self.world._asdict(), **self.outputs._asdict()}.items():
-            mine = _plain(array)
-            if name not in saved or mine.shape != saved[name].shape or mine.dtype != saved[name].dtype:
-                raise HeadwayError(
-                    "the snapshot is of another bus scenario or number of copies: restore it with its own"
-                )
-            mine[...] = saved[name]
+        put_back(snapshot, self.world, self.outputs, "bus scenario")
         return self.observed()
 
     def close(self) -> None:

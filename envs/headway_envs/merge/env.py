@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
+from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
 from headway_envs.merge.kernel import steps
 from headway_envs.merge.kernel.layout import (
     ACTIONS,
@@ -20,18 +21,6 @@ from headway_envs.merge.kernel.layout import (
     World,
 )
 from headway_envs.merge.prepared import Prepared
-
-Snapshot = dict[str, dict[str, NDArray[Any]]]
-"""The whole state of a batch and what was observed with it: plain arrays by name, as checkpoints hold."""
-
-
-def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """The same memory as numbers: records become bytes."""
-    return array.view(np.uint8) if array.dtype.names else array
-
-
-def _copied(arrays: World | Outputs) -> dict[str, NDArray[Any]]:
-    return {name: _plain(array).copy() for name, array in arrays._asdict().items()}
 
 
 class MergeBatchedEnv:
@@ -139,18 +128,11 @@ class MergeBatchedEnv:
         return Observed(outputs.observations, outputs.states, outputs.alive, masks)
 
     def snapshot(self) -> Snapshot:
-        return {"world": _copied(self.world), "outputs": _copied(self.outputs)}
+        return snapshot_of(self.world, self.outputs)
 
     def restore(self, snapshot: Snapshot) -> Observed:
         """Continue from a snapshot of the same road, density and number of copies, else HeadwayError."""
-        saved = {**snapshot["world"], **snapshot["outputs"]}
-        for name, array in {**self.world._asdict(), **self.outputs._asdict()}.items():
-            mine = _plain(array)
-            if name not in saved or mine.shape != saved[name].shape or mine.dtype != saved[name].dtype:
-                raise HeadwayError(
-                    "the snapshot is of another merge or number of copies: restore it with its own"
-                )
-            mine[...] = saved[name]
+        put_back(snapshot, self.world, self.outputs, "merge")
         return self.observed()
 
     def close(self) -> None:

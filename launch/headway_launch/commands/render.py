@@ -2,7 +2,7 @@
 
 import argparse
 import zlib
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,14 +133,15 @@ def _frames(
             yield painter.paint(behind_wrappers(env), at_end=ended)
 
 
-def _moment(frames: "Iterable[NDArray[np.uint8]]", step: int | None) -> "NDArray[np.uint8]":
+def _moment(frames: "Iterator[NDArray[np.uint8]]", step: int | None) -> "NDArray[np.uint8]":
     """The picture after `step` steps, or the last one. All before it are painted, too: a painter may show
     what happened lately."""
-    played, last = -1, None
-    for played, last in enumerate(frames):
-        if played == step:
+    last, played = next(frames), 0
+    while played != step:
+        following = next(frames, None)
+        if following is None:
             break
-    assert last is not None
+        last, played = following, played + 1
     if step is not None and played < step:
         raise HeadwayError(f"--step: the episode ends after {played} steps, before {step}")
     return last

@@ -7,7 +7,7 @@ applied to the environment's ParallelEnv, and the adapter makes a batch of that.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,13 +93,29 @@ def _painter_behind(make: Callable[[Any], Painter]) -> Callable[[Wrapped], Paint
 
 def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
     """The environment itself, of a ParallelEnv the batch of one copy behind the first, where it has one."""
+    inner, _ = _innermost(env, None)
+    return _natives(inner)[0][0] if _shows_native(inner) else inner
+
+
+def _innermost(env: BatchedEnv, observed: Observed | None) -> tuple[BatchedEnv, Observed | None]:
+    """What the batched wrappers are around, and what that observed last, where `env` observed `observed`."""
     inner: Any = env
     while hasattr(inner, "inner"):
-        inner = inner.inner
-    if isinstance(inner, ParallelEnvBatch):
-        first = inner.parallel_envs[0].unwrapped
-        inner = first.native[0] if hasattr(type(first), "native") else inner
-    return cast(BatchedEnv, inner)
+        observed, inner = inner.faced, inner.inner
+    return cast(BatchedEnv, inner), observed
+
+
+def _shows_native(env: BatchedEnv) -> TypeGuard[ParallelEnvBatch]:
+    return isinstance(env, ParallelEnvBatch) and _has_native(env.parallel_envs[0])
+
+
+def _has_native(parallel_env: Any) -> bool:  # noqa: ANN401 - PettingZoo comes without types
+    return hasattr(type(parallel_env.unwrapped), "native")
+
+
+def _natives(env: ParallelEnvBatch) -> list[tuple[BatchedEnv, Observed]]:
+    """Of each copy, the batch of one behind its ParallelEnv, and what that observed last."""
+    return [one.unwrapped.native for one in env.parallel_envs]
 
 
 def _any_changes_actions(wrappers: Sequence[ListedWrapper]) -> bool:
@@ -130,7 +146,7 @@ def _prepare(
         culprit, batched = wrapper.name, []
         parallel = wrapped_parallel_env(name, entry.parallel_env, prepared, wrappers[: index + 1])
         env = parallel()
-        bounds, shows_native = bounds_of(env), hasattr(type(env.unwrapped), "native")
+        bounds, shows_native = bounds_of(env), _has_native(env)
         env.close()
     if parallel is None:
         return Wrapped(name, prepared, entry.make, None, None, tuple(batched))
@@ -210,9 +226,9 @@ class RuleBehindWrappers:
         """As the rule does, given the environment behind the wrappers and what that observed last."""
         if isinstance(self.rule, RandomRule):
             return self.rule.act(env, observed)
-        inner: Any = env
-        while hasattr(inner, "inner"):
-            observed, inner = inner.faced, inner.inner
+        inner, seen = _innermost(env, observed)
         if not self.through_parallel_env:
-            return self.rule.act(inner, observed)
-        return np.concatenate([self.rule.act(*one.unwrapped.native) for one in inner.parallel_envs])
+            assert seen is not None
+            return self.rule.act(inner, seen)
+        assert isinstance(inner, ParallelEnvBatch)
+        return np.concatenate([self.rule.act(*native) for native in _natives(inner)])
