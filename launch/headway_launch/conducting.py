@@ -54,7 +54,7 @@ class Conductor:
         self._debug, self._plan_kept = debug, plan_kept
         planned = [job for cell in cells for job in cell.jobs]
         self._shares: Shares = share_cores(self._config.backend, planned, usable_cores())
-        require_free_disk(Path(self._config.store.root), sum(len(job.seeds) for job in planned))
+        require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
         for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
             compile_kernels(env)
         self._store = SessionStore.open(self._config.store)

@@ -14,6 +14,8 @@ from headway_launch.composing import Experiment, PreparedEnv
 
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_A_SEED = 10 * 2**20
+_CHECKPOINTS_AT_ONCE = 3
+"""Two are kept, and a third is written before the oldest goes."""
 
 
 @dataclass(frozen=True)
@@ -147,15 +149,26 @@ def uses_gpu(job: PlannedJob) -> bool:
     return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
 
 
-def require_free_disk(root: Path, seeds: int) -> None:
-    """Raise HeadwayError if the disk of the store is too full for so many seeds to begin."""
+def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> None:
+    """Raise HeadwayError if the disk of the store is too full for these jobs, `parallel` at once: experience
+    goes with the end of its job."""
+    seeds = sum(len(job.seeds) for job in jobs)
+    experience = sum(sorted((_experience_bytes(job) for job in jobs), reverse=True)[:parallel])
     existing = next(folder for folder in (root.resolve(), *root.resolve().parents) if folder.exists())
-    free, needed = shutil.disk_usage(existing).free, _FREE_BYTES + seeds * _FREE_BYTES_A_SEED
+    free = shutil.disk_usage(existing).free
+    needed = _FREE_BYTES + seeds * _FREE_BYTES_A_SEED + experience
     if free < needed:
         raise HeadwayError(
             f"only {free / 2**20:,.0f} MiB are free for the store in {root}, and {seeds} seeds need about "
             f"{needed / 2**20:,.0f} MiB; free some space or set store.root to another disk"
         )
+
+
+def _experience_bytes(job: PlannedJob) -> int:
+    """What the checkpoints of a job that are there at once keep beside them."""
+    experiment = job.experiment
+    each = experiment.algo.kept_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
+    return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each
 
 
 def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:

@@ -1,13 +1,23 @@
 """Environments of which a process holds few copies are given processes enough, or refused in one line."""
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError
 from headway_launch.composing import Experiment, compose
-from headway_launch.planning import new_jobs, share_cores, uses_gpu, within_processes, workers_of
+from headway_launch.planning import (
+    new_jobs,
+    plan_jobs,
+    require_free_disk,
+    share_cores,
+    uses_gpu,
+    within_processes,
+    workers_of,
+)
 
 ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
 SIX = replace(ONE, max_copies_per_process=6)
@@ -88,3 +98,16 @@ def test_jobs_use_a_gpu_by_their_own_device() -> None:
     [job] = new_jobs(compose(["env=trivial", "device=cpu"]), (0,))
     assert not uses_gpu(job)
     assert uses_gpu(replace(job, config=replace(job.config, device="cuda:1")))
+
+
+def test_the_disk_must_have_room_for_what_is_replayed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two checkpoints' worth and a third that is being written, of the jobs that run at once."""
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=2**30))
+    words = ["env=trivial", "rollout=replay", "env_steps=1000000", "seed=0..2", "algo=madqn"]
+    small, large = (plan_jobs(compose([*words, f"algo.capacity={size}"])) for size in (1000, 1_000_000))
+    require_free_disk(tmp_path, small, 2)
+    with pytest.raises(HeadwayError, match=r"only 1,024 MiB are free .* 3 seeds need about 3,\d{3} MiB"):
+        require_free_disk(tmp_path, large, 2)
+    require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
+from headway_algos.grouping import Grouping
 from headway_algos.offpolicy.acting import EpsilonGreedyPolicy, WanderingPolicy
 from headway_algos.offpolicy.config import ReplayConfig
 from headway_algos.recipes import ddpg, madqn
@@ -72,9 +73,22 @@ def _wandering(config: ddpg.DDPGConfig, spec: EnvSpec) -> WanderingPolicy:
     return WanderingPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
 
 
+def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
+    """Of full memories, or of what the agents of each policy live through: two observations, an action, a
+    mask, a return and a discount each."""
+    members = Grouping.of(config.policies, spec).is_member.sum(axis=1)
+    transitions = int(np.minimum(config.capacity, members * env_steps).sum())
+    space = spec.action_space
+    mask = space.n if spec.has_action_mask and isinstance(space, Discrete) else 0
+    action = 4 * space.size if isinstance(space, Box) else 8
+    return transitions * (2 * 4 * spec.observation_size + action + mask + 2 * 8)
+
+
 OFF_POLICY = {
-    "ddpg": AlgoEntry(ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses),
+    "ddpg": AlgoEntry(
+        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes
+    ),
     "madqn": AlgoEntry(
-        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses
+        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes
     ),
 }

@@ -21,6 +21,10 @@ def _refuses_nothing(config: Any, spec: EnvSpec) -> str | None:  # noqa: ANN401 
     return None
 
 
+def _keeps_nothing(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN401 - any record
+    return 0
+
+
 class Rule(Protocol):
     """A classical controller. It may look into the environment, not only at the observations."""
 
@@ -80,3 +84,6 @@ class AlgoEntry:
     """(config, spec, seeds of the replicas, device) -> learner."""
     refuses: Callable[[Any, EnvSpec], str | None] = _refuses_nothing
     """One line why it cannot run on that environment, or None."""
+    kept_bytes: Callable[[Any, EnvSpec, int], int] = _keeps_nothing
+    """(config, spec, environment steps of a seed) -> about how many bytes of a seed's experience stand beside
+    a checkpoint, at most."""

@@ -313,3 +313,18 @@ def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: Act
     assert "\n" not in reason
     with pytest.raises(HeadwayError, match=line):
         entry.acting_policy(entry.config(), spec)
+
+
+@every_case
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("iterations", [1, 6])
+def test_what_is_kept_beside_a_checkpoint_is_foretold(
+    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Policies, iterations: int
+) -> None:
+    """Of a seed whose agents act at every step, memories full or not."""
+    config = replace(config, policies=policies, n_step=1)
+    learner, steps = _learner(config, spec, (1,)), 12 * 2
+    for iteration in range(iterations):
+        learner._remember(fabricate(spec, 12, 2, seed=iteration))
+    real = sum(array.nbytes for array in learner.experience()["memory"]["arrays"].values())
+    assert real == pytest.approx(ENTRIES[config.name].kept_bytes(config, spec, iterations * steps), rel=0.15)
