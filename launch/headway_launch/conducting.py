@@ -153,8 +153,9 @@ class Conductor:
     def _end_cells(self) -> None:
         figures = _session_figures(self._meter.stop()) if self._meter else {}
         for cell in self._cells:
-            if cell.touched:
-                cell.finish([_status(job) for job in self._jobs if job.cell is cell], figures)
+            # Also cells with nothing left to do: a session that was killed may have left them open in MLflow.
+            statuses = [_status(job) for job in self._jobs if job.cell is cell]
+            cell.finish(statuses, figures if cell.touched else {})
 
     def _exit_code(self, stopped: bool) -> int:
         if stopped:

@@ -43,7 +43,7 @@ def execute(arguments: argparse.Namespace) -> int:
     command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", uri]
     command += ["--host", _HOST, "--port", str(arguments.port), "--workers", "1"]
     with StopRequests() as requests, TemporaryFile("w+") as log:
-        # MLflow's jobs (scoring of traces) are nothing of ours, and seven processes that take a while to start.
+        # MLflow's jobs (scoring of traces) are nothing of ours, but seven processes that start slowly.
         without_jobs = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
         server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, env=without_jobs)
         try:

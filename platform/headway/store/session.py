@@ -178,7 +178,7 @@ class Cell:
         ended, sent = now(), dict(figures or {})
 
         def end(tracker: Tracker) -> None:
-            _, parent = tracker.cell(self._study, self.name, self._parameters, {})
+            _, parent = tracker.cell(self._study, self.name, self._parameters, {}, going_on=False)
             tracker.finish(parent, status, ended, sent, ())
 
         self._store.follow(Errand(end, lambda: None, end))

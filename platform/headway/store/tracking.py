@@ -56,16 +56,23 @@ class Tracker:
         self._ask("search_experiments", max_results=1)
 
     def cell(
-        self, study: str, cell: str, parameters: Mapping[str, str], tags: Mapping[str, str]
+        self,
+        study: str,
+        cell: str,
+        parameters: Mapping[str, str],
+        tags: Mapping[str, str],
+        going_on: bool = True,
     ) -> tuple[str, str]:
-        """(experiment, parent run) of a cell of a study, created where they do not exist."""
+        """(experiment, parent run) of a cell of a study, created where they do not exist; `going_on`: the
+        parent runs again."""
         with self._alone("a study was looked up"):
             experiment = self._experiment(study)
             query = f"tags.`{_CELL_TAG}` = '{cell}'"
             found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
             if found:
                 parent = str(found[0].info.run_id)
-                self._ask("update_run", parent, status="RUNNING")
+                if going_on:
+                    self._ask("update_run", parent, status="RUNNING")
             else:
                 marked = {**_cut(tags), _CELL_TAG: cell}
                 parent = str(self._ask("create_run", experiment, tags=marked, run_name=cell).info.run_id)
@@ -124,11 +131,13 @@ class Tracker:
     def finish(
         self, run: str, status: Status, ended: str, figures: Mapping[str, float], files: Sequence[Path]
     ) -> None:
-        """Send summary figures, those that MLflow does not have, and files of a run, then its status."""
+        """Send summary figures, those that MLflow does not have, and files of a run, then its status, unless
+        it has ended so already and nothing is new."""
         from mlflow.entities import Metric
 
         moment = milliseconds(ended)
-        known = self._ask("get_run", run).data.metrics
+        found = self._ask("get_run", run)
+        known = found.data.metrics
         metrics = [
             Metric(f"summary/{name}", value, moment, 0)
             for name, value in figures.items()
@@ -137,7 +146,8 @@ class Tracker:
         self._metrics(run, metrics)
         for file in files:
             self._ask("log_artifact", run, str(file))
-        self._ask("set_terminated", run, status, end_time=moment)
+        if metrics or files or found.info.status != status:
+            self._ask("set_terminated", run, status, end_time=moment)
 
     def _create_database(self) -> None:
         """Sessions that start at once would race to create its tables, and one killed meanwhile would

@@ -36,7 +36,7 @@ def test_a_killed_study_is_the_unkilled_one_and_what_differs_would_be_seen(tmp_p
     segment = next(Path(first.directory).glob("curve-*.parquet"))
     segment.unlink()
     with sqlite3.connect(killed / "mlflow.db") as database:
-        database.execute("UPDATE metrics SET step = step + 1 WHERE key LIKE 'training/%'")
+        database.execute("UPDATE metrics SET step = step + 1 WHERE key LIKE 'policy/%'")
     shutil.copytree(second.directory, f"{second.directory}-again")
     summary = Path(third.directory, "summary.json")
     summary.write_text(json.dumps(json.loads(summary.read_text()) | {"final_reward": 1.0}))
