@@ -15,7 +15,7 @@ from headway.events import LABELS
 from headway.stats import Interval, frames
 from headway.store import Selection
 from headway.store.selection import LABELS as WHOSE
-from headway_launch.comparison import difference
+from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway_launch.study import configuration, counted_runs, curves_of, rules_beside, study_runs
 
 if TYPE_CHECKING:
@@ -135,6 +135,16 @@ class StudyData:
         figures = self.figures.rename(columns={"final_reward": "score"})
         in_order = [row.run_id for members in self.cells.values() for row in members]
         return figures.loc[in_order, ["controller", "task", "score"]]
+
+    @cached_property
+    def narrow(self) -> str:
+        """What is to be said beside intervals by the bootstrap; empty where all cells have seeds enough."""
+        if min(len(members) for members in self.cells.values()) >= SEEDS_FOR_A_CLAIM:
+            return ""
+        return (
+            f"With fewer than {SEEDS_FOR_A_CLAIM} seeds the bootstrap's intervals are too narrow: of two "
+            "seeds they are the lower and the higher one, and where all seeds agree they shrink to a point."
+        )
 
     def scores_on(self, task: str) -> pd.DataFrame:
         """The rows of `scores` of one task."""

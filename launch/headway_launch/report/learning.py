@@ -40,7 +40,7 @@ def curves_section(data: StudyData) -> Section:
                 "sample_efficiency",
                 "Sample efficiency: interquartile mean over "
                 f"seeds{' and environments' if len(data.tasks) > 1 else ''} at each number of steps "
-                f"({scale}), with 95% intervals by the stratified bootstrap.",
+                f"({scale}), with 95% intervals by the stratified bootstrap. {data.narrow}".strip(),
                 drawing.learning_curves(found, {}, f"IQM of {label}", data.styles),
             )
         )

@@ -98,6 +98,7 @@ def sound_form(data: StudyData) -> Section:
         f"where the interval excludes 0 over at least {SEEDS_FOR_A_CLAIM} training seeds; with fewer there "
         "is no claim.",
         _sound_table(data),
+        *([data.narrow] if data.narrow else []),
     ]
     against = {(task, name): data.against_best_rule(task, name) for task, name in data.cells}
     reasons = dict.fromkeys(
@@ -119,7 +120,7 @@ def sound_form(data: StudyData) -> Section:
                 Picture(
                     f"intervals{data.numbered(place)}",
                     f"Interquartile means of the final {data.what}{data.where(task)} with their 95% "
-                    "intervals, and the rules on the days of the curves.",
+                    f"intervals, and the rules on the days of the curves. {data.narrow}".strip(),
                     drawing.intervals(found, values, f"IQM of final {data.what}", data.styles),
                 )
             )
@@ -198,8 +199,7 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
     rows = [[a, *(shown.get((a, b), MISSING) for b in names)] for a in names]
     return [
         "Probability that a seed of the controller at the left scores better than a seed of the one above, "
-        "ties counting half; 0.5 is no difference. With few seeds the bootstrap's intervals are too "
-        "narrow: where all seeds agree they shrink to a point.",
+        "ties counting half; 0.5 is no difference.",
         Table(
             "probability_of_improvement",
             "Probability of improvement, row over column, with 95% intervals by the stratified bootstrap.",
@@ -207,6 +207,7 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
             rows,
             found,
         ),
+        *([data.narrow] if data.narrow else []),
     ]
 
 

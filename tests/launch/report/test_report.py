@@ -118,6 +118,17 @@ def test_both_forms_have_the_figures_of_the_store(keep_run: KeepRun, root: Path)
     assert chances["ippo, independent", "ia2c, independent"] == 1.0
 
 
+def test_intervals_over_few_seeds_are_said_to_be_too_narrow(keep_run: KeepRun, root: Path) -> None:
+    for seed in range(10):
+        keep_run(TRACKING, seed, 5.0 + seed, study="enough")
+    assert "too narrow" not in said(made(root, "enough"))
+    for seed in range(2):
+        keep_run((*TRACKING, "algo=ippo"), seed, 5.0 + seed)
+        keep_run((*TRACKING, "algo=ia2c"), seed, 2.0 * seed)
+    # Under both tables, and in the captions of both pictures with such intervals.
+    assert said(made(root)).count("With fewer than 10 seeds the bootstrap's intervals are too narrow") == 4
+
+
 def test_every_part_is_a_file_and_the_page_needs_none(keep_run: KeepRun, root: Path) -> None:
     two_algorithms(keep_run, reward_service=1.5, reward_regularity=-0.5)
     folder = root.parent / "report"
