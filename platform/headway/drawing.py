@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 # Okabe and Ito's colours for all kinds of sight (jfly.uni-koeln.de/color), then four of Paul Tol's `muted`.
 _COLOURS = (
@@ -23,7 +24,11 @@ _LINES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
 """The second and third round through the colours."""
 _RULE_LINES: tuple[Any, ...] = ("--", ":", "-.")
 _FAR = 5.0
-"""Times the range of all else: farther away a rule is not drawn, only named."""
+"""Times the range of all else: what is farther away does not stretch an axis, it is only named."""
+_MARKED = 60
+"""Points up to which a line has a dot at each."""
+_SEPARATED = "{x:,.10g}"
+"""Ticks with thousands separated, for matplotlib."""
 _PARTS = {"cpu_kwh": "CPU", "gpu_kwh": "GPU", "ram_kwh": "RAM"}
 _PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA"}
 _WIDTH = 9.0
@@ -52,25 +57,32 @@ def learning_curves(
 ) -> "Figure":
     """The frame of `mean_curves` or `efficiency` (column `mean` or `iqm`), one panel a task: each controller
     with its interval, and the task's `rules` (task -> rule -> value) as dashed lines, but for one so far away
-    that nothing else could be seen. `low` cuts the vertical axis below."""
+    that nothing else could be seen. The axis is not stretched for a controller as far from most others: the
+    legend says where it is. `low` cuts the vertical axis below."""
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
     figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
     panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
     for task, axes in zip(tasks, panels, strict=True):
         of_task = means[means["task"] == task] if task else means
-        for controller, curve in of_task.groupby("controller", sort=False):
-            runs = f" ({_counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
-            name = str(controller)
-            steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
-            axes.plot(steps, middle, label=f"{name}{runs}", linewidth=1.6, **styles[name])
-            ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
-            axes.fill_between(steps, *ends, color=styles[name]["color"], alpha=0.18, linewidth=0)
+        by_name = {str(name): curve for name, curve in of_task.groupby("controller", sort=False)}
+        off = far_off({name: curve[column].to_numpy() for name, curve in by_name.items()})
+        for name, curve in by_name.items():
+            if name not in off:
+                _draw_curve(axes, name, curve, column, "", styles[name])
         draw_rules(axes, rules.get(task, {}))
+        if off:
+            window = axes.get_ylim()
+            for name, value in off.items():
+                _draw_curve(
+                    axes, name, by_name[name], column, f" (off, at {_four_digits(value)})", styles[name]
+                )
+            axes.set_ylim(window)
         if low is not None:
             axes.set_ylim(bottom=low)
         _finish(axes, "environment steps", label)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        axes.yaxis.set_major_formatter(_SEPARATED)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
@@ -85,12 +97,30 @@ def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure
     for (label, points), axes in zip(
         curves.items(), figure.subplots(len(curves), squeeze=False, sharex=True)[:, 0], strict=True
     ):
-        axes.plot(list(points), list(points.values()), color=_COLOURS[0], linewidth=1.4)
+        marks = _marks(len(points))
+        axes.plot(list(points), list(points.values()), color=_COLOURS[0], linewidth=1.4, **marks)
         _finish(axes, "", label)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        axes.yaxis.set_major_formatter(_SEPARATED)
     axes.set_xlabel("environment steps")
     figure.suptitle(title, fontsize="medium")
     return figure
+
+
+def _draw_curve(
+    axes: "Axes", name: str, curve: "pd.DataFrame", column: str, remark: str, style: Mapping[str, Any]
+) -> None:
+    """A controller's line and the band of its interval."""
+    runs = f" ({_counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
+    steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
+    axes.plot(steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_marks(len(steps)), **style)
+    ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
+    axes.fill_between(steps, *ends, color=style["color"], alpha=0.18, linewidth=0)
+
+
+def _marks(points: int) -> dict[str, Any]:
+    """A dot at each point, so that a line between two is not taken for a curve of many."""
+    return {"marker": "o", "markersize": 3.5} if points <= _MARKED else {}
 
 
 def draw_rules(axes: "Axes", rules: Mapping[str, float]) -> None:
@@ -105,7 +135,7 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float]) -> None:
         if rule in near:
             axes.axhline(value, label=f"rule {rule}", **style)
         else:
-            axes.plot([], [], label=f"rule {rule} (off, at {value:,.4g})", **style)
+            axes.plot([], [], label=f"rule {rule} (off, at {_four_digits(value)})", **style)
 
 
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
@@ -124,6 +154,23 @@ def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
     return near
 
 
+def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"]) -> dict[str, float]:
+    """Of those farther from what most controllers show than some times its range (one that diverged): the
+    farthest of each one's values. None is off where there are fewer than three, as there is no most."""
+    known = {name: of_name[np.isfinite(of_name)] for name, of_name in values.items()}
+    known = {name: of_name for name, of_name in known.items() if len(of_name)}
+    if len(known) < 3:
+        return {}
+    low = float(np.median([of_name.min() for of_name in known.values()]))
+    high = float(np.median([of_name.max() for of_name in known.values()]))
+    off = {}
+    for name, of_name in known.items():
+        distances = np.maximum(np.maximum(low - of_name, of_name - high), 0.0)
+        if low < high and distances.max() > _FAR * (high - low):
+            off[name] = float(of_name[distances.argmax()])
+    return off
+
+
 def intervals(
     summary: "pd.DataFrame", rules: Mapping[str, float], label: str, styles: Mapping[str, Mapping[str, Any]]
 ) -> "Figure":
@@ -132,8 +179,13 @@ def intervals(
     figure = _figure(_WIDTH, 0.9 + 0.36 * len(summary) + 0.2 * len(rules))
     axes = figure.subplots()
     names = [str(name) for name in summary.index]
+    ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
+    off = far_off({name: values for name, values in zip(names, ends, strict=True)})
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
+        if name in off:
+            names[place] = f"{name}\n(off, at {_four_digits(row['iqm'])})"
+            continue
         axes.barh(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
         )
@@ -147,8 +199,9 @@ def intervals(
     axes.use_sticky_edges = False  # or the bars would end at the frame
     axes.margins(x=0.05)
     axes.set_yticks(range(len(names)), names)
-    axes.invert_yaxis()
+    axes.set_ylim(len(names) - 0.5, -0.5)
     _finish(axes, label, "")
+    axes.xaxis.set_major_formatter(_SEPARATED)
     if near:
         axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return figure
@@ -227,16 +280,22 @@ def reward_against_cost(
     tasks = list(dict.fromkeys(runs["task"]))
     figure = _figure(_WIDTH, 3.7 * len(tasks))
     for task, axes in zip(tasks, figure.subplots(len(tasks), squeeze=False)[:, 0], strict=True):
-        for controller, of_controller in runs[runs["task"] == task].groupby("controller", sort=False):
-            colour, spent = styles[str(controller)]["color"], of_controller[cost] * factor
-            axes.scatter(spent, of_controller["score"], s=18, color=colour, alpha=0.6, linewidths=0)
-            mean = (spent.mean(), of_controller["score"].mean())
-            axes.scatter(
-                *mean, s=110, facecolors="none", edgecolors=colour, linewidths=2, label=str(controller)
-            )
+        grouped = runs[runs["task"] == task].groupby("controller", sort=False)
+        by_name = {str(name): of_name for name, of_name in grouped}
+        off = far_off({name: of_name["score"].to_numpy() for name, of_name in by_name.items()})
+        for name, of_name in by_name.items():
+            colour, spent = styles[name]["color"], of_name[cost] * factor
+            ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": colour, "linewidths": 2}
+            mean = (spent.mean(), of_name["score"].mean())
+            if name in off:
+                axes.scatter([], [], label=f"{name} (off, at {_four_digits(mean[1])})", **ring)
+                continue
+            axes.scatter(spent, of_name["score"], s=18, color=colour, alpha=0.6, linewidths=0)
+            axes.scatter(*mean, label=name, **ring)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
         _finish(axes, *labels)
+        axes.yaxis.set_major_formatter(_SEPARATED)
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure
 
@@ -281,6 +340,10 @@ def _finish(axes: "Axes", across: str, upward: str) -> None:
     axes.grid(alpha=0.3)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def _four_digits(value: float) -> str:
+    return f"{float(f'{value:.4g}'):,.10g}"
 
 
 def _counted(count: int, what: str) -> str:

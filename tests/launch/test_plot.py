@@ -4,11 +4,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
 from headway.contracts.errors import HeadwayError
-from headway.drawing import draw_rules, near_rules
+from headway.drawing import colours, draw_rules, far_off, intervals, learning_curves, near_rules
 from headway.store import RunLog, RunRecord, Selection, select
 from headway.store.durable import write_text
 from headway.store.folder import Process, create_run_folder, now, rules_file
@@ -60,3 +62,43 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
     draw_rules(axes, rules)
     assert axes.get_ylim()[0] > 0
     assert "rule random (off, at -1,819)" in [line.get_label() for line in axes.lines]
+
+
+def _curves(**by_controller: list[float]) -> pd.DataFrame:
+    rows = [
+        {"task": "t", "controller": name, "runs": 2, "env_steps": 10 * place, "mean": value}
+        for name, values in by_controller.items()
+        for place, value in enumerate(values)
+    ]
+    return pd.DataFrame(rows).assign(low=lambda frame: frame["mean"] * 9, high=lambda frame: frame["mean"])
+
+
+def test_a_cell_that_diverged_does_not_flatten_the_others() -> None:
+    curves = _curves(ippo=[1.0, 9.0], ddpg=[1.0, -98_439.0], mappo=[1.0, 12.0])
+    [axes] = learning_curves(curves, {"t": {"optimal": 20.0}}, "", colours(["ippo", "ddpg", "mappo"])).axes
+    low, high = axes.get_ylim()
+    assert 20 < high < 200
+    assert -10 < low <= 1
+    labels = [line.get_label() for line in axes.lines]
+    assert labels == ["ippo (2 seeds)", "mappo (2 seeds)", "rule optimal", "ddpg (2 seeds) (off, at -98,440)"]
+    assert [line.get_marker() for line in axes.lines[:2]] == ["o", "o"]  # two points are seen as two
+    scores = pd.DataFrame(
+        {"iqm": [5.0, -98_439.0, 7.0], "iqm_low": [4.0, -2e5, 6.0], "iqm_high": [6.0, -5e4, 8.0]},
+        index=["ippo", "ddpg", "mappo"],
+    )
+    [axes] = intervals(scores, {}, "", colours(["ippo", "ddpg", "mappo"])).axes
+    assert axes.get_xlim()[0] > 0
+    assert any("off, at" in tick.get_text() for tick in axes.get_yticklabels())
+
+
+def test_of_two_cells_or_of_wide_ones_none_is_off() -> None:
+    near, away, third = np.array([0.0, 1.0]), np.array([0.0, -900.0]), np.array([-800.0, 1.0])
+    assert far_off({"a": near, "b": away}) == {}
+    assert far_off({"a": third, "b": away, "c": third}) == {}
+    assert far_off({"a": near, "b": away, "c": near, "d": np.array([np.nan])}) == {"b": -900.0}
+
+
+def test_thousands_are_separated_on_the_vertical_axis() -> None:
+    [axes] = learning_curves(_curves(ippo=[1000.0, 98_000.0]), {}, "", colours(["ippo"])).axes
+    assert "60,000" in {axes.yaxis.get_major_formatter()(value) for value in (60_000.0, 0.25)}
+    assert axes.yaxis.get_major_formatter()(0.25) == "0.25"

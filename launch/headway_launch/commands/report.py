@@ -26,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--metric", help="figure of evaluation that runs are judged by (default: evaluation_greedy/return)"
     )
     parser.add_argument("--lower-is-better", action="store_true", help="the metric is a cost, such as a wait")
+    parser.add_argument(
+        "--low", type=float, default=None, help="lower end of the vertical axis of the learning curves"
+    )
     add_store_argument(parser)
 
 
@@ -39,6 +42,6 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.report.gather import StudyData
     from headway_launch.report.page import write_report
 
-    data = StudyData(root, arguments.study, arguments.metric, arguments.lower_is_better)
+    data = StudyData(root, arguments.study, arguments.metric, arguments.lower_is_better, arguments.low)
     print(write_report(report_of(data), folder))
     return 0

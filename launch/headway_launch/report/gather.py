@@ -41,9 +41,14 @@ class StudyData:
     """
 
     def __init__(
-        self, root: Path, study: str, metric: str | None = None, lower_is_better: bool = False
+        self,
+        root: Path,
+        study: str,
+        metric: str | None = None,
+        lower_is_better: bool = False,
+        low: float | None = None,
     ) -> None:
-        self.study, self.lower_is_better = study, lower_is_better
+        self.study, self.lower_is_better, self.low = study, lower_is_better, low
         self.every = Selection(root, tuple(study_runs(root, study)))
         counted, self.left_out = counted_runs(self.every.rows, study)
         self.runs = Selection(root, tuple(counted))

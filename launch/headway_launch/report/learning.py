@@ -19,7 +19,7 @@ def curves_section(data: StudyData) -> Section:
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
             "mean by Student's t; dashed, the rules on the same days.",
-            drawing.learning_curves(means, data.rules_beside_curves, label, data.styles),
+            drawing.learning_curves(means, data.rules_beside_curves, label, data.styles, low=data.low),
         )
     ]
     curves = data.curves.assign(value=data.sign * data.curves["value"])

@@ -183,7 +183,12 @@ def improvement_section(data: StudyData) -> Section:
             "95% intervals, point by point. "
             + ("Lower is better." if data.lower_is_better else "A curve above another is better there.")
         )
-        profiles = frames.profiles(data.scores_on(task))
+        scores = data.scores_on(task)
+        by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
+        if off := drawing.far_off(by_name):
+            caption += f" Beyond the axis: {', '.join(f'{name} (at {figure(off[name])})' for name in off)}."
+        thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
+        profiles = frames.profiles(scores, thresholds)
         picture = drawing.performance_profiles(profiles, f"final {data.what}", data.styles)
         body.append(Picture(f"profiles{data.numbered(place)}", caption, picture))
     return Section("improvement", "Which is better, and how surely", body)

@@ -117,11 +117,7 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
 def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.DataFrame:
     """The performance profile of each controller: at each `threshold` (default: evenly over all scores) the
     `share` of runs above it, with the ends `low` and `high` of its 95% interval."""
-    if thresholds is None:
-        least, most = scores["score"].min(), scores["score"].max()
-        margin = 0.02 * (most - least) or 1.0
-        thresholds = np.linspace(least - margin, most + margin, _PROFILE_POINTS)
-    points = np.asarray(thresholds, np.float64)
+    points = np.asarray(even_thresholds(scores) if thresholds is None else thresholds, np.float64)
     frames = [
         _banded(
             str(controller),
@@ -133,6 +129,13 @@ def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.Da
         for controller, of_controller in scores.groupby("controller", sort=False)
     ]
     return pd.concat(frames, ignore_index=True)
+
+
+def even_thresholds(scores: pd.DataFrame) -> NDArray[np.float64]:
+    """Thresholds for `profiles`: even steps over the range of some scores, and a little beyond."""
+    least, most = scores["score"].min(), scores["score"].max()
+    margin = 0.02 * (most - least) or 1.0
+    return np.linspace(least - margin, most + margin, _PROFILE_POINTS)
 
 
 def efficiency(curves: pd.DataFrame) -> pd.DataFrame:

@@ -129,6 +129,23 @@ def test_intervals_over_few_seeds_are_said_to_be_too_narrow(keep_run: KeepRun, r
     assert said(made(root)).count("With fewer than 10 seeds the bootstrap's intervals are too narrow") == 4
 
 
+def test_of_a_cell_that_diverged_the_captions_say_so(keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run)
+    for seed in range(2):
+        keep_run((*TRACKING, "algo=ddpg"), seed, -98_439.0 - seed)
+    report = report_of(StudyData(root, "study", low=-30.0))
+    assert "Beyond the axis: ddpg, independent (at -98,440)." in said(report)
+    pictures = {
+        part.name: part.figure.axes[0]
+        for section in report.sections
+        for part in section.body
+        if isinstance(part, Picture)
+    }
+    assert pictures["profiles"].get_xlim()[0] > -10
+    assert pictures["learning_curves"].get_ylim()[0] == -30
+    assert pictures["reward_against_energy"].get_ylim()[0] > -30
+
+
 def test_every_part_is_a_file_and_the_page_needs_none(keep_run: KeepRun, root: Path) -> None:
     two_algorithms(keep_run, reward_service=1.5, reward_regularity=-0.5)
     folder = root.parent / "report"
