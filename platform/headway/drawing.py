@@ -184,7 +184,7 @@ def intervals(
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
         if name in off:
-            names[place] = f"{name}\n(off, at {_four_digits(row['iqm'])})"
+            names[place] = f"{name}\n(off, at {_four_digits(float(ends[place, 0]))})"
             continue
         axes.barh(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
