@@ -64,9 +64,11 @@ def making_section(data: StudyData) -> Section:
 
     body: list[Part] = [
         "Each line below trains the seeds of one cell again. It sets every key that differs from the "
-        "defaults of this version; the whole configuration, in which every default is spelt out, is folded "
-        "below it. On a CPU the same configuration and seed give the same curve bit for bit with the "
-        "versions named here."
+        "defaults of this version, but for those that change no result: where runs are kept (`store`) and "
+        "how a machine is filled (`backend.name`, `backend.workers`, `backend.parallel`). "
+        "`evaluation.rules` stands there only where not all rules of the environment were played. The whole "
+        "configuration, in which every default is spelt out, is folded below it. On a CPU the same "
+        "configuration and seed give the same curve bit for bit with the versions named here."
     ]
     for (task, controller), members in data.cells.items():
         first = configuration(members[0].directory)

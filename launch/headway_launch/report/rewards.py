@@ -71,6 +71,11 @@ def published_form(data: StudyData) -> Section:
             "Some run has no training curve, as no episode ended in training: those columns are empty."
         )
     body.append(table)
+    if (data.curves.groupby("run_id").size() < 3).any():
+        body.append(
+            "Some runs were evaluated fewer than three times. The AUC of a curve of two points says nothing: "
+            "by the run's own range it is 0.5 whatever was learnt (`evaluation.every` sets how often)."
+        )
     body += _one_seed(data)
     return Section("published", "The form of the papers", body)
 

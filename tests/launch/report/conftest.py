@@ -41,6 +41,7 @@ def keep_run(root: Path) -> Callable[..., Path]:
         study: str = "study",
         rules: Mapping[str, float] | None = None,
         energy: Mapping[str, Any] | None = None,
+        points: int = 5,
         **metrics: float,
     ) -> Path:
         experiment = composed((*overrides, f"study={study}", "evaluation.episodes=2"))
@@ -57,7 +58,7 @@ def keep_run(root: Path) -> Callable[..., Path]:
         summary = {"final_reward": final, "cpu_seconds": 3.0 + seed, "steps_per_second": 10.0}
         write_json(directory / "summary.json", {**summary, **(energy or {})})
         log = RunLog(directory)
-        for iteration in range(5):
+        for iteration in range(points):
             value = final * min(iteration / 2, 1.0)
             row = {
                 "iteration": iteration,

@@ -33,6 +33,7 @@ class KeepRun(Protocol):
         study: str = "study",
         rules: Mapping[str, float] | None = None,
         energy: Mapping[str, Any] | None = None,
+        points: int = 5,
         **metrics: float,
     ) -> Path: ...
 
@@ -106,6 +107,7 @@ def test_both_forms_have_the_figures_of_the_store(keep_run: KeepRun, root: Path)
     assert published.loc["ia2c, independent", "greedy_auc_own_mean"] == pytest.approx((0.5 + 2 * 0.75) / 3)
     assert published.loc["rule optimal", "greedy_final_reward_mean"] == 10.5  # days 0 and 1, as the curve
     assert "6.0 ± 1.0" in said(report)
+    assert "but for those that change no result: where runs are kept" in said(report)
 
     sound = table(report, "sound_form").set_index("controller")
     learned = [[5.0 + seed + day for day in range(4)] for seed in range(3)]
@@ -144,6 +146,14 @@ def test_of_a_cell_that_diverged_the_captions_say_so(keep_run: KeepRun, root: Pa
     assert pictures["profiles"].get_xlim()[0] > -10
     assert pictures["learning_curves"].get_ylim()[0] == -30
     assert pictures["reward_against_energy"].get_ylim()[0] > -30
+
+
+def test_the_area_under_a_curve_of_two_points_is_said_to_say_nothing(keep_run: KeepRun, root: Path) -> None:
+    remark = "The AUC of a curve of two points says nothing"
+    keep_run(TRACKING, 0, 1.0)
+    assert remark not in said(made(root))
+    keep_run(TRACKING, 1, 1.0, points=2)
+    assert remark in said(made(root))
 
 
 def test_every_part_is_a_file_and_the_page_needs_none(keep_run: KeepRun, root: Path) -> None:
