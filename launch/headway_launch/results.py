@@ -138,7 +138,10 @@ def stored_result(directory: Path) -> SeedResult:
 
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     """(final reward, AUC) of the evaluation curve as far as a checkpoint knows it; None where that has no
-    point yet. What the log holds beyond is dropped when the run goes on."""
+    point yet, or nothing was trained: the evaluation before training is no result. What the log holds beyond
+    is dropped when the run goes on."""
+    if not run.record.durable_env_steps:
+        return None, None
     from headway.stats import auc, final_reward
     from headway.store.log import read_curve
 

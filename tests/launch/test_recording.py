@@ -59,6 +59,17 @@ def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
 
 
+def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[Run]) -> None:
+    """It was evaluated before training, which is not what it came to."""
+    log = RunLog(runs[0].directory)
+    log.append("curve", [{"iteration": 0, "env_steps": 0, "wall_s": 0.0, "evaluation_greedy/return": 7.0}])
+    log.commit(0)
+    recording = JobRecording(runs)
+    recording.take(Finished(0, stopped=True))
+    result = seed_result(runs[0], recording, "greedy", {}, {})
+    assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
+
+
 def test_runs_whose_episodes_began_anew_are_tagged_with_every_time(runs: Sequence[Run]) -> None:
     JobRecording(runs).take(Started(0, ()))
     assert "episodes_restarted" not in runs[0].record.tags
