@@ -32,6 +32,8 @@ from headway_launch.telling import own_name, tell, to_a_reader
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _NAMED_RUNS = 3
 _NAMED_FAILURES = 10
+_WORTH_TELLING_S = 60.0
+"""Training that is long enough for the store's share of it to mean something."""
 
 
 @dataclass
@@ -196,13 +198,14 @@ class Conductor:
             tell(f"headway: {kinds}to go on: {own_name()} resume {named}{option}")
 
     def _say_what_tracking_took(self) -> None:
-        """Of all that training processes did, and this process beside them, how much was for the store."""
+        """Of all that training processes did, and this process beside them, how much was for the store; of
+        a short training nothing, as all is beginning and end."""
         recordings = [job.recording for job in self._jobs if job.recording is not None]
         trained = sum(recording.trained_s for recording in recordings)
-        if trained:
+        if trained >= _WORTH_TELLING_S:
             kept, own = sum(recording.store_s for recording in recordings), time.process_time()
             tell(
-                f"tracking: {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
+                f"the store: {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
                 f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
             )
 
