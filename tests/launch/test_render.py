@@ -87,6 +87,8 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
+        (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
+        (["s0"], "there is no store in 'runs'"),
         (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
         (["trivial", "--rule", "random"], "trivial cannot be drawn: its entry has no painter"),
         (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),

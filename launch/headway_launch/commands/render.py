@@ -89,11 +89,20 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
 def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "Heed"]:
     """The environment, the root of its evaluation seeds, who plays it and who is told what came of it."""
     if arguments.rule is None:
+        from headway.registry import env_entries
         from headway.rollout.blockwise import BlockwiseActing
+        from headway_launch.composing import groups
         from headway_launch.stored import StoredRun
         from headway_launch.trained import newest_policy
 
-        run = StoredRun.find(existing_store(arguments.store), arguments.name)
+        try:
+            run = StoredRun.find(existing_store(arguments.store), arguments.name)
+        except HeadwayError as error:
+            if arguments.name in {*env_entries(), *groups()["env"]}:
+                raise HeadwayError(
+                    f"{arguments.name} is an environment; add --rule RULE, or name a run"
+                ) from error
+            raise
         found = run.experiment.prepare()
         policy = newest_policy(run, found)
         acting = BlockwiseActing(policy.plan, 1, 1)
