@@ -110,7 +110,8 @@ class EvaluationConfig:
     modes: tuple[Literal["greedy", "sampled"], ...] = ("greedy", "sampled")
     """`greedy`: the distribution's mode; `sampled`: as in training."""
     final_episodes: int = 30
-    """Episodes of the last evaluation and of the rules, for the paired comparison."""
+    """Episodes of the last evaluation and of the rules, for the paired comparison; `episodes` where that is
+    more, as the last evaluation has the days of every other."""
     seed: int = 1_000_003
     """Root of the evaluation seeds, kept apart from every training seed."""
     rules: tuple[str, ...] | None = None
@@ -174,7 +175,8 @@ class ExperimentConfig:
     seed: tuple[int, ...] = (0,)
     """Training seeds: `7`, `0,1,2` or `0..49`."""
     env_steps: int = 100_000
-    """Environment steps of each seed (one step moves all agents of one copy)."""
+    """Environment steps of each seed (one step moves all agents of one copy), rounded up to whole iterations
+    of `rollout.copies` x `rollout.steps`."""
     device: str = "auto"
     """`cpu`, `cuda`, or `auto`: a GPU if there is one."""
     env: EnvConfig = field(default_factory=EnvConfig)
