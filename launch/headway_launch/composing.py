@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
+from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from headway_launch.telling import tell
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
 _SEVERAL = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
+_SENTENCE = re.compile(r".*?\.(?=\s|$)")
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -197,12 +199,15 @@ def groups() -> dict[str, tuple[str, ...]]:
 
 
 def summary_of(group: str, option: str) -> str:
-    """The first comment of a configuration file that is not an instruction to Hydra."""
-    for line in (configs_folder() / group / f"{option}.yaml").read_text(encoding="utf-8").splitlines():
-        text = line.removeprefix("#").strip()
-        if line.startswith("#") and text and not text.startswith("@"):
-            return text
-    return ""
+    """The first sentence of a configuration file's first comment that is not an instruction to Hydra."""
+    lines = (configs_folder() / group / f"{option}.yaml").read_text(encoding="utf-8").splitlines()
+    words = (line for line in lines if not line.startswith("# @"))
+    comment = takewhile(
+        lambda line: line.startswith("#"), dropwhile(lambda line: not line.strip("# "), words)
+    )
+    text = " ".join(line.removeprefix("#").strip() for line in comment)
+    sentence = _SENTENCE.match(text)
+    return sentence[0] if sentence else text
 
 
 def _prepared(override: str) -> str:
@@ -219,12 +224,25 @@ def _prepared(override: str) -> str:
         return override
     known = groups()
     if key not in known:
+        _require_a_key(key, value)
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
         raise HeadwayError(f"{override}: one option at a time; `headway sweep` takes several")
     if value not in known[key]:
         return _option_without_file(key, value, known[key])
     return override
+
+
+def _require_a_key(key: str, value: str) -> None:
+    """Refuse a key of nothing here, where the files that are chosen by name are known too."""
+    head, _, rest = key.partition(".")
+    names = {field.name for field in fields(ExperimentConfig)} | {"experiment", "preset"}
+    if head in names or head == "hydra":
+        return
+    if not rest and nearest(head, names) in ("experiment", "preset"):
+        near = f"did you mean {nearest(head, names)}={value}? There is: {', '.join(sorted(names))}"
+        raise HeadwayError(f"{head} is not a key of the experiment; {near}")
+    raise HeadwayError(f"{head} is not a key of the experiment; {suggestion(head, names)}")
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:

@@ -163,7 +163,8 @@ def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return "mapping"
     if isinstance(origin, type) and issubclass(origin, Sequence):
-        return f"list of {type_name(arguments[0])}"
+        inner = type_name(arguments[0])
+        return f"list of {inner}s" if inner in ("number", "whole number") else f"list of {inner}"
     if hint is NoneType:
         return "null"
     names = {int: "whole number", float: "number", str: "text", bool: "true or false", Any: "anything"}
@@ -254,10 +255,22 @@ def _convert_sequence(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 -
 def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     kinds = {bool: "true or false", int: "a whole number", float: "a number", str: "text", NoneType: "null"}
     kind = kinds.get(type(value), "a mapping" if isinstance(value, Mapping) else "a list")
-    hint = "; write it without quotes" if isinstance(value, str) and "number" in wanted else ""
+    hint = _how_to_write_a_number(value, wanted) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
         hint = f"; write it in quotes, in a shell in two kinds: \"{key}='{_show(value)}'\""
-    return HeadwayError(f"{key}={_show(value)} is {kind}, where {wanted} is wanted{hint}")
+    article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
+    return HeadwayError(f"{key}={_show(value)} is {kind}, where {article}{wanted} is wanted{hint}")
+
+
+def _how_to_write_a_number(text: str, wanted: str) -> str:
+    if "number" not in wanted or wanted.startswith("list"):
+        return ""
+    try:
+        float(text)
+    except ValueError:
+        example = "64" if "whole" in wanted else "3e-4"
+        return f"; give a {'whole number' if 'whole' in wanted else 'number'}, such as {example}"
+    return "; write it without quotes"
 
 
 def _show(value: object) -> str:

@@ -180,7 +180,7 @@ def intervals(
     axes = figure.subplots()
     names = [str(name) for name in summary.index]
     ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
-    off = far_off({name: values for name, values in zip(names, ends, strict=True)})
+    off = far_off(dict(zip(names, ends, strict=True)))
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
         if name in off:

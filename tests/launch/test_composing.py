@@ -51,9 +51,11 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
     [
         ("algo.lrr=3e-4", ["algo.lrr is not a key of mappo", "did you mean algo.lr?"]),
         ("rolout.steps=3", ["rolout is not a key", "did you mean rollout?"]),
+        ("expriment=toy_tracking", ["did you mean experiment=toy_tracking?", "experiment, preset"]),
+        ("nonsense=3", ["nonsense is not a key of the experiment", "experiment", "preset"]),
         ("rollout.stesp=3", ["did you mean rollout.steps?"]),
         ("env.args.agent=3", ["env.args.agent is not a key of trivial", "did you mean env.args.agents?"]),
-        ("algo.lr=fast", ["algo.lr='fast' is text, where number is wanted"]),
+        ("algo.lr=fast", ["algo.lr='fast' is text, where a number is wanted"]),
         ("rollout.steps=true", ["rollout.steps=true is true or false"]),
         ("algo.gamma=2", ["algo.gamma must lie in [0, 1]"]),
         ("algo.model.core=lstm", ["algo.model.core='lstm'", "gru, none"]),
@@ -206,7 +208,7 @@ def test_a_composition_without_a_name_runs_as_custom() -> None:
 
 @pytest.mark.parametrize("option", groups()["experiment"])
 def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
-    assert summary_of("experiment", option)
+    assert summary_of("experiment", option).endswith(".")
     assert compose([f"experiment={option}"]).config.study
 
 
@@ -220,3 +222,9 @@ def test_cores_go_to_training_processes_first() -> None:
     for seeds, cores, expected in ((50, 16, Shares(16, 1)), (4, 16, Shares(4, 4)), (1, 2, Shares(1, 2))):
         jobs = new_jobs(experiment, range(seeds))
         assert share_cores(experiment.config.backend, jobs, cores) == expected
+
+
+def test_the_summary_of_a_file_is_the_first_sentence_of_its_comment() -> None:
+    assert summary_of("experiment", "toy_recall").endswith("with algo.model.core=none it stays at chance.")
+    assert summary_of("experiment", "merge_mappo").endswith("beside rules and human drivers.")
+    assert summary_of("preset", "bus_tuned").endswith("policies of their own).")

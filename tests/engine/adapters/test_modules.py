@@ -126,7 +126,7 @@ def test_arguments_are_those_of_the_factory_with_its_defaults() -> None:
     ("arguments", "message"),
     [
         ({"n": 3}, r"env.args.n is not a key of mpe2.simple_spread_v3; did you mean env.args.N\?"),
-        ({"N": "three"}, "env.args.N='three' is text, where whole number is wanted"),
+        ({"N": "three"}, "env.args.N='three' is text, where a whole number is wanted"),
         (
             {"local_ratio": 2.0},
             "mpe2.simple_spread_v3 cannot be made with local_ratio=2.0: AssertionError: local",

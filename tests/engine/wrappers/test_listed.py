@@ -44,7 +44,7 @@ def test_names_and_mappings_stand_side_by_side_with_defaults_spelt_out() -> None
             {"name": "sticky_actions_v0"},
             r"wrappers\[0\].repeat_action_probability is missing and has no default",
         ),
-        ({"name": "frame_stack_v1", "stack_size": "four"}, "stack_size='four' is text, where whole number"),
+        ({"name": "frame_stack_v1", "stack_size": "four"}, "stack_size='four' is text, where a whole number"),
         ({"name": "frame_stack_v1", "stack_size": 0}, r"env.wrappers\[0\].stack_size must be at least 1"),
         ({"name": "frame_stack_v1", "stack_dim": 1}, "stack_dim must be 0 or -1"),
         ({"name": "normalize_obs_v0", "env_min": 1}, "env_min must be below env_max"),
