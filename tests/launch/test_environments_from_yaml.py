@@ -130,7 +130,10 @@ def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
             ("env=trivial", "env.wrappers=[frame_stak_v1]"),
             r"env.wrappers\[0\]: 'frame_stak_v1' is no wrapper",
         ),
-        (("env=trivial", "env.wrappers=frame_stack_v1"), "env.wrappers='frame_stack_v1' is text, where a list"),
+        (
+            ("env=trivial", "env.wrappers=frame_stack_v1"),
+            "env.wrappers='frame_stack_v1' is text, where a list",
+        ),
         (("env=trivial", "env.wrappers=[{name: os.system}]"), "'os.system' is no wrapper"),
         (
             ("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: os.system}]"),
