@@ -25,6 +25,7 @@ from headway.store.folder import (
 )
 from headway.store.following import RunFollower, behind, deliver
 from headway.store.index import RunIndex
+from headway.store.log import read_rows
 from headway.store.provenance import provenance
 from headway.store.tracking import Tracker
 
@@ -211,7 +212,12 @@ class Run:
         record of that cannot be written."""
         ready = [row for row in self._rows if int(row.get("iteration", 0)) <= iteration]
         self._rows = [row for row in self._rows if int(row.get("iteration", 0)) > iteration]
-        env_steps = [int(row["env_steps"]) for row in ready if "env_steps" in row]
+        heard = ready
+        if iteration and all(int(row.get("iteration", 0)) < iteration for row in ready):
+            # An earlier session was killed between the checkpoint and hearing of it: the log has the rows.
+            logged = read_rows(self.directory, "curve")
+            heard = [row for row in logged if int(row.get("iteration", 0)) <= iteration]
+        env_steps = [int(row["env_steps"]) for row in heard if "env_steps" in row]
         self.record = replace(
             self.record,
             durable_iteration=iteration,

@@ -120,6 +120,20 @@ def test_a_run_from_beginning_to_end(root: Path) -> None:
     assert curve[-1] == (4000, 40.0)
 
 
+def test_a_checkpoint_that_no_session_heard_of_counts_with_the_steps_of_the_log(root: Path) -> None:
+    """The session was killed between the two; the next one finds nothing left to train."""
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    log = RunLog(run.directory)
+    for iteration in range(1, 11):
+        log.append("curve", [_row(iteration)])
+    log.commit(10)
+    run.durable(10)
+    assert run.record.durable_env_steps == 1000
+    run.finish("FINISHED", {})
+    store.close()
+
+
 def test_only_durable_points_reach_mlflow(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     run = _begin(store)
