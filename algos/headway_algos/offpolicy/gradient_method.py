@@ -71,7 +71,7 @@ class DeterministicMethod:
         values = _values(self.critic, batch.observations, taken)
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
         self.critic_optimiser.begin()
-        loss.sum().backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        torch.autograd.backward(loss.sum())
         critic_norm = self.critic_optimiser.step(active)
         actor_norm = self._improve_actors(batch.observations, active)
         self.slow_actor.follow(active, self.actor_optimiser.counts)
@@ -89,7 +89,7 @@ class DeterministicMethod:
         asked = actions.detach().requires_grad_()
         (slopes,) = torch.autograd.grad(_values(self.critic, observations, asked).sum(), asked)
         self.actor_optimiser.begin()
-        actions.backward(-slopes / slopes.shape[1])  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        torch.autograd.backward(actions, -slopes / slopes.shape[1])
         return self.actor_optimiser.step(active)
 
     def anneal(self, share: float) -> None:
@@ -117,9 +117,11 @@ class DeterministicMethod:
 
 def _actions(actor: StackedMLP, observations: Tensor) -> Tensor:
     """mu(o) in units of the bounds: (P, b, A)."""
-    return actor(observations).tanh().transpose(1, 2)  # type: ignore[no-any-return]  # modules are untyped
+    outputs: Tensor = actor(observations)
+    return outputs.tanh().transpose(1, 2)
 
 
 def _values(critic: StackedMLP, observations: Tensor, actions: Tensor) -> Tensor:
     """Q(o, u): (P, b)."""
-    return critic(torch.cat([observations, actions], dim=2))[:, 0]  # type: ignore[no-any-return]  # as above
+    outputs: Tensor = critic(torch.cat([observations, actions], dim=2))
+    return outputs[:, 0]

@@ -90,11 +90,20 @@ class ReplayMemory:
         """The transitions at places (P, b), floating numbers in `dtype`."""
         rows = places + np.arange(len(places))[:, None] * self.capacity
         index = torch.from_numpy(rows.ravel()).to(self.device)
-        found: dict[str, Tensor | None] = {"next_masks": None}
-        for name, array in self.arrays.items():
-            taken = array.index_select(0, index).reshape(*places.shape, *array.shape[1:])
-            found[name] = taken.to(dtype) if taken.is_floating_point() else taken
-        return Batch(**found)  # type: ignore[arg-type]  # only next_masks can be None
+
+        def taken(name: str) -> Tensor:
+            array = self.arrays[name]
+            rows = array.index_select(0, index).reshape(*places.shape, *array.shape[1:])
+            return rows.to(dtype) if rows.is_floating_point() else rows
+
+        return Batch(
+            observations=taken("observations"),
+            actions=taken("actions"),
+            returns=taken("returns"),
+            discounts=taken("discounts"),
+            next_observations=taken("next_observations"),
+            next_masks=taken("next_masks") if "next_masks" in self.arrays else None,
+        )
 
     def _held(self) -> Tensor:
         """Rows of all policies that hold a transition."""

@@ -56,7 +56,7 @@ class ValueMethod:
         values = self.network(batch.observations).gather(1, batch.actions[:, None])[:, 0]
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
         self.optimiser.begin()
-        loss.sum().backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        torch.autograd.backward(loss.sum())
         norm = self.optimiser.step(active)
         self.target.follow(active, self.optimiser.counts)
         value = mean_over_batch(values, active)

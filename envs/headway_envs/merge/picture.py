@@ -1,7 +1,6 @@
 """A picture of a merge: the road in two rows, the ramp lanes, and every vehicle with its speed."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,11 +93,11 @@ class MergePainter:
         self._draw_legend(draw)
         return picture
 
-    def _draw_lane(self, draw: ImageDraw.ImageDraw, lane: Any, half: float, colour: str) -> None:  # noqa: ANN401
+    def _draw_lane(self, draw: ImageDraw.ImageDraw, lane: np.void, half: float, colour: str) -> None:
         for upper, lower in self._edges(lane, half):
             draw.polygon([*upper, *reversed(lower)], colour)
 
-    def _edges(self, lane: Any, half: float) -> Iterator[tuple[Pixels, Pixels]]:  # noqa: ANN401
+    def _edges(self, lane: np.void, half: float) -> Iterator[tuple[Pixels, Pixels]]:
         """What runs `half` m to the left and to the right of a lane's centre, in each row that it is in."""
         end = lane["x"] + lane["length"]
         if end == END:  # vehicles drive on
@@ -124,7 +123,7 @@ class MergePainter:
             draw.text((x + 28 * FINER, 8 * FINER), name, TEXT, self._font)
             x += (50 + 7 * len(name)) * FINER
 
-    def _draw_car(self, draw: ImageDraw.ImageDraw, car: Any, colour: str) -> None:  # noqa: ANN401
+    def _draw_car(self, draw: ImageDraw.ImageDraw, car: np.void, colour: str) -> None:
         if not 0.0 <= car["x"] < 2.0 * ROW_M:
             return
         x, y = self._at(car["x"], car["y"])

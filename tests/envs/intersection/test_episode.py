@@ -1,6 +1,7 @@
 """Vehicles come, cross and leave as SUMO says, and nothing is counted twice."""
 
 import importlib.util
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ def _metrics(env: IntersectionBatchedEnv, outcome: Any) -> dict[str, float]:  # 
     return dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
 
 
-def test_the_roster_is_what_sumo_has(crossing: Any) -> None:  # noqa: ANN401
+def test_the_roster_is_what_sumo_has(crossing: Callable[..., Any]) -> None:
     env, sumo = crossing(horizon=700, **WILD), libsumo()
     env.reset(SEED)
     for _ in range(699):
@@ -43,7 +44,7 @@ def test_the_roster_is_what_sumo_has(crossing: Any) -> None:  # noqa: ANN401
                 assert roster.traffic.position[row] == pytest.approx(ROAD_M + inside + along, abs=1e-9)
 
 
-def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Any) -> None:  # noqa: ANN401
+def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=900, **WILD)
     env.reset(SEED)
     entered = arrived = crashed = 0
@@ -64,7 +65,9 @@ def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Any
 
 
 @pytest.mark.parametrize("at_exit", ["truncated", "terminated"])
-def test_whoever_leaves_ends_as_told_with_what_it_observed_last(at_exit: str, crossing: Any) -> None:  # noqa: ANN401
+def test_whoever_leaves_ends_as_told_with_what_it_observed_last(
+    at_exit: str, crossing: Callable[..., Any]
+) -> None:
     env = crossing(horizon=700, at_exit=at_exit, **WILD)
     observed = env.reset(SEED)
     events = set()
@@ -85,7 +88,7 @@ def test_whoever_leaves_ends_as_told_with_what_it_observed_last(at_exit: str, cr
     assert events == {"arrived", "collided"}
 
 
-def test_the_horizon_truncates_all_and_the_next_episode_is_another(crossing: Any) -> None:  # noqa: ANN401
+def test_the_horizon_truncates_all_and_the_next_episode_is_another(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=60)
     env.reset(SEED)
     seen = []
@@ -100,7 +103,7 @@ def test_the_horizon_truncates_all_and_the_next_episode_is_another(crossing: Any
     assert (seen[0] != seen[1]).any()
 
 
-def test_a_collision_ends_the_episode_where_that_is_asked_for(crossing: Any) -> None:  # noqa: ANN401
+def test_a_collision_ends_the_episode_where_that_is_asked_for(crossing: Callable[..., Any]) -> None:
     env = crossing(on_collision="end_episode", **WILD)
     env.reset(SEED)
     outcome, _ = env.step(FULL)
@@ -111,7 +114,7 @@ def test_a_collision_ends_the_episode_where_that_is_asked_for(crossing: Any) -> 
     assert _metrics(env, outcome)["collisions"] >= 1
 
 
-def test_vehicles_beyond_the_slots_are_driven_by_sumo_and_counted(crossing: Any) -> None:  # noqa: ANN401
+def test_vehicles_beyond_the_slots_are_driven_by_sumo_and_counted(crossing: Callable[..., Any]) -> None:
     env = crossing(slots=2, horizon=500)
     env.reset(SEED)
     most = 0
@@ -124,7 +127,7 @@ def test_vehicles_beyond_the_slots_are_driven_by_sumo_and_counted(crossing: Any)
     assert metrics["avs"] > metrics["avs_without_slot"]
 
 
-def test_noisy_humans_drive_by_the_seed(crossing: Any) -> None:  # noqa: ANN401
+def test_noisy_humans_drive_by_the_seed(crossing: Callable[..., Any]) -> None:
     def speeds(noise: float, seed: int) -> list[float]:
         env = crossing(human_noise=noise, horizon=150)
         env.reset(np.array([seed], np.uint64))
@@ -139,7 +142,7 @@ def test_noisy_humans_drive_by_the_seed(crossing: Any) -> None:  # noqa: ANN401
     assert speeds(0.2, 1) != speeds(0.2, 2)
 
 
-def test_a_process_holds_one_simulation(crossing: Any) -> None:  # noqa: ANN401
+def test_a_process_holds_one_simulation(crossing: Callable[..., Any]) -> None:
     first, second = crossing(), crossing()
     first.reset(SEED)
     with pytest.raises(HeadwayError, match="holds a SUMO simulation already, and it can hold one: close"):
@@ -152,7 +155,7 @@ def test_a_process_holds_one_simulation(crossing: Any) -> None:  # noqa: ANN401
         IntersectionBatchedEnv(prepare(IntersectionConfig()), 2)
 
 
-def test_an_environment_that_nobody_has_any_more_holds_nothing(crossing: Any) -> None:  # noqa: ANN401
+def test_an_environment_that_nobody_has_any_more_holds_nothing(crossing: Callable[..., Any]) -> None:
     env = IntersectionBatchedEnv(prepare(IntersectionConfig()), 1)
     env.reset(SEED)
     del env
@@ -169,7 +172,7 @@ def test_without_sumo_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatc
     assert importlib.util.find_spec("libsumo") is not None
 
 
-def test_resets_do_not_grow(crossing: Any) -> None:  # noqa: ANN401
+def test_resets_do_not_grow(crossing: Callable[..., Any]) -> None:
     """A small part of the thousand resets of `python -m headway_launch.benchmarks crossing`."""
 
     def resident_kb() -> int:

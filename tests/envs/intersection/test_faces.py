@@ -1,6 +1,7 @@
 """The PettingZoo faces: vehicles that live once, and slots that stay."""
 
 import warnings
+from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
@@ -32,7 +33,7 @@ def test_two_at_once_are_the_same_for_the_same_seed(face: str) -> None:
         parallel_seed_test(lambda: HostedEnv(face, IntersectionConfig()), num_cycles=3)
 
 
-def test_vehicles_live_once_and_are_the_batchs(crossing: Any) -> None:  # noqa: ANN401
+def test_vehicles_live_once_and_are_the_batchs(crossing: Callable[..., Any]) -> None:
     """Played again through the batch, every vehicle observes and is paid the same while it lives."""
     config = IntersectionConfig(horizon=700, av_speed_mode=0, hdv_speed_mode=1)
     lives: dict[str, list[tuple[Any, ...]]] = {}

@@ -1,5 +1,6 @@
 """Pictures show who is there and where it crashed."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ def test_a_face_renders_what_its_environment_holds() -> None:
     face.close()
 
 
-def test_a_film_marks_a_crash_for_two_seconds(crossing: Any) -> None:  # noqa: ANN401
+def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> None:
     env = crossing(av_speed_mode=0, hdv_speed_mode=1)
     env.reset(np.array([3], np.uint64))
     camera, marked, crashed = Camera(env), [], []

@@ -1,5 +1,6 @@
 """Rules act within bounds, and those that heed the right of way do not crash."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,14 +23,14 @@ def _played(env: Any, rule: Any, seed: int) -> dict[str, float]:  # noqa: ANN401
 
 
 @pytest.mark.parametrize("name", sorted(ENTRY.rules))
-def test_every_rule_plays(name: str, crossing: Any) -> None:  # noqa: ANN401
+def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=300)
     metrics = _played(env, ENTRY.rules[name](env.prepared), 1)
     assert all(np.isfinite(list(metrics.values())))
     assert metrics["avs"] > 5
 
 
-def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Any) -> None:  # noqa: ANN401
+def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=1200)
     crashes = {}
     for name in ("human", "reservation", "full_throttle"):
@@ -42,7 +43,7 @@ def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Any) 
     assert sum(crashes["reservation"]) < sum(crashes["full_throttle"])
 
 
-def test_handed_over_vehicles_are_humans_to_sumo(crossing: Any) -> None:  # noqa: ANN401
+def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -> None:
     env, sumo = crossing(horizon=600), libsumo()
     rule, observed = ENTRY.rules["human"](env.prepared), env.reset(np.array([1], np.uint64))
     for step in range(300):
@@ -54,7 +55,7 @@ def test_handed_over_vehicles_are_humans_to_sumo(crossing: Any) -> None:  # noqa
         assert sumo.vehicle.getSpeedMode(vehicle) == 31
 
 
-def test_who_asked_first_goes_first(crossing: Any) -> None:  # noqa: ANN401
+def test_who_asked_first_goes_first(crossing: Callable[..., Any]) -> None:
     """Two automated vehicles on crossing ways never are inside the junction at once."""
     env, rule = crossing(vph_per_lane_hdv=0, horizon=1200), Reservation()
     observed, foes = env.reset(np.array([2], np.uint64)), env.prepared.network.foes

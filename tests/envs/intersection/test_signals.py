@@ -1,5 +1,6 @@
 """What automated vehicles observe and are paid, against the equations and against SUMO's own answers."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ LENGTH = 1796.72
 """Of all edges of the network, m."""
 
 
-def test_the_papers_observation_is_what_sumo_says(crossing: Any) -> None:  # noqa: ANN401
+def test_the_papers_observation_is_what_sumo_says(crossing: Callable[..., Any]) -> None:
     env, sumo = crossing(observation="paper", horizon=900), libsumo()
     observed = env.reset(SEED)
     draw, followed = np.random.default_rng(0), 0
@@ -171,7 +172,7 @@ def test_the_state_counts_everybody_once() -> None:
 
 
 @pytest.mark.parametrize("kind", ["scaled", "paper"])
-def test_returns_are_sums_of_what_was_paid(kind: Any, crossing: Any) -> None:  # noqa: ANN401
+def test_returns_are_sums_of_what_was_paid(kind: str, crossing: Callable[..., Any]) -> None:
     from headway_envs.intersection.config import RewardConfig
 
     env = crossing(reward=RewardConfig(kind=kind), horizon=300)
