@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
@@ -71,23 +70,9 @@ class CellWork:
 
     def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: Shares) -> TrainingJob:
         """What the training process of a job is given."""
-        experiment = planned.experiment
-        with_checkpoint = any(_has_checkpoint(run.directory) for run in runs)
-        return TrainingJob(
-            make_env=experiment.env.make,
-            preload=experiment.env.preload,
-            prepared=planned.prepared,
-            spec=planned.spec,
-            make_policy=experiment.algo.acting_policy,
-            make_learner=experiment.algo.learner,
-            algo_config=experiment.algo_config,
-            seeds=planned.seeds,
-            config=replace(planned.config, seed=planned.seeds),
-            workers=workers_of(planned, shares),
-            directories=tuple(str(run.directory) for run in runs),
-            resume=bool(planned.resumed) and with_checkpoint,
-            training_prepared=planned.training_prepared,
-        )
+        directories = [run.directory for run in runs]
+        resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
+        return planned.training_job(planned.config, workers_of(planned, shares), directories, resume)
 
     def play_rules(self, played: dict[str, Rules]) -> None:
         """Let the rules play beside the finished seeds, once for all cells of the same environment (in

@@ -15,7 +15,6 @@ from headway.contracts.errors import HeadwayError
 from headway.energy import EnergyMeter, JobUsage
 from headway.events import EvaluationFinished, Event, Failed, IterationFinished, Started, Usage
 from headway.store.provenance import usable_cores
-from headway.training import TrainingJob
 from headway_launch.kernels import compile_kernels
 from headway_launch.planning import CellPlan, PlannedJob, Shares, share_cores, uses_gpu, workers_of
 from headway_launch.progress import duration
@@ -273,28 +272,14 @@ def _hear(running: dict[str, tuple[CellPlan, _Trial]]) -> None:
 
 def _trial(cell: CellPlan, shares: Shares, folder: Path) -> _Trial:
     job: PlannedJob = cell.jobs[0]
-    experiment = job.experiment
-    config = replace(job.config, seed=job.seeds)
-    never = replace(config.store, checkpoint_every=config.iterations)
+    never = replace(job.config.store, checkpoint_every=job.config.iterations)
     directories = [folder / str(seed) for seed in job.seeds]
     for directory in directories:
         directory.mkdir(parents=True)
-    training = TrainingJob(
-        make_env=experiment.env.make,
-        preload=experiment.env.preload,
-        prepared=job.prepared,
-        spec=job.spec,
-        make_policy=experiment.algo.acting_policy,
-        make_learner=experiment.algo.learner,
-        algo_config=experiment.algo_config,
-        seeds=job.seeds,
-        config=replace(config, store=never),
-        workers=workers_of(job, shares),
-        directories=tuple(str(directory) for directory in directories),
-        training_prepared=job.training_prepared,
-    )
+    config = replace(job.config, store=never)
+    training = job.training_job(config, workers_of(job, shares), directories)
     launched = time.monotonic()
-    name = cell.label or experiment.algo_name
+    name = cell.label or job.experiment.algo_name
     return _Trial(TrainingProcess(training), name, launched, uses_gpu(job))
 
 

@@ -10,6 +10,7 @@ from headway.config import BackendConfig, ExperimentConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
+from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
 
 _FREE_BYTES = 200 * 2**20
@@ -39,6 +40,27 @@ class PlannedJob:
     """The last durable one of the runs to go on with."""
     workers: int | None = None
     """Rollout workers that its checkpoint knows; None for a new job, which takes its share of the cores."""
+
+    def training_job(
+        self, config: ExperimentConfig, workers: int, directories: Sequence[Path], resume: bool = False
+    ) -> TrainingJob:
+        """What its training process is given: how it trains here and now, and the folder of each seed."""
+        experiment = self.experiment
+        return TrainingJob(
+            make_env=experiment.env.make,
+            preload=experiment.env.preload,
+            prepared=self.prepared,
+            spec=self.spec,
+            make_policy=experiment.algo.acting_policy,
+            make_learner=experiment.algo.learner,
+            algo_config=experiment.algo_config,
+            seeds=self.seeds,
+            config=replace(config, seed=self.seeds),
+            workers=workers,
+            directories=tuple(str(directory) for directory in directories),
+            resume=resume,
+            training_prepared=self.training_prepared,
+        )
 
 
 @dataclass(frozen=True)
