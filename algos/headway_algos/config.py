@@ -118,7 +118,7 @@ class AlgoConfig:
     """Batches from one inversion of K-FAC's factors to the next; 1: after every one."""
     kfac_length: Literal["exact", "factors"] = "exact"
     """By which Fisher information K-FAC expects a step's KL divergence: `exact`: that of the batch;
-    `factors`: its own approximation, as published, which was seen to expect 2 to 8 times too little."""
+    `factors`: its own approximation, as published, which can expect too little."""
     kfac_momentum: float = 0.0
     """Share of K-FAC's last direction in the next one; 0: none."""
     critic_kl_bound: float = 0.3

@@ -39,9 +39,9 @@ class StackedKFAC:
 
     so that 1/2 eta^2 d^T F d, to second order the KL divergence, is at most delta. The paper takes F in
     factors for the length, too, as `kfac_length: factors` does. But d lies where these factors, which average
-    older batches and know nothing of what layers have in common, are small: divergences were seen to be 2 to
-    8 times what they said. The default is F of the batch itself (as in section 6.4 of Martens and Grosse,
-    arXiv:1503.05671), at the cost of one pass. Either is damped, which bounds steps where F vanishes.
+    older batches and know nothing of what layers have in common, are small: divergences can be
+    several times what they say. The default is F of the batch itself (as in section 6.4 of Martens and
+    Grosse, arXiv:1503.05671), at the cost of one pass. Either is damped, which bounds steps where F vanishes.
 
     With momentum, d is the running average mu d + (1 - mu) F^-1 g, and the bound is of the step that is
     really taken. A Gaussian's log standard deviation, whose Fisher information is known and shared with

@@ -56,8 +56,12 @@ def test_a_run_stopped_and_resumed_changes_nothing(whole: Log, tmp_path: Path) -
     assert logs_of(job) == [whole]
 
 
-def test_an_agents_memory_is_a_part_of_what_it_does(whole: Log, tmp_path: Path) -> None:
-    trained(job := job_of(tmp_path))
+def test_an_agents_memory_is_a_part_of_what_it_does(
+    whole: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same network that forgets after every step does something else."""
+    monkeypatch.setattr(BlockwiseActing, "heed", lambda acting, outcome: acting.forget())
+    trained(job := job_of(tmp_path, core="gru"))
     assert logs_of(job) != [whole]
 
 

@@ -128,7 +128,8 @@ def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.Da
         )
         for controller, of_controller in scores.groupby("controller", sort=False)
     ]
-    return pd.concat(frames, ignore_index=True)
+    columns = ["controller", "threshold", "share", "low", "high"]
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
 
 def even_thresholds(scores: pd.DataFrame) -> NDArray[np.float64]:

@@ -220,7 +220,14 @@ def test_networks_without_a_batch_stay_as_they_are(kind: str) -> None:
     active = np.array([True, False, True, False])
     for _ in range(2):
         method.learn(batch, active)
-    for module, before in ((method.network, untouched.network),):
+    pairs = [(method.network, untouched.network)]
+    if kind == "madqn":
+        pairs += [(method.target.network, untouched.target.network)]
+    else:
+        pairs += [(method.critic, untouched.critic)]
+        pairs += [(method.slow_actor.network, untouched.slow_actor.network)]
+        pairs += [(method.slow_critic.network, untouched.slow_critic.network)]
+    for module, before in pairs:
         for now, then in zip(module.parameters(), before.parameters(), strict=True):
             assert torch.equal(now[~torch.from_numpy(active)], then[~torch.from_numpy(active)])
             assert not torch.equal(now[0], then[0])
