@@ -34,6 +34,8 @@ _NAMED_RUNS = 3
 _NAMED_FAILURES = 10
 _WORTH_TELLING_S = 60.0
 """Training that is long enough for the store's share of it to mean something."""
+STORE_SHARE = "the store:"
+"""How the line begins that tells it."""
 
 
 @dataclass
@@ -54,6 +56,8 @@ class Conductor:
     def __init__(self, cells: Sequence[CellPlan], debug: bool = False, plan_kept: bool = False) -> None:
         self._config: ExperimentConfig = cells[0].experiment.config
         self._debug, self._plan_kept = debug, plan_kept
+        self._own_cpu_s = 0.0
+        """What this process did from the beginning of training on, but for playing rules."""
         planned = [job for cell in cells for job in cell.jobs]
         self._shares: Shares = share_cores(self._config.backend, planned, usable_cores())
         require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
@@ -69,7 +73,7 @@ class Conductor:
 
     def conduct(self) -> int:
         """Train, evaluate the rules, print the table; returns the exit code."""
-        began = time.monotonic()
+        began, self._own_cpu_s = time.monotonic(), -time.process_time()
         session = Session(
             [job.progress for job in self._jobs], self._shares.parallel, self._begin, self._take, self._tick
         )
@@ -77,12 +81,15 @@ class Conductor:
             stopped = session.run()
             self._finish_jobs(stopped)
             played: dict[str, Rules] = {}
+            rules_from = time.thread_time()
             for cell in self._cells if not stopped else ():
                 cell.play_rules(played)
+            self._own_cpu_s -= time.thread_time() - rules_from
         finally:
             self._end_cells()
             for line in (*(self._meter.notices() if self._meter else ()), *self._store.close()):
                 tell(f"headway: {line}")
+        self._own_cpu_s += time.process_time()
         with to_a_reader(sys.stdout):
             self._print()
         self._say_where(time.monotonic() - began)
@@ -203,9 +210,9 @@ class Conductor:
         recordings = [job.recording for job in self._jobs if job.recording is not None]
         trained = sum(recording.trained_s for recording in recordings)
         if trained >= _WORTH_TELLING_S:
-            kept, own = sum(recording.store_s for recording in recordings), time.process_time()
+            kept, own = sum(recording.store_s for recording in recordings), self._own_cpu_s
             tell(
-                f"the store: {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
+                f"{STORE_SHARE} {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
                 f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
             )
 

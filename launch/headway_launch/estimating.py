@@ -57,7 +57,8 @@ class Pace:
         left = config.iterations - done
         rate = self.cpu_iteration_s / self.iteration_s
         cpu = self.cpu_start_s + left * self.cpu_iteration_s + evaluating * rate
-        return Expectation(self.start_s + evaluating + left * self.iteration_s, cpu, self.kwh, self.kg_co2)
+        start = self.start_s + (0.0 if done else self.evaluation_s)
+        return Expectation(start + evaluating + left * self.iteration_s, cpu, self.kwh, self.kg_co2)
 
 
 @dataclass(frozen=True)
@@ -264,6 +265,7 @@ def _hear(running: dict[str, tuple[CellPlan, _Trial]]) -> None:
             if event is None:
                 raise HeadwayError(f"the calibration of {trial.name} failed: {trial.process.join()}")
             trial.take(event)
+    for _, trial in running.values():
         if time.monotonic() - trial.launched > _PATIENCE_S:
             raise HeadwayError(
                 f"the calibration of {trial.name} takes longer than {_PATIENCE_S:g} s: give it up"

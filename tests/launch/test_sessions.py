@@ -133,7 +133,7 @@ def test_what_the_store_took_is_told_of_long_trainings(
     seconds: float, told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = SimpleNamespace(recording=SimpleNamespace(trained_s=seconds, store_s=1.0))
-    Conductor._say_what_tracking_took(cast(Conductor, SimpleNamespace(_jobs=[job])))
+    Conductor._say_what_tracking_took(cast(Conductor, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
     assert capsys.readouterr().err.startswith("the store: ") == told
 
 

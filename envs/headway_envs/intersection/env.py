@@ -156,7 +156,8 @@ class IntersectionBatchedEnv:
         return outcome, self._observed
 
     def hand_over(self, speed_mode: int) -> None:
-        """Let SUMO drive all vehicles as humans, with this speed mode; actions are ignored from now on."""
+        """Let SUMO drive all vehicles as humans, with this speed mode; actions are ignored until the
+        episode ends."""
         self.street.hand_over(speed_mode)
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type

@@ -22,7 +22,8 @@ and `pending` (those that wait to enter) means over steps; `hardest_braking_*` t
 vehicle's mean, in gallons a second; `efficiency` is outflow over inflow. `travel_time_av_s` is of AVs that
 went through. `worst_approach_s` and `fairness_jain` (Jain, Chiu and Hawe 1984) compare the four approaches by
 the seconds that AVs spent here for each that went through, so that an approach whose AVs are stuck counts.
-`reward_*` are means over steps of the terms of the reward in use, unweighted."""
+`reward_*` are means over steps of the terms of the reward in use: of `scaled` unweighted, of `paper` with its
+gains."""
 
 
 @dataclass

@@ -72,6 +72,7 @@ class Street:
         self.simulation.begin(seed)
         self.roster.clear()
         self._draw, self._waiting, self.last = draw, 0, Changes()
+        self._handed_over = None
 
     def close(self) -> None:
         """Let go of the simulation."""

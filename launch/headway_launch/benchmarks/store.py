@@ -11,6 +11,7 @@ from statistics import median
 
 from headway.store import RunLog, RunRecord
 from headway.store.folder import Process, cell_name, create_run_folder, now
+from headway_launch.conducting import STORE_SHARE
 
 RUNS, POINTS = 450, 400
 """A study of nine algorithms and fifty seeds, and the points of each curve."""
@@ -18,7 +19,7 @@ ROUNDS = 5
 TRAINING = (
     "experiment=bus_mappo",
     "seed=0,1",
-    "env_steps=200_000",
+    "env_steps=400_000",
     "evaluation.rules=[]",
     "store.checkpoint_every=20",
 )
@@ -42,7 +43,7 @@ def report() -> None:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "headway_launch", "run", *TRAINING, f"store.root={folder}"]
         told = subprocess.run(command, capture_output=True, text=True, check=True).stderr
-        print(next(line for line in told.splitlines() if line.startswith("tracking")), flush=True)
+        print(next(line for line in told.splitlines() if line.startswith(STORE_SHARE)), flush=True)
 
 
 def make_store(root: Path, runs: int = RUNS, points: int = POINTS) -> None:
