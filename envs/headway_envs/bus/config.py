@@ -137,6 +137,9 @@ class UpkeepConfig:
     """A broken bus stands this long before it is towed, s."""
     service_s: float = 900.0
     """Time at the service centre, s."""
+    service_below: float = 1.0
+    """The centre takes buses with fuel or uptime below this share; 1: all. For others SERVICE_CENTER is
+    masked, and is MOVE if chosen all the same."""
     detour_kmh: float = 20.0
     """Speed to the service centre and back, over 1.3 times the crow's distance."""
     detour_fixed_s: float = 120.0
@@ -162,7 +165,7 @@ class UpkeepConfig:
             detour_fixed_s=self.detour_fixed_s,
             depot_gap_s=self.depot_gap_s,
         )
-        _share(idle_share=self.idle_share, warning=self.warning)
+        _share(idle_share=self.idle_share, warning=self.warning, service_below=self.service_below)
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "wear_growth",
         "broken_s",
         "service_s",
+        "service_below",
         "depot_gap_s",
     ]
     return {

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, HeadwayError
-from headway_envs.bus.config import BusConfig
+from headway_envs.bus.config import BusConfig, UpkeepConfig
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel.layout import AWAY, DEPOT, MOVE, SERVICE_CENTER, WAIT
+from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, MOVE, SERVICE_CENTER, WAIT
 from headway_envs.bus.kernel.spacing import COUNTED
 from headway_envs.bus.prepared import Prepared, prepare
 
@@ -150,6 +150,26 @@ def test_service_is_masked_while_away_and_ends_with_a_full_tank(line: Prepared) 
         env.step(np.ones((1, slots), np.int64))
     assert env.world.days["visits"][0] >= away.sum()
     assert env.world.slots["fuel"][away].min() > 70
+
+
+def test_a_centre_for_worn_buses_takes_no_others() -> None:
+    """Whoever orders all buses to it all day has them go when they are worn, and drive on until then."""
+    config = BusConfig(upkeep=UpkeepConfig(service_below=0.6))
+    prepared = prepare(config)
+    env, order = _begun(prepared, 1), np.full((1, 14), SERVICE_CENTER)
+    slots, sent = env.world.slots, 0
+    for _ in range(config.ticks - 1):
+        before = slots.copy()
+        masks = env.observed().action_masks
+        assert masks is not None
+        level = np.minimum(slots["fuel"] / config.upkeep.fuel_capacity, slots["uptime"])
+        alive, idle = env.observed().alive, np.isin(slots["phase"], [AWAY, BROKEN, DEPOT])
+        assert np.array_equal(masks[..., SERVICE_CENTER], ~alive | ~idle & (level < 0.6))
+        env.step(order)
+        left = (slots["phase"] == AWAY) & ~np.isin(before["phase"], [AWAY, BROKEN])
+        assert np.all(level[left] < 0.61)
+        sent += int(left.sum())
+    assert 14 < sent < 3 * 14
 
 
 def test_a_day_ends_terminated_and_the_next_begins(line: Prepared) -> None:

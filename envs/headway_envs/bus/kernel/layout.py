@@ -111,6 +111,7 @@ SETTINGS = np.dtype(
             "wear_growth",
             "broken_s",
             "service_s",
+            "service_below",
             "depot_gap_s",
             "weight_service",
             "weight_efficiency",

@@ -36,6 +36,7 @@ from headway_envs.bus.kernel.layout import (
     World,
 )
 from headway_envs.bus.kernel.passengers import board, change_load, put_off
+from headway_envs.bus.kernel.upkeep import is_serviceable
 from headway_envs.keyed_draws import uniform
 
 
@@ -187,7 +188,7 @@ def to_service(net: Network, k: Record, world: World, c: int, n: int, time: floa
 def decide(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> None:
     """A decision event: use the latched action."""
     slot = world.slots[c, n]
-    if action == MOVE:
+    if action == MOVE or (action == SERVICE_CENTER and not is_serviceable(k, world, c, n)):
         if slot.phase == TERMINAL:
             slot.phase = DISPATCHED
             delay = k.dispatch_s * exponential(world.days[c].key, DISPATCH, slot.trip, 0)

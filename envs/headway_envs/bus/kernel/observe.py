@@ -24,6 +24,7 @@ from headway_envs.bus.kernel.layout import (
     Record,
     World,
 )
+from headway_envs.bus.kernel.upkeep import is_serviceable
 
 
 @compiled
@@ -118,7 +119,8 @@ def observe(
         alive[n] = phase != DEPOT or world.event_time[c, n] < until
         masks[n, WAIT] = True
         masks[n, MOVE] = True
-        masks[n, SERVICE_CENTER] = phase != AWAY and phase != BROKEN
+        there = phase in (AWAY, BROKEN) or (phase == DEPOT and k.service_below < 1.0)
+        masks[n, SERVICE_CENTER] = not there and is_serviceable(k, world, c, n)
         if not alive[n]:
             observations[n, :] = 0.0
             masks[n, SERVICE_CENTER] = True

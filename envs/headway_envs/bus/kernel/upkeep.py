@@ -1,4 +1,5 @@
-"""What upkeep is still to cost: the potential that `reward.foresee_upkeep` adds to rewards.
+"""Whom the service centre takes, and what upkeep is still to cost: the potential that `reward.foresee_upkeep`
+adds to rewards.
 
 A potential-based change of the reward leaves the ranking of policies as it is (Ng, Harada and Russell 1999,
 "Policy invariance under reward transformations"); taken undiscounted, its sum over a day is a constant.
@@ -9,6 +10,14 @@ from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
 from headway_envs.bus.kernel.layout import AWAY, DEPOT, Network, Record, World
+
+
+@compiled
+def is_serviceable(k: Record, world: World, c: int, n: int) -> bool:
+    """Whether the service centre would take the slot as it is now."""
+    slot = world.slots[c, n]
+    level = min(slot.fuel / k.fuel_capacity, slot.uptime)
+    return bool(k.service_below >= 1.0 or level < k.service_below)
 
 
 @compiled
