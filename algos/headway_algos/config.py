@@ -3,10 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
+from headway.contracts.checks import require
 
 
 @dataclass(frozen=True)
@@ -36,10 +33,10 @@ class ModelConfig:
     ones. Longer ones learn what must be remembered for longer, and are slower."""
 
     def __post_init__(self) -> None:
-        _require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
-        _require(self.gru_size >= 1, "gru_size must be at least 1")
-        _require(self.sequence_length >= 1, "sequence_length must be at least 1")
-        _require(self.actor_gain > 0, "actor_gain must be above 0")
+        require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
+        require(self.gru_size >= 1, "gru_size must be at least 1")
+        require(self.sequence_length >= 1, "sequence_length must be at least 1")
+        require(self.actor_gain > 0, "actor_gain must be above 0")
 
 
 @dataclass(frozen=True)
@@ -145,49 +142,49 @@ class AlgoConfig:
     effect on results beyond rounding."""
 
     def __post_init__(self) -> None:
-        _require(0 <= self.shared_until < 1, "shared_until must lie in [0, 1)")
+        require(0 <= self.shared_until < 1, "shared_until must lie in [0, 1)")
         parting = self.shared_until > 0
-        _require(not parting or self.policies != "shared", "shared_until is for policies that are not shared")
-        _require(
+        require(not parting or self.policies != "shared", "shared_until is for policies that are not shared")
+        require(
             not parting or self.order == "simultaneous",
             "shared_until must be 0 where agents are updated one after another",
         )
-        _require(self.apart_lr > 0, "apart_lr must be above 0")
-        _require(
+        require(self.apart_lr > 0, "apart_lr must be above 0")
+        require(
             parting or self.apart_lr == 1,
             "apart_lr is for policies that part: set shared_until, or leave apart_lr at 1",
         )
-        _require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
-        _require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
-        _require(self.lr > 0, "lr must be above 0")
-        _require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
-        _require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
-        _require(
+        require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
+        require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
+        require(self.lr > 0, "lr must be above 0")
+        require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
+        require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
+        require(
             self.critic_actions == "none" or self.critic == "central",
             "critic_actions must be none unless critic is central: a local critic sees no one else, and a "
             "counterfactual one sees the others' actions always",
         )
-        _require(
+        require(
             self.model.core == "none" or "kfac" not in (self.update, self.critic_update),
             "model.core must be none with kfac, whose factors are of multilayer perceptrons",
         )
-        _require(self.target_every >= 1, "target_every must be at least 1")
-        _require(self.epochs >= 1, "epochs must be at least 1")
-        _require(self.minibatches >= 1, "minibatches must be at least 1")
-        _require(self.clip > 0, "clip must be above 0")
-        _require(self.kl_coeff >= 0, "kl_coeff must be at least 0")
-        _require(self.kl_target > 0, "kl_target must be above 0")
-        _require(self.kl_bound > 0, "kl_bound must be above 0")
-        _require(0 <= self.accept_ratio < 1, "accept_ratio must lie in [0, 1)")
-        _require(self.cg_iterations >= 1, "cg_iterations must be at least 1")
-        _require(self.cg_damping > 0, "cg_damping must be above 0")
-        _require(self.line_search_steps >= 0, "line_search_steps must be at least 0")
-        _require(0 < self.fisher_share <= 1, "fisher_share must lie in (0, 1]")
-        _require(self.kfac_damping > 0, "kfac_damping must be above 0")
-        _require(0 <= self.kfac_decay < 1, "kfac_decay must lie in [0, 1)")
-        _require(self.kfac_every >= 1, "kfac_every must be at least 1")
-        _require(0 <= self.kfac_momentum < 1, "kfac_momentum must lie in [0, 1)")
-        _require(self.critic_kl_bound > 0, "critic_kl_bound must be above 0")
-        _require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
-        _require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
-        _require(self.piece_samples >= 1, "piece_samples must be at least 1")
+        require(self.target_every >= 1, "target_every must be at least 1")
+        require(self.epochs >= 1, "epochs must be at least 1")
+        require(self.minibatches >= 1, "minibatches must be at least 1")
+        require(self.clip > 0, "clip must be above 0")
+        require(self.kl_coeff >= 0, "kl_coeff must be at least 0")
+        require(self.kl_target > 0, "kl_target must be above 0")
+        require(self.kl_bound > 0, "kl_bound must be above 0")
+        require(0 <= self.accept_ratio < 1, "accept_ratio must lie in [0, 1)")
+        require(self.cg_iterations >= 1, "cg_iterations must be at least 1")
+        require(self.cg_damping > 0, "cg_damping must be above 0")
+        require(self.line_search_steps >= 0, "line_search_steps must be at least 0")
+        require(0 < self.fisher_share <= 1, "fisher_share must lie in (0, 1]")
+        require(self.kfac_damping > 0, "kfac_damping must be above 0")
+        require(0 <= self.kfac_decay < 1, "kfac_decay must lie in [0, 1)")
+        require(self.kfac_every >= 1, "kfac_every must be at least 1")
+        require(0 <= self.kfac_momentum < 1, "kfac_momentum must lie in [0, 1)")
+        require(self.critic_kl_bound > 0, "critic_kl_bound must be above 0")
+        require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
+        require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
+        require(self.piece_samples >= 1, "piece_samples must be at least 1")

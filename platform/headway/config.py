@@ -4,12 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from headway.contracts.checks import require
+
 _STUDY_LENGTH = 100
-
-
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
 
 
 def _require_study(name: str) -> None:
@@ -17,12 +14,12 @@ def _require_study(name: str) -> None:
     forms = "write letters, digits, spaces and . _ -, such as study=bus_line"
     shown = repr(name) if len(name) <= _STUDY_LENGTH else f"{name[:20]!r}..."
     named = any(letter.isascii() and letter.isalnum() for letter in name)
-    _require(named, f"study {shown} has no letter or digit; {forms}")
+    require(named, f"study {shown} has no letter or digit; {forms}")
     wrong = "".join(letter for letter in name if letter in "/\\" or not letter.isprintable())
-    _require(not wrong, f"study {shown} has {wrong[:1]!r} in it; {forms}")
-    _require(".." not in name, f"study {shown} has '..' in it; {forms}")
-    _require(name == name.strip(), f"study {shown} begins or ends with a blank; {forms}")
-    _require(len(name) <= _STUDY_LENGTH, f"study {shown} is longer than {_STUDY_LENGTH} letters; {forms}")
+    require(not wrong, f"study {shown} has {wrong[:1]!r} in it; {forms}")
+    require(".." not in name, f"study {shown} has '..' in it; {forms}")
+    require(name == name.strip(), f"study {shown} begins or ends with a blank; {forms}")
+    require(len(name) <= _STUDY_LENGTH, f"study {shown} is longer than {_STUDY_LENGTH} letters; {forms}")
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         limit = self.max_copies_per_process
-        _require(limit is None or limit >= 1, "max_copies_per_process must be at least 1, or null")
+        require(limit is None or limit >= 1, "max_copies_per_process must be at least 1, or null")
 
 
 @dataclass(frozen=True)
@@ -68,10 +65,10 @@ class RolloutConfig:
     Smaller where a process can hold few copies of the environment: a run's `plan.json` has what it was."""
 
     def __post_init__(self) -> None:
-        _require(self.copies >= 1, "copies must be at least 1")
-        _require(self.steps >= 1, "steps must be at least 1")
-        _require(self.block >= 1, "block must be at least 1")
-        _require(self.copies % self.block == 0, f"block {self.block} must divide copies {self.copies}")
+        require(self.copies >= 1, "copies must be at least 1")
+        require(self.steps >= 1, "steps must be at least 1")
+        require(self.block >= 1, "block must be at least 1")
+        require(self.copies % self.block == 0, f"block {self.block} must divide copies {self.copies}")
 
 
 @dataclass(frozen=True)
@@ -92,9 +89,9 @@ class BackendConfig:
     """Seeds trained in one process as one stack (for GPUs; on a CPU processes are faster)."""
 
     def __post_init__(self) -> None:
-        _require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
-        _require(self.parallel is None or self.parallel >= 1, "parallel must be at least 1, or null")
-        _require(self.stack >= 1, "stack must be at least 1")
+        require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
+        require(self.parallel is None or self.parallel >= 1, "parallel must be at least 1, or null")
+        require(self.stack >= 1, "stack must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -118,10 +115,10 @@ class EvaluationConfig:
     """Rules of the environment evaluated beside the learner; null: all that it has, [] none."""
 
     def __post_init__(self) -> None:
-        _require(self.episodes >= 1, "episodes must be at least 1")
-        _require(self.every >= 1, "every must be at least 1")
-        _require(self.final_episodes >= 1, "final_episodes must be at least 1")
-        _require(len(self.modes) >= 1, "modes must name at least one of greedy, sampled")
+        require(self.episodes >= 1, "episodes must be at least 1")
+        require(self.every >= 1, "every must be at least 1")
+        require(self.final_episodes >= 1, "final_episodes must be at least 1")
+        require(len(self.modes) >= 1, "modes must name at least one of greedy, sampled")
 
     @property
     def last_episodes(self) -> int:
@@ -143,8 +140,8 @@ class StoreConfig:
     """Iterations between checkpoints; the log is made durable with each."""
 
     def __post_init__(self) -> None:
-        _require(self.curve_points >= 2, "curve_points must be at least 2")
-        _require(self.checkpoint_every >= 1, "checkpoint_every must be at least 1")
+        require(self.curve_points >= 2, "curve_points must be at least 2")
+        require(self.checkpoint_every >= 1, "checkpoint_every must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -162,8 +159,8 @@ class EnergyConfig:
     """Seconds between measurements."""
 
     def __post_init__(self) -> None:
-        _require(self.cpu_power_w is None or self.cpu_power_w > 0, "cpu_power_w must be above 0, or null")
-        _require(self.interval_s > 0, "interval_s must be above 0")
+        require(self.cpu_power_w is None or self.cpu_power_w > 0, "cpu_power_w must be above 0, or null")
+        require(self.interval_s > 0, "interval_s must be above 0")
 
 
 @dataclass(frozen=True)
@@ -190,10 +187,10 @@ class ExperimentConfig:
 
     def __post_init__(self) -> None:
         _require_study(self.study)
-        _require(len(self.seed) >= 1, "seed must name at least one seed")
-        _require(all(seed >= 0 for seed in self.seed), "seeds must be at least 0")
-        _require(len(set(self.seed)) == len(self.seed), "seeds must differ from each other")
-        _require(self.env_steps >= 1, "env_steps must be at least 1")
+        require(len(self.seed) >= 1, "seed must name at least one seed")
+        require(all(seed >= 0 for seed in self.seed), "seeds must be at least 0")
+        require(len(set(self.seed)) == len(self.seed), "seeds must differ from each other")
+        require(self.env_steps >= 1, "env_steps must be at least 1")
 
     @property
     def iterations(self) -> int:

@@ -4,11 +4,7 @@ from dataclasses import dataclass, field
 from math import exp
 from typing import Literal
 
-
-def require(holds: bool, message: str) -> None:
-    """Raise ValueError with `message` unless it holds."""
-    if not holds:
-        raise ValueError(message)
+from headway.contracts.checks import require
 
 
 @dataclass(frozen=True)

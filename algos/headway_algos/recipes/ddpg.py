@@ -17,7 +17,8 @@ what it has just done alone.
 from dataclasses import dataclass
 from typing import Literal
 
-from headway_algos.offpolicy.config import ReplayConfig, require
+from headway.contracts.checks import require
+from headway_algos.offpolicy.config import ReplayConfig
 
 SUMMARY = "deterministic actor and Q critic of each agent: replay memory, target networks; Box actions"
 SOURCE = "Lillicrap et al. 2016, arXiv:1509.02971"

@@ -3,28 +3,20 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from headway.contracts.checks import require, require_at_least
+
 SCENARIOS = ("line", "corridor")
 """Names of the built-in synthetic scenarios; anything else is the path of a scenario folder."""
 
 
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
-
-
-def _at_least(low: float, **values: float) -> None:
-    for name, value in values.items():
-        _require(value >= low, f"{name} must be at least {low:g}, not {value:g}")
-
-
 def _share(**values: float) -> None:
     for name, value in values.items():
-        _require(0 <= value <= 1, f"{name} must lie between 0 and 1, not {value:g}")
+        require(0 <= value <= 1, f"{name} must lie between 0 and 1, not {value:g}")
 
 
 def _above(low: float, **values: float) -> None:
     for name, value in values.items():
-        _require(value > low, f"{name} must be above {low:g}, not {value:g}")
+        require(value > low, f"{name} must be above {low:g}, not {value:g}")
 
 
 @dataclass(frozen=True)
@@ -55,8 +47,8 @@ class RewardConfig:
     released code."""
 
     def __post_init__(self) -> None:
-        _require(self.preset in ("default", "paper"), f"preset must be default or paper, not '{self.preset}'")
-        _at_least(
+        require(self.preset in ("default", "paper"), f"preset must be default or paper, not '{self.preset}'")
+        require_at_least(
             0,
             service=self.service,
             efficiency=self.efficiency,
@@ -65,7 +57,7 @@ class RewardConfig:
         )
         _share(follower_share=self.follower_share)
         total = self.service + self.efficiency + self.maintenance + self.regularity
-        _require(total > 0, "at least one of the weights must be above 0")
+        require(total > 0, "at least one of the weights must be above 0")
 
 
 @dataclass(frozen=True)
@@ -98,7 +90,7 @@ class NoiseConfig:
     """Mean delay between the decision to leave a terminal and leaving it, exponential, s (assumption)."""
 
     def __post_init__(self) -> None:
-        _at_least(
+        require_at_least(
             0,
             trip_sd=self.trip_sd,
             day_sd=self.day_sd,
@@ -111,7 +103,7 @@ class NoiseConfig:
             dispatch_s=self.dispatch_s,
         )
         _share(incident_probability=self.incident_probability)
-        _at_least(2, incident_factor=self.incident_factor)
+        require_at_least(2, incident_factor=self.incident_factor)
 
 
 @dataclass(frozen=True)
@@ -157,7 +149,7 @@ class UpkeepConfig:
             service_s=self.service_s,
             detour_kmh=self.detour_kmh,
         )
-        _at_least(
+        require_at_least(
             0,
             breakdowns_per_hour=self.breakdowns_per_hour,
             wear_growth=self.wear_growth,
@@ -219,28 +211,28 @@ class BusConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        _require(bool(self.scenario), "scenario must name line, corridor or a scenario folder")
-        _at_least(0, scenario_seed=self.scenario_seed)
-        _require(
+        require(bool(self.scenario), "scenario must name line, corridor or a scenario folder")
+        require_at_least(0, scenario_seed=self.scenario_seed)
+        require(
             self.day_type in ("weekday", "sunday"),
             f"day_type must be weekday or sunday, not '{self.day_type}'",
         )
-        _require(
+        require(
             self.observation in ("paper", "published", "control"),
             f"observation must be paper, published or control, not '{self.observation}'",
         )
-        _require(
+        require(
             self.state in ("auto", "full", "aggregate"),
             f"state must be auto, full or aggregate, not '{self.state}'",
         )
         _above(0, tick_s=self.tick_s, hold_s=self.hold_s)
-        _require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
-        _require(
+        require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
+        require(
             self.day_s % self.tick_s == 0,
             f"tick_s {self.tick_s:g} must divide the service day of {self.day_s:g} s",
         )
-        _require(self.capacity >= 1, "capacity must be at least 1")
-        _at_least(
+        require(self.capacity >= 1, "capacity must be at least 1")
+        require_at_least(
             0,
             boarding_s=self.boarding_s,
             alighting_s=self.alighting_s,

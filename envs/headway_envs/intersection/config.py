@@ -4,27 +4,19 @@ paper's values stand in `configs/env/intersection_paper.yaml`."""
 from dataclasses import dataclass, field
 from typing import Literal
 
+from headway.contracts.checks import require, require_at_least
+
 STEP_S = 0.1
 """Length of a step, s."""
 
 
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
-
-
 def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
-    _require(value in choices, f"{name} must be one of {', '.join(choices)}, not '{value}'")
-
-
-def _at_least(low: float, **values: float) -> None:
-    for name, value in values.items():
-        _require(value >= low, f"{name} must be at least {low:g}, not {value:g}")
+    require(value in choices, f"{name} must be one of {', '.join(choices)}, not '{value}'")
 
 
 def _mode(bits: int, **values: int) -> None:
     for name, value in values.items():
-        _require(0 <= value < 2**bits, f"{name} must lie between 0 and {2**bits - 1}, not {value}")
+        require(0 <= value < 2**bits, f"{name} must lie between 0 and {2**bits - 1}, not {value}")
 
 
 @dataclass(frozen=True)
@@ -55,7 +47,7 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         _one_of("kind", self.kind, ("scaled", "paper"))
-        _at_least(
+        require_at_least(
             0,
             velocity=self.velocity,
             standstill=self.standstill,
@@ -128,10 +120,10 @@ class IntersectionConfig:
         _one_of("observation", self.observation, ("paper", "extended"))
         _one_of("on_collision", self.on_collision, ("remove_pair", "end_episode"))
         _one_of("at_exit", self.at_exit, ("truncated", "terminated"))
-        _at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)
-        _require(0 <= self.impatience <= 1, f"impatience must lie between 0 and 1, not {self.impatience:g}")
-        _require(self.vph_per_lane_av > 0, f"vph_per_lane_av must be above 0, not {self.vph_per_lane_av:g}")
-        _at_least(1, horizon=self.horizon, slots=self.slots)
+        require_at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)
+        require(0 <= self.impatience <= 1, f"impatience must lie between 0 and 1, not {self.impatience:g}")
+        require(self.vph_per_lane_av > 0, f"vph_per_lane_av must be above 0, not {self.vph_per_lane_av:g}")
+        require_at_least(1, horizon=self.horizon, slots=self.slots)
         _mode(7, av_speed_mode=self.av_speed_mode, hdv_speed_mode=self.hdv_speed_mode)
         _mode(12, av_lane_change_mode=self.av_lane_change_mode)
-        _at_least(0, warm_up_s=self.warm_up_s)
+        require_at_least(0, warm_up_s=self.warm_up_s)

@@ -4,16 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from headway.contracts.checks import require
+
 CAVS: Mapping[int, tuple[int, int]] = {1: (1, 3), 2: (2, 4), 3: (4, 6)}
 """Fewest and most CAVs of an episode, by density."""
 HDVS: Mapping[int, tuple[int, int]] = {1: (1, 3), 2: (2, 4), 3: (3, 5)}
 """Fewest and most vehicles driven by humans."""
 MOST_CAVS = 6
-
-
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
 
 
 @dataclass(frozen=True)
@@ -39,9 +36,9 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         for name in ("collision", "speed", "ramp_end", "spacing"):
-            _require(getattr(self, name) >= 0, f"{name} must be at least 0, not {getattr(self, name):g}")
-        _require(self.headway_s > 0, f"headway_s must be above 0, not {self.headway_s:g}")
-        _require(
+            require(getattr(self, name) >= 0, f"{name} must be at least 0, not {getattr(self, name):g}")
+        require(self.headway_s > 0, f"headway_s must be above 0, not {self.headway_s:g}")
+        require(
             self.scope in ("global", "regional", "own"),
             f"scope must be global, regional or own, not '{self.scope}'",
         )
@@ -125,13 +122,13 @@ class MergeConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        _require(self.density in CAVS, f"density must be 1, 2 or 3, not {self.density}")
-        _require(self.preset in PRESETS, f"preset must be clean or paper, not '{self.preset}'")
-        _require(
+        require(self.density in CAVS, f"density must be 1, 2 or 3, not {self.density}")
+        require(self.preset in PRESETS, f"preset must be clean or paper, not '{self.preset}'")
+        require(
             self.cavs is None or 1 <= self.cavs <= MOST_CAVS,
             f"cavs must be null or between 1 and {MOST_CAVS}, not {self.cavs}",
         )
-        _require(self.steps >= 1, f"steps must be at least 1, not {self.steps}")
+        require(self.steps >= 1, f"steps must be at least 1, not {self.steps}")
 
     @property
     def cav_range(self) -> tuple[int, int]:
