@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway.contracts import Box, Discrete, EnvSpec
-from headway_algos.acting import OBSERVATION_CLIP, actor_outputs
+from headway_algos.acting import actor_outputs
 from headway_algos.config import ModelConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.normalisation import RunningMoments
@@ -36,12 +36,6 @@ class Actor(nn.Module):
         if isinstance(spec.action_space, Box):
             shape = (len(seeds) * policies, outputs, 1)
             self.log_std = nn.Parameter(torch.full(shape, model.log_std, dtype=dtype))
-
-    def normalise(self, observations: Tensor) -> Tensor:
-        """Observations (P, B, D) in units of the running mean and standard deviation, cut at 10."""
-        mean, scale = self.moments.mean, self.moments.scale
-        scaled = (observations - mean.to(observations.dtype)) * scale.to(observations.dtype)
-        return scaled.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
 
     def forward(
         self, rows: Tensor, masks: Tensor | None, timeline: Timeline | None = None

@@ -50,7 +50,7 @@ class Behaviour:
             for piece in even_slices(observations.shape[1], len(observations), self.config.piece_samples):
                 rows = observations[:, piece]
                 if self.config.normalise_observations:
-                    rows = self.actor.normalise(rows)
+                    rows = self.actor.moments.normalised(rows)
                 timeline = None if memory is None else Timeline.of_moments(memory[:, piece])
                 distribution = self.actor(rows, None if masks is None else masks[:, piece], timeline)
                 assert isinstance(distribution, MaskedCategorical)

@@ -70,7 +70,7 @@ class OnPolicyLearner:
         alive = trajectory.alive[:-1]
         observations = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
         if self.config.normalise_observations:
-            observations = self.actor.normalise(observations)
+            observations = self.actor.moments.normalised(observations)
         return observations
 
     def _memories(self, trajectory: Trajectory, observations: Tensor) -> Memories | None:

@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor, nn
 
+from headway_algos.acting import OBSERVATION_CLIP
+
 
 class RunningMoments(nn.Module):
     """Mean and variance of all rows seen, by Chan's parallel formula, in float64; (P, 1, size) each.
@@ -41,6 +43,11 @@ class RunningMoments(nn.Module):
         self.mean += shift * share
         self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)
         self.count = total
+
+    def normalised(self, rows: Tensor) -> Tensor:
+        """Rows (P, B, size) in units of the mean and standard deviation, cut at 10; in their precision."""
+        scaled = (rows - self.mean.to(rows.dtype)) * self.scale.to(rows.dtype)
+        return scaled.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
 
     @property
     def scale(self) -> Tensor:

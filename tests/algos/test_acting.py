@@ -71,7 +71,7 @@ def _torch_log_probs(
     layout = learner.layout
     rows = layout.rows(observed.observations[None])
     if learner.config.normalise_observations:
-        rows = learner.actor.normalise(rows)
+        rows = learner.actor.moments.normalised(rows)
     masks = None if observed.action_masks is None else layout.rows(observed.action_masks[None])
     with torch.no_grad():
         log_probs = learner.actor(rows, masks).log_prob(layout.rows(actions[None]))

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway.contracts import Trajectory, generator
-from headway_algos.acting import OBSERVATION_CLIP
 from headway_algos.config import AlgoConfig
 from headway_algos.critics.estimate import Estimate
 from headway_algos.critics.natural import NaturalRegression
@@ -46,9 +45,7 @@ class ReturnNetworks(nn.Module):
         """(P, B, input_size): what was seen (P, B, seen_size) in units of its running moments, cut at 10,
         then indicators (P, B, indicator_size) as they are."""
         if self.config.normalise_observations:
-            moments = self.input_moments
-            seen = (seen - moments.mean.to(seen.dtype)) * moments.scale.to(seen.dtype)
-            seen = seen.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
+            seen = self.input_moments.normalised(seen)
         return seen if indicators is None else torch.cat([seen, indicators], dim=2)
 
     def predict(self, inputs: Tensor, memory: Tensor | None = None) -> Tensor:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory, generator
-from headway_algos.acting import OBSERVATION_CLIP
 from headway_algos.experience import Layout, zero_where_absent
 from headway_algos.grouping import Grouping
 from headway_algos.networks import StackedMLP
@@ -149,15 +148,13 @@ class ReplayLearner:
         return sums
 
     def _normalised(self, batch: Batch) -> Batch:
-        """Observations in units of the running mean and standard deviation, cut at 10."""
         if not self.config.normalise_observations:
             return batch
-        mean, scale = self.moments.mean.to(self.dtype), self.moments.scale.to(self.dtype)
-        now, then = (
-            ((rows - mean) * scale).clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
-            for rows in (batch.observations, batch.next_observations)
+        return replace(
+            batch,
+            observations=self.moments.normalised(batch.observations),
+            next_observations=self.moments.normalised(batch.next_observations),
         )
-        return replace(batch, observations=now, next_observations=then)
 
     def state_dict(self) -> dict[str, Any]:
         """The networks, and how far training is."""
