@@ -11,6 +11,7 @@ from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
+from headway_algos.offpolicy.config import ReplayConfig
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations are cut at this many standard deviations, as by OpenAI Baselines' VecNormalize."""
@@ -48,7 +49,7 @@ class StackedActingPolicy:
     """Observations are normalised, and cut, before the network."""
 
     @classmethod
-    def of(cls, config: AlgoConfig, spec: EnvSpec) -> "StackedActingPolicy":
+    def of(cls, config: AlgoConfig | ReplayConfig, spec: EnvSpec) -> "StackedActingPolicy":
         """The policy of an algorithm's config on an environment."""
         actor_outputs(spec)
         model, grouping = config.model, Grouping.of(config.policies, spec)

@@ -9,17 +9,9 @@ from numpy.typing import NDArray
 from headway.contracts import Box, EnvSpec, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting import StackedActingPolicy
-from headway_algos.grouping import Grouping
 from headway_algos.offpolicy.config import ReplayConfig
 
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
-
-
-def _stack(config: ReplayConfig, spec: EnvSpec) -> StackedActingPolicy:
-    model, grouping = config.model, Grouping.of(config.policies, spec)
-    return StackedActingPolicy(
-        spec, grouping, model.hidden, model.activation, config.precision, config.normalise_observations
-    )
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ class EpsilonGreedyPolicy:
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec) -> "EpsilonGreedyPolicy":
         """The policy of an algorithm's config on an environment."""
-        return cls(ExploringStack(_stack(config, spec)))
+        return cls(ExploringStack(StackedActingPolicy.of(config, spec)))
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """`exploration` is epsilon."""
@@ -107,7 +99,7 @@ class WanderingPolicy:
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec, theta: float, sigma: float) -> "WanderingPolicy":
         """The policy of an algorithm's config on an environment with a bounded Box."""
-        return cls(ExploringStack(_stack(config, spec)), theta, sigma)
+        return cls(ExploringStack(StackedActingPolicy.of(config, spec)), theta, sigma)
 
     @property
     def memory_size(self) -> int:
