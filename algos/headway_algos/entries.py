@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Learner, MultiDiscrete
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import missing_groups
 from headway_algos.offpolicy.entries import OFF_POLICY
 from headway_algos.recipes import (
     coma,
@@ -42,8 +43,8 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
             f"{config.name} takes Discrete actions, which its counterfactual critic compares, and "
             f"{spec.name} has Box ones; use an algorithm with a local or central critic, such as algo=mappo"
         )
-    if config.policies == "groups" and not spec.groups:
-        return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
+    if (line := missing_groups(config.policies, spec)) is not None:
+        return line
     if config.order == "sequential" and config.policies != "independent":
         at_once = _AT_ONCE.get(config.name, "algo.order=simultaneous")
         return (

@@ -10,6 +10,13 @@ from numpy.typing import NDArray
 from headway.contracts import EnvSpec
 
 
+def missing_groups(policies: str, spec: EnvSpec) -> str | None:
+    """Why a config's `policies` cannot be had: one for each group of an environment that names none."""
+    if policies == "groups" and not spec.groups:
+        return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
+    return None
+
+
 @dataclass(frozen=True)
 class Grouping:
     """K policies over N agents. Policy k's agents are `members[k]`, padded with -1 to G columns."""

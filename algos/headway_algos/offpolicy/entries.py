@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
-from headway_algos.grouping import Grouping
+from headway_algos.grouping import Grouping, missing_groups
 from headway_algos.offpolicy.acting import EpsilonGreedyPolicy, WanderingPolicy
 from headway_algos.offpolicy.config import ReplayConfig
 from headway_algos.recipes import ddpg, madqn
@@ -25,12 +25,6 @@ def _ddpg(config: ddpg.DDPGConfig, spec: EnvSpec, seeds: Sequence[int], device: 
     return ReplayLearner(config, spec, seeds, device, DeterministicMethod)
 
 
-def _ungrouped(config: ReplayConfig, spec: EnvSpec) -> str | None:
-    if config.policies == "groups" and not spec.groups:
-        return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
-    return None
-
-
 def _kind(spec: EnvSpec) -> str:
     return type(spec.action_space).__name__
 
@@ -42,7 +36,7 @@ def _madqn_refuses(config: madqn.MADQNConfig, spec: EnvSpec) -> str | None:
             f"{config.name} takes Discrete actions, whose values it compares, and {spec.name} has "
             f"{_kind(spec)} ones{instead}"
         )
-    return _ungrouped(config, spec)
+    return missing_groups(config.policies, spec)
 
 
 def _ddpg_refuses(config: ddpg.DDPGConfig, spec: EnvSpec) -> str | None:
@@ -58,7 +52,7 @@ def _ddpg_refuses(config: ddpg.DDPGConfig, spec: EnvSpec) -> str | None:
             f"{config.name} takes Box actions with bounds, to which it scales them, and {spec.name} has some "
             "without; use an algorithm with Gaussian actions, such as algo=ippo"
         )
-    return _ungrouped(config, spec)
+    return missing_groups(config.policies, spec)
 
 
 def _epsilon_greedy(config: madqn.MADQNConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
