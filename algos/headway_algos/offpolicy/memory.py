@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Box, EnvSpec
+from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.offpolicy.transitions import Transitions
 
 
@@ -48,8 +48,8 @@ class ReplayMemory:
             "discounts": ((), np.float64),
             "next_observations": ((size,), np.float32),
         }
-        if spec.has_action_mask:
-            kinds["next_masks"] = (getattr(spec.action_space, "n", 0),), np.bool_
+        if spec.has_action_mask and isinstance(spec.action_space, Discrete):
+            kinds["next_masks"] = (spec.action_space.n,), np.bool_
         self.arrays: dict[str, Tensor] = {
             # numpy's zeros take no memory until they are written to.
             name: torch.from_numpy(np.zeros((policies * capacity, *shape), dtype)).to(device)
