@@ -426,17 +426,18 @@ def _regression(
     )
 
 
-def _regress(regression: NaturalRegression, network: StackedMLP, rows: Tensor, targets: Tensor) -> None:
+def _regress(regression: NaturalRegression, rows: Tensor, targets: Tensor) -> None:
     regression.begin()
     weight = torch.full((P, B), 1 / B, dtype=DOUBLE)
-    ((network(rows)[:, 0] - targets) ** 2 * weight).sum().backward()
-    regression.include(rows, None, weight)
+    outputs, linear = regression.outputs(rows)
+    ((outputs[:, 0] - targets) ** 2 * weight).sum().backward()
+    regression.include(linear, None, weight)
     regression.step(np.ones(P, np.bool_))
 
 
 def test_a_linear_critic_is_at_the_least_squares_solution_after_one_whole_step() -> None:
     regression, network, rows, targets = _regression(bound=1e9)
-    _regress(regression, network, rows, targets)
+    _regress(regression, rows, targets)
     for p in range(P):
         design = np.concatenate([rows[p].numpy(), np.ones((B, 1))], axis=1)
         best = np.linalg.lstsq(design, targets[p].numpy())[0]
@@ -451,6 +452,6 @@ def test_a_critics_values_change_as_much_as_its_bound_allows(
     """Half the mean squared change: exactly that where values are linear in the parameters."""
     regression, network, rows, targets = _regression(1e-5, hidden)
     before = network(rows).detach()
-    _regress(regression, network, rows, targets)
+    _regress(regression, rows, targets)
     change = 0.5 * ((network(rows).detach() - before) ** 2).mean(dim=(1, 2))
     torch.testing.assert_close(change, torch.full_like(change, 1e-5), rtol=tolerance, atol=0)

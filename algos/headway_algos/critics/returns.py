@@ -127,20 +127,21 @@ class Regression:
         for pieces, active in learning_batches(selected, sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                outputs = network(piece.of(estimate.inputs), piece.timeline)
-                if estimate.taken is None:
-                    values = outputs[:, 0]
+                inputs, linear = piece.of(estimate.inputs), None
+                taken = None if estimate.taken is None else piece.of(estimate.taken)
+                if isinstance(self.optimiser, NaturalRegression):
+                    outputs, linear = self.optimiser.outputs(inputs)
                 else:
-                    values = outputs.gather(1, piece.of(estimate.taken)[:, None])[:, 0]
+                    outputs = network(inputs, piece.timeline)
+                values = outputs[:, 0] if taken is None else outputs.gather(1, taken[:, None])[:, 0]
                 error = (values - piece.of(targets)) ** 2
                 if config.value_clip is not None:
                     error = error.clamp(max=config.value_clip)
                 loss = (error * piece.weight).sum(1)
                 loss.sum().backward()
                 loss_sum += loss.detach()
-                if isinstance(self.optimiser, NaturalRegression):
-                    taken = None if estimate.taken is None else piece.of(estimate.taken)
-                    self.optimiser.include(piece.of(estimate.inputs), taken, piece.weight)
+                if isinstance(self.optimiser, NaturalRegression) and linear is not None:
+                    self.optimiser.include(linear, taken, piece.weight)
             self.optimiser.step(active)
             steps += active
         self.networks.carry(memories)
