@@ -142,17 +142,14 @@ def _mean_kl(
     assert old_outputs is not None
     selected = torch.from_numpy(rows.selected).to(old_outputs.device)
     total = torch.zeros(len(selected), device=old_outputs.device, dtype=old_outputs.dtype)
-    if rows.sequences is not None:
-        outputs = _network_outputs(actor, rows, config).transpose(1, 2)
-        with torch.no_grad():
-            new = actor.distribution(outputs, rows.masks)
-            kl = _kl_to_old(new, old_outputs, rows.masks, old_log_std)
-        return torch.where(selected, kl, 0).sum(1) / selected.sum(1).clamp(min=1)
+    parts = [slice(None)]
+    if rows.sequences is None:
+        parts = even_slices(selected.shape[1], len(selected), config.piece_samples)
+    new_outputs = _network_outputs(actor, rows, config).transpose(1, 2)
     with torch.no_grad():
-        for part in even_slices(selected.shape[1], len(selected), config.piece_samples):
+        for part in parts:
             masks = rows.masks[:, part] if rows.masks is not None else None
-            kl = _kl_to_old(
-                actor(rows.observations[:, part], masks), old_outputs[:, part], masks, old_log_std
-            )
+            new = actor.distribution(new_outputs[:, :, part], masks)
+            kl = _kl_to_old(new, old_outputs[:, part], masks, old_log_std)
             total += torch.where(selected[:, part], kl, 0).sum(1)
     return total / selected.sum(1).clamp(min=1)
