@@ -129,11 +129,18 @@ def _flat(state: Any, path: str = "") -> dict[str, Tensor]:  # noqa: ANN401 - te
     return {n: t for key, value in items for n, t in _flat(value, f"{path} {key}").items()}
 
 
-def _assert_close(got: dict[str, NDArray[Any]], expected: dict[str, NDArray[Any]]) -> None:
+def _assert_close(
+    got: dict[str, NDArray[Any]], expected: dict[str, NDArray[Any]], rtol: float = 1e-9
+) -> None:
     assert got.keys() == expected.keys()
     for name in got:
-        # Standardising nearly equal advantages, of a policy with a row or two, enlarges what rounding left.
-        np.testing.assert_allclose(got[name], expected[name], rtol=1e-7, atol=1e-8, err_msg=name)
+        np.testing.assert_allclose(got[name], expected[name], rtol=rtol, atol=0.1 * rtol, err_msg=name)
+
+
+def _rounding(config: AlgoConfig, spec: EnvSpec) -> float:
+    """What rounding leaves. Standardising nearly equal advantages, of a policy with a row or two, enlarges it;
+    so do the ratios of Gaussians, and PPO's several epochs on them."""
+    return 1e-7 if (config, spec) in ((IPPO, BOX), (HAPPO, BOX)) else 1e-9
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:
@@ -146,7 +153,7 @@ def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     """Though the others have more rows, or hardly any."""
-    seeds = (3, 5, 7)
+    seeds, rtol = (3, 5, 7), _rounding(config, spec)
     stacked = OnPolicyLearner(config, spec, seeds, "cpu")
     alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in seeds]
     for iteration in range(1, 4):
@@ -157,14 +164,14 @@ def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
         info = stacked.update(_joined(parts), iteration, 0.1 * iteration)
         for r, learner in enumerate(alone):
             for name, value in learner.update(parts[r], iteration, 0.1 * iteration).items():
-                np.testing.assert_allclose(info[name][r], value[0], rtol=1e-7, atol=1e-8, err_msg=name)
+                np.testing.assert_allclose(info[name][r], value[0], rtol=rtol, atol=0.1 * rtol, err_msg=name)
     together = _tensors(stacked)
     for r, learner in enumerate(alone):
         networks = {name: len(value) for name, value in _tensors(learner).items()}
         mine = {
             name: value[r * networks[name] : (r + 1) * networks[name]] for name, value in together.items()
         }
-        _assert_close(mine, _tensors(learner))
+        _assert_close(mine, _tensors(learner), rtol)
 
 
 def _of_agents(made: Trajectory, agents: slice) -> Trajectory:
