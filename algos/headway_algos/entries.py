@@ -59,8 +59,19 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     return None
 
 
+def _never_parts(config: AlgoConfig, iterations: int) -> str | None:
+    """Iteration i of n begins when i / n of training is done: the last one at (n - 1) / n."""
+    begins = (iterations - 1) / iterations
+    if begins >= config.shared_until:
+        return None
+    return (
+        f"the last iteration begins at {begins:.3g} of training, before algo.shared_until="
+        f"{config.shared_until:g}, and policies would never part; train for more env_steps, or lower it"
+    )
+
+
 def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
-    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses)
+    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses, refuses_budget=_never_parts)
 
 
 ENTRIES = {

@@ -93,8 +93,15 @@ def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
 def new_jobs(
     experiment: Experiment, seeds: Sequence[int], known: dict[str, PreparedEnv] | None = None
 ) -> tuple[PlannedJob, ...]:
-    """The jobs of some seeds of an experiment; `known` as for `Experiment.prepare`, raises as it does."""
+    """The jobs of some seeds of an experiment; `known` as for `Experiment.prepare`, raises as it does, and
+    HeadwayError for a budget that its algorithm refuses."""
     found = experiment.prepare(known)
+    asked, rollout = experiment.config, experiment.config.rollout
+    if reason := experiment.algo.refuses_budget(experiment.algo_config, asked.iterations):
+        raise HeadwayError(
+            f"in {asked.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
+            f"rollout.copies x rollout.steps) {reason}"
+        )
     config = within_processes(experiment.config, found.spec)
     stack = config.backend.stack
     return tuple(

@@ -138,8 +138,8 @@ def _assert_close(
 
 
 def _rounding(config: AlgoConfig, spec: EnvSpec) -> float:
-    """What rounding leaves. Standardising nearly equal advantages, of a policy with a row or two, enlarges it;
-    so do the ratios of Gaussians, and PPO's several epochs on them."""
+    """What rounding leaves, which standardising nearly equal advantages, of a policy with a row or two,
+    enlarges; several epochs of PPO on ratios of Gaussians even more."""
     return 1e-7 if (config, spec) in ((IPPO, BOX), (HAPPO, BOX)) else 1e-9
 
 

@@ -100,6 +100,17 @@ def test_jobs_use_a_gpu_by_their_own_device() -> None:
     assert uses_gpu(replace(job, config=replace(job.config, device="cuda:1")))
 
 
+def test_a_budget_in_which_policies_would_never_part_is_refused() -> None:
+    """The last of n iterations begins at (n - 1) / n of training."""
+    words = ["env=visitors", "algo=ippo", "rollout.copies=2", "rollout.steps=10", "rollout.block=2"]
+    for share, enough in ((0.5, 2), (0.7, 4), (0.8, 5), (0.9, 10)):
+        short = [*words, f"algo.shared_until={share}", f"env_steps={20 * (enough - 1)}"]
+        line = rf"in {enough - 1} x 20 env_steps \(.*\) the last iteration .* algo.shared_until={share}"
+        with pytest.raises(HeadwayError, match=line):
+            plan_jobs(compose(short))
+        assert len(plan_jobs(compose([*short[:-1], f"env_steps={20 * enough}"]))) == 1
+
+
 def test_the_disk_must_have_room_for_what_is_replayed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,6 +21,10 @@ def _refuses_nothing(config: Any, spec: EnvSpec) -> str | None:  # noqa: ANN401 
     return None
 
 
+def _takes_any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - any record
+    return None
+
+
 def _keeps_nothing(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN401 - any record
     return 0
 
@@ -87,3 +91,6 @@ class AlgoEntry:
     kept_bytes: Callable[[Any, EnvSpec, int], int] = _keeps_nothing
     """(config, spec, environment steps of a seed) -> about how many bytes of a seed's experience stand beside
     a checkpoint, at most."""
+    refuses_budget: Callable[[Any, int], str | None] = _takes_any_budget
+    """(config, iterations) -> one line why training of so many would not be what the config asks for, or
+    None."""
