@@ -27,7 +27,8 @@ _SAME_REQUEST_S = 1.0
 
 class StopRequests:
     """Counts Ctrl-C, SIGTERM and SIGHUP instead of dying of them, while it is entered. Signals within a
-    second of one that counted are the same request: a key pressed twice, a parent that passes on its own."""
+    second of one that counted are the same request: a key pressed twice, a parent that passes on its own.
+    After the first request only Ctrl-C counts: who sends the others again was not told what that does."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -48,8 +49,14 @@ class StopRequests:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def told(self) -> None:
+        """The first request has been answered on the screen: whatever came before that was the same one."""
+        self.count, self._counted_at = 1, time.monotonic()
+
     def _note(self, number: int, frame: FrameType | None) -> None:
         moment = time.monotonic()
+        if self.count and number != signal.SIGINT:
+            return
         if moment - self._counted_at >= _SAME_REQUEST_S:
             self.count += 1
             self._counted_at = moment
@@ -86,7 +93,7 @@ class Session:
                     while waiting and len(self._running) < self._parallel and not requests.count:
                         self._start(waiting.pop(0), shown)
                     self._hear(shown)
-                    self._obey(requests.count, shown)
+                    self._obey(requests, shown)
                     for line in self._tick():
                         shown.note(f"headway: {line}")
                     shown.show()
@@ -140,13 +147,14 @@ class Session:
             last = Finished(job.iteration, stopped=True) if self._killed else Failed(how, "")
             self._take_event(index, last, shown)
 
-    def _obey(self, requests: int, shown: Progress) -> None:
-        if requests and not self._asked_to_stop and self._running:
+    def _obey(self, requests: StopRequests, shown: Progress) -> None:
+        if requests.count and not self._asked_to_stop and self._running:
             self._asked_to_stop = True
             for process in self._running.values():
                 process.ask_to_stop()
             shown.note("stopping after this iteration, with a checkpoint; Ctrl-C again kills at once")
-        if requests > 1 and self._running:
+            requests.told()
+        if requests.count > 1 and self._running:
             if not self._killed:
                 shown.note("killed; what came after the last checkpoint is lost")
             self._killed = True

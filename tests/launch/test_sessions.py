@@ -21,6 +21,7 @@ from headway.store import CHECKPOINTS
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
 from headway_launch.conducting import Conductor
+from headway_launch.session import StopRequests
 
 TINY = (
     "env=trivial",
@@ -226,6 +227,24 @@ def test_a_doubled_signal_is_one_request_and_the_checkpoint_is_kept(
     assert run.iterations > 0
     assert latest_iteration(Path(run.directory, CHECKPOINTS)) == run.iterations
     assert shown[0]["env steps"] == str(run.env_steps)
+
+
+def test_only_ctrl_c_that_was_told_of_is_a_second_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever sends SIGTERM again and again, or presses Ctrl-C before anything is said, keeps the promised
+    checkpoint."""
+    moments = iter(range(100, 200, 10))
+    monkeypatch.setattr("headway_launch.session.time.monotonic", lambda: next(moments))
+    with StopRequests() as requests:
+        for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGHUP):
+            signal.raise_signal(number)
+            assert requests.count == 1
+        signal.raise_signal(signal.SIGINT)
+        requests.told()
+        assert requests.count == 1
+        signal.raise_signal(signal.SIGTERM)
+        assert requests.count == 1
+        signal.raise_signal(signal.SIGINT)
+        assert requests.count == 2
 
 
 def test_of_a_killed_run_is_shown_what_is_kept(tmp_path: Path) -> None:
