@@ -13,6 +13,7 @@ import pytest
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig, NoiseConfig, RewardConfig, UpkeepConfig
 from headway_envs.bus.prepared import prepare
+from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.synthetic import generate
 from headway_envs.bus.scenario.tables import COLUMNS, Tables, check_tables, read_tables, write_tables
 
@@ -101,6 +102,18 @@ def test_a_blank_in_any_named_column_is_named(tables: Tables, table: str, column
     row = int(np.flatnonzero(frame[column].isna())[0])
     with pytest.raises(HeadwayError, match=f"^table {table}, row {row}, column {column}: .* is blank"):
         check_tables(replace(tables, **{table: frame}))
+
+
+def test_a_link_with_times_of_the_night_alone_is_named(tables: Tables) -> None:
+    """Its rows are whole, but of no hour that a service day reads: it would take NaN seconds."""
+    frame = tables.link_times.copy()
+    link = frame["link"].iloc[0]
+    frame = frame[(frame["link"] != link) | (frame["hour"] == frame["hour"].min())]
+    frame.loc[frame["link"] == link, "hour"] = 2
+    broken = replace(tables, link_times=frame)
+    check_tables(broken)
+    with pytest.raises(HeadwayError, match=rf"table link_times has no row of link {link} on .* an hour from"):
+        build(broken, BusConfig())
 
 
 def test_columns_that_are_not_named_may_be_blank_and_change_nothing(tables: Tables, tmp_path: Path) -> None:

@@ -150,12 +150,14 @@ def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, 
     away = np.append(calls["link"].to_numpy(np.int64)[1:], -1)
     inner = np.append(calls["seq0"].to_numpy()[1:] > 0, False)
     mean = frame.pivot_table(index="link", columns="hour", values="mean_s")
+    first, last = int(KNOT_HOURS[0]), int(KNOT_HOURS[-1])
+    mean = mean.reindex(columns=range(first, last + 1)).dropna(how="all")
     missing = inner & ~np.isin(away, mean.index)
     if missing.any():
         raise HeadwayError(
-            f"table link_times has no row of link {away[missing][0]} on day_type {day}: add its mean_s"
+            f"table link_times has no row of link {away[missing][0]} on day_type {day} for an hour from "
+            f"{first} to {last}: add its mean_s"
         )
-    mean = mean.reindex(columns=range(int(KNOT_HOURS[0]), int(KNOT_HOURS[-1]) + 1))
     mean = mean.ffill(axis=1).bfill(axis=1)
     deviation = frame.groupby("link")["log_sigma"].median()
     seconds = np.zeros((len(calls), KNOTS))
