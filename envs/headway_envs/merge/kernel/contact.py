@@ -69,28 +69,17 @@ def outlines(
 
 
 @compiled
-def _a_point_of(a: Record, b: Record, b_length: float, b_width: float) -> bool:
-    """Whether one of nine points of vehicle a, shrunk, lies in b, shrunk."""
+def _a_point_of(
+    a: Record, a_length: float, a_width: float, b: Record, b_length: float, b_width: float
+) -> bool:
+    """Whether one of nine points of a, shrunk, lies in b, shrunk."""
     for along in (-1.0, 0.0, 1.0):
         for across in (-1.0, 0.0, 1.0):
-            u, w = along * _SHRUNK * CAR_LENGTH / 2.0, across * _SHRUNK * CAR_WIDTH / 2.0
+            u, w = along * _SHRUNK * a_length / 2.0, across * _SHRUNK * a_width / 2.0
             x = a.x + a.cosine * u - a.sine * w - b.x
             y = a.y + a.sine * u + a.cosine * w - b.y
             inside = abs(b.cosine * x + b.sine * y) <= _SHRUNK * b_length / 2.0
             if inside and abs(b.cosine * y - b.sine * x) <= _SHRUNK * b_width / 2.0:
-                return True
-    return False
-
-
-@compiled
-def _a_point_of_obstacle(b: Record, a: Record) -> bool:
-    """Whether one of nine points of the obstacle b, shrunk, lies in vehicle a, shrunk."""
-    half = _SHRUNK * OBSTACLE_SIZE / 2.0
-    for along in (-1.0, 0.0, 1.0):
-        for across in (-1.0, 0.0, 1.0):
-            x, y = b.x + along * half - a.x, b.y + across * half - a.y
-            inside = abs(a.cosine * x + a.sine * y) <= _SHRUNK * CAR_LENGTH / 2.0
-            if inside and abs(a.cosine * y - a.sine * x) <= _SHRUNK * CAR_WIDTH / 2.0:
                 return True
     return False
 
@@ -101,9 +90,10 @@ def shrunk_overlap(a: Record, b: Record, b_is_obstacle: bool) -> bool:
     x, y = b.x - a.x, b.y - a.y
     if x * x + y * y > CAR_LENGTH * CAR_LENGTH:
         return False
-    if b_is_obstacle:
-        return _a_point_of(a, b, OBSTACLE_SIZE, OBSTACLE_SIZE) or _a_point_of_obstacle(b, a)
-    return _a_point_of(a, b, CAR_LENGTH, CAR_WIDTH) or _a_point_of(b, a, CAR_LENGTH, CAR_WIDTH)
+    length, width = (OBSTACLE_SIZE, OBSTACLE_SIZE) if b_is_obstacle else (CAR_LENGTH, CAR_WIDTH)
+    if _a_point_of(a, CAR_LENGTH, CAR_WIDTH, b, length, width):
+        return True
+    return _a_point_of(b, length, width, a, CAR_LENGTH, CAR_WIDTH)
 
 
 @compiled_apart

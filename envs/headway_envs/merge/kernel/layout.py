@@ -29,6 +29,8 @@ SLOWEST, SPEED_STEP, FASTEST_INDEX = 10.0, 5.0, 4
 """Target speeds of a CAV: 10, 15, 20, 25, 30 m/s, by index."""
 RAMP_END = 420.0
 """Where the ramp lanes end, m."""
+MERGING_LENGTH = 100.0
+"""Of the last stretch of the ramp lanes, where they lead alongside, as rewards and priorities have it, m."""
 SIGHT = 60.0
 """Gaps to the vehicle ahead count up to here, m."""
 

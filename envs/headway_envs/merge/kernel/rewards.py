@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled
-from headway_envs.merge.kernel.layout import RAMP_END, Network, Record, World
+from headway_envs.merge.kernel.layout import MERGING_LENGTH, RAMP_END, Network, Record, World
 from headway_envs.merge.kernel.surroundings import gap_ahead, next_on, right_of
-
-_MERGING_LENGTH = 100.0
 
 
 @compiled
@@ -20,7 +18,7 @@ def _own(net: Network, k: Record, car: Record, gap: float) -> float:
     reward += k.weight_speed * min(max((car.speed - 10.0) / 20.0, 0.0), 1.0)
     if net.lanes[car.lane].merging:
         left = car.x - RAMP_END
-        reward -= k.weight_ramp_end * math.exp(-left * left / (10.0 * _MERGING_LENGTH))
+        reward -= k.weight_ramp_end * math.exp(-left * left / (10.0 * MERGING_LENGTH))
     if car.speed > 0.0:
         reward += k.weight_spacing * min(math.log(gap / (k.headway_s * car.speed)), 0.0)
     return float(reward)

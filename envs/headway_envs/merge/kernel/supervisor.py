@@ -20,6 +20,7 @@ from headway_envs.merge.kernel.layout import (
     FASTER,
     FORESEEN,
     LEFT,
+    MERGING_LENGTH,
     RAMP_END,
     RIGHT,
     SLOWER,
@@ -35,7 +36,6 @@ from headway_envs.merge.kernel.observe import allow
 from headway_envs.merge.kernel.spawn import PRIORITY, UNSURE
 from headway_envs.merge.kernel.surroundings import gap_ahead, next_on, right_of
 
-_MERGING_LENGTH = 100.0
 _FREE_ROOM = 100.0
 
 
@@ -47,7 +47,7 @@ def _priority(net: Network, k: Record, cars: NDArray[np.void], moving: int, me: 
         gap = gap_ahead(net, cars, moving, me)
         priority = 0.5 * math.log(gap / (k.headway_s * car.speed))
     if net.lanes[car.lane].merging:
-        priority -= 0.5 + (_MERGING_LENGTH - (RAMP_END - car.x)) / _MERGING_LENGTH
+        priority -= 0.5 + (MERGING_LENGTH - (RAMP_END - car.x)) / MERGING_LENGTH
     return priority
 
 
