@@ -86,8 +86,8 @@ class Reservation:
                 earlier = waiting[: waiting.index(row)] if vehicle in self._asked else waiting
                 if self._blocked(roster, link, earlier, network.foes):
                     wished = min(wished, self._approach(left - self.STOP_M, 0.0))
-            elif left <= 0:
-                wished = max(float(network.link_speed[link]), self.CRUISE) if link % 4 in (1, 2) else wished
+            elif left <= 0 and link % 4 in (1, 2):
+                wished = max(self.CRUISE, float(network.link_speed[link]))
             actions[0, slot, 0] = np.clip((wished - speed) / STEP_S, -STRONGEST, STRONGEST)
         return actions
 
