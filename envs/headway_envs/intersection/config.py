@@ -42,8 +42,8 @@ class RewardConfig:
     headway: float = 0.1
     """Weight of time headways under 1 s, the mean over automated vehicles."""
     collision: float = 25.0
-    """Weight of a step with a collision. Crashed vehicles are taken away, which frees the road: at 10 driving
-    at full throttle, with six crashes in an episode, paid more than right of way."""
+    """Weight of a step with a collision. Crashed vehicles are taken away, which frees the road: too small
+    a weight, and driving at full throttle pays more than right of way."""
 
     def __post_init__(self) -> None:
         _one_of("kind", self.kind, ("scaled", "paper"))
@@ -100,11 +100,11 @@ class IntersectionConfig:
     av_lane_change_mode: int = 512
     """SUMO's lane-change mode of AVs; 512: none of their own, each lane leads where they want to go."""
     impatience: float = 0.0
-    """SUMO's, of all drivers. 0: they wait for a gap; above, they make those with right of way brake, and at
-    0.5, as Flow's vehicles and so the paper's have it, humans were seen to crash now and then."""
+    """SUMO's, of all drivers. 0: they wait for a gap; above, they make those with right of way brake, as
+    Flow's vehicles and so the paper's do at 0.5, and humans may crash."""
     human_noise: float = 0.0
     """Standard deviation of the noise of human drivers' acceleration, m/s^2 in a step of 1 s; above 0 they
-    are driven by our Intelligent Driver Model, about twice as slow (the paper's have noise; 0.2 is usual)."""
+    are driven by our Intelligent Driver Model, which is slower (the paper's have noise; 0.2 is usual)."""
     on_collision: Literal["remove_pair", "end_episode"] = "remove_pair"
     """The crashed vehicles are taken away and the episode goes on, or it ends."""
     at_exit: Literal["truncated", "terminated"] = "truncated"

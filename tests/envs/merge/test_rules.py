@@ -63,7 +63,7 @@ def test_the_rules_are_told_apart(make: Make, name: str) -> None:
 @pytest.mark.parametrize("preset", ["clean", "paper"])
 @pytest.mark.parametrize("rule", ["random", "always_left"])
 def test_the_supervisor_prevents_crashes(make: Make, preset: str, rule: str) -> None:
-    """Bands: the crash rates of the study's code, measured over 19 to 35 episodes each."""
+    """Without it, whoever drives at random or always to the left crashes often; with it, far less often."""
     rates = {}
     for supervisor in (False, True):
         metrics = _metrics(make(copies=200, preset=preset, supervisor=supervisor), rule)
