@@ -4,6 +4,7 @@ import multiprocessing
 from multiprocessing.connection import Connection
 from typing import Any
 
+from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from headway_envs.intersection.config import IntersectionConfig
@@ -20,7 +21,7 @@ def _host(face: str, config: IntersectionConfig, pipe: Connection) -> None:
     env.close()
 
 
-class HostedEnv(ParallelEnv):  # type: ignore[misc]
+class HostedEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
     """Spaces here, the simulation there."""
 
     metadata = IntersectionParallelEnv.metadata
@@ -33,23 +34,23 @@ class HostedEnv(ParallelEnv):  # type: ignore[misc]
         self._process = context.Process(target=_host, args=(face, config, theirs), daemon=True)
         self._process.start()
 
-    def observation_space(self, agent: str) -> Any:  # noqa: ANN401
+    def observation_space(self, agent: str) -> spaces.Box:
         return self._spaces.observation_space(agent)
 
-    def action_space(self, agent: str) -> Any:  # noqa: ANN401
+    def action_space(self, agent: str) -> spaces.Box:
         return self._spaces.action_space(agent)
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # noqa: ANN401
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # noqa: ANN401 - as PettingZoo has it
         return self._ask("reset", {"seed": seed})
 
-    def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401
+    def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401 - as PettingZoo has it
         return self._ask("step", {"actions": actions})
 
     def close(self) -> None:
         self._pipe.send(None)
         self._process.join(10)
 
-    def _ask(self, name: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401
+    def _ask(self, name: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401 - any method's
         self._pipe.send((name, arguments))
         answer, self.agents = self._pipe.recv()
         return answer

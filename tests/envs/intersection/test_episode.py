@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from headway.contracts import HeadwayError
+from headway.contracts import HeadwayError, Outcome
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
@@ -20,7 +20,7 @@ WILD = {"av_speed_mode": 0, "hdv_speed_mode": 1}
 """AVs that heed nobody: many crashes."""
 
 
-def _metrics(env: IntersectionBatchedEnv, outcome: Any) -> dict[str, float]:  # noqa: ANN401
+def _metrics(env: IntersectionBatchedEnv, outcome: Outcome) -> dict[str, float]:
     return dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
 
 

@@ -5,7 +5,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from headway_envs.intersection.entry import ENTRY
 SHARED = AlgoConfig(policies="shared", critic="local")
 
 
-def _plan(copies: int, steps: int = 120, **arguments: Any) -> RolloutPlan:  # noqa: ANN401
+def _plan(copies: int, steps: int = 120, **arguments: Any) -> RolloutPlan:  # noqa: ANN401 - any argument
     prepared = ENTRY.prepare(IntersectionConfig(**{"horizon": 200, "slots": 24, **arguments}))
     with closing(ENTRY.make(prepared, 1)) as env:
         spec = env.spec
@@ -145,7 +145,7 @@ def _moved(trajectory: Trajectory, slot: int, other: int, after: int) -> Traject
 
 @pytest.mark.parametrize("critic", ["local", "central"])
 def test_it_does_not_matter_who_had_the_slot_before(
-    critic: Any,  # noqa: ANN401
+    critic: Literal["local", "central"],
     experience: dict[str, tuple[RolloutPlan, Trajectory]],
 ) -> None:
     """Two vehicles one after another in a slot learn what they would learn in two slots."""

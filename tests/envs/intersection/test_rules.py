@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from headway.contracts import Rule
 from headway_envs.intersection.entry import ENTRY
+from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.rules import Reservation
 from headway_envs.intersection.simulation import libsumo
 
 
-def _played(env: Any, rule: Any, seed: int) -> dict[str, float]:  # noqa: ANN401
+def _played(env: IntersectionBatchedEnv, rule: Rule, seed: int) -> dict[str, float]:
     observed = env.reset(np.array([seed], np.uint64))
     while True:
         actions = rule.act(env, observed)

@@ -13,7 +13,7 @@ from headway_envs.merge.env import MergeBatchedEnv
 Make = Callable[..., MergeBatchedEnv]
 
 
-def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeBatchedEnv:  # noqa: ANN401
+def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeBatchedEnv:  # noqa: ANN401 - any argument
     """A batch that has begun, copy i with seed i."""
     entry = ENTRIES[name]
     env = entry.make(entry.prepare(MergeConfig(**arguments)), copies)
