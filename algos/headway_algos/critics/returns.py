@@ -138,7 +138,7 @@ class Regression:
                 if config.value_clip is not None:
                     error = error.clamp(max=config.value_clip)
                 loss = (error * piece.weight).sum(1)
-                loss.sum().backward()
+                torch.autograd.backward(loss.sum())
                 loss_sum += loss.detach()
                 if isinstance(self.optimiser, NaturalRegression) and linear is not None:
                     self.optimiser.include(linear, taken, piece.weight)
