@@ -27,7 +27,8 @@ def test_a_job_takes_its_start_iterations_and_evaluations() -> None:
         ["env=trivial", "rollout.copies=4", "rollout.steps=25", "env_steps=1000", "evaluation.every=300"]
     ).config
     config = replace(config, evaluation=replace(config.evaluation, episodes=10, final_episodes=30))
-    # Ten iterations of 100 steps; evaluations before them (of which CPU seconds are the start's), at 300, 600, 900, and the last of three times the episodes.
+    # Ten iterations of 100 steps; evaluations before them (whose CPU seconds are the start's), at 300, 600
+    # and 900, and the last of three times the episodes.
     whole = PACE.of_job(config, 0)
     assert whole.seconds == pytest.approx(3.0 + 10 * 0.5 + (1 + 3 + 3) * 2.0)
     assert whole.cpu_s == pytest.approx(4.0 + 10 * 1.0 + (3 + 3) * 2.0 * 2.0)
