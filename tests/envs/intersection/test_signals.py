@@ -1,7 +1,6 @@
 """What automated vehicles observe and are paid, against the equations and against SUMO's own answers."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -231,8 +230,3 @@ def test_the_drivers_model_keeps_its_gap_and_its_speed() -> None:
     alone = acceleration(np.array([30.0, 0.0]), np.zeros(2), np.full(2, np.inf))
     np.testing.assert_allclose(alone, [0.0, 1.0], atol=1e-12)
     assert (acceleration(v, v - 1, gap) < 0).all()
-
-
-def test_machine_code_of_older_sources_is_not_kept() -> None:
-    """Numba looks at the kernel's own file only, and constants of others are compiled in."""
-    assert Path(kernel.__file__).with_name("__pycache__").joinpath("kernel.stamp").is_file()
