@@ -81,18 +81,21 @@ def trial(root: Path, sweep: Sequence[str], kills: int, chance: random.Random) -
     print("unkilled ...", flush=True)
     table = _to_the_end(["sweep", *sweep, f"store.root={whole}"])
     print(f"{time.monotonic() - began:.0f} s; killed ...", flush=True)
-    total = _iterations_planned(whole)
+    total = _iterations(whole)
     going_on = (
         ["sweep", *sweep, f"store.root={killed}"],
         ["resume", "--study", STUDY, "--store", str(killed)],
     )
     points = sorted(chance.uniform(0.05, 0.9) for _ in range(kills))
+    landed = 0
     for place, point in enumerate(points):
         blow = BLOWS[place % len(BLOWS)]
-        _strike(going_on[place % 2], killed, int(point * total), blow, chance)
-        print(
-            f"{blow.victim} by {blow.number.name} at {_iterations(killed)} of {total} iterations", flush=True
-        )
+        struck = _strike(going_on[place % 2], killed, int(point * total), blow, chance)
+        landed += struck
+        fallen = f"{blow.victim} by {blow.number.name}" if struck else "the session had ended by itself"
+        print(f"{fallen} at {_iterations(killed)} of {total} iterations", flush=True)
+    if kills and not landed:
+        raise SystemExit("every session ended before its blow fell, so nothing was tried: give more --steps")
     after = _to_the_end(going_on[kills % 2])
     for store in (whole, killed):
         sync_each(store)  # what a busy machine's session had no time to send; nothing is sent twice
@@ -101,8 +104,9 @@ def trial(root: Path, sweep: Sequence[str], kills: int, chance: random.Random) -
     return differences(whole, killed)
 
 
-def _strike(command: Sequence[str], root: Path, iterations: int, blow: Blow, chance: random.Random) -> None:
-    """Start a session and end it by a blow, at a random moment after so many iterations are durable."""
+def _strike(command: Sequence[str], root: Path, iterations: int, blow: Blow, chance: random.Random) -> bool:
+    """Start a session and end it by a blow, at a random moment after so many iterations are durable.
+    Whether it still lived when a blow fell."""
     with subprocess.Popen(_headway(command), stdout=subprocess.DEVNULL, start_new_session=True) as session:
         processes: list[psutil.Process] = []
         deadline = time.monotonic() + _PATIENCE_S
@@ -112,16 +116,18 @@ def _strike(command: Sequence[str], root: Path, iterations: int, blow: Blow, cha
             time.sleep(_POLL_S)
             processes = _processes(session.pid, blow.victim)
         time.sleep(chance.uniform(0.0, 1.0))
-        everyone = _children(session.pid) if session.poll() is None else []
+        struck, everyone = False, _children(session.pid) if session.poll() is None else []
         for process in (_processes(session.pid, blow.victim) or processes)[:1]:
-            _send(process, blow.number)
+            struck = session.poll() is None and _send(process, blow.number)
         if blow.then is not None and session.poll() is None:
             time.sleep(chance.uniform(0.2, 2.0))
+            struck |= session.poll() is None
             session.send_signal(blow.then)
         session.wait(_PATIENCE_S)
         _, left = psutil.wait_procs(everyone, timeout=60)
         if left:
             raise SystemExit(f"{len(left)} processes outlived their session")
+    return struck
 
 
 def _to_the_end(command: Sequence[str]) -> str:
@@ -172,19 +178,17 @@ def _command(process: psutil.Process) -> str:
         return ""
 
 
-def _send(process: psutil.Process, number: signal.Signals) -> None:
+def _send(process: psutil.Process, number: signal.Signals) -> bool:
+    """Whether there was anybody to send it to."""
     try:
         process.send_signal(number)
     except psutil.NoSuchProcess:  # it has just finished
-        return
+        return False
+    return True
 
 
 def _iterations(root: Path) -> int:
     return sum(row.iterations for row in RunIndex(root).rows(STUDY)) if root.exists() else 0
-
-
-def _iterations_planned(root: Path) -> int:
-    return sum(row.iterations for row in RunIndex(root).rows(STUDY))
 
 
 if __name__ == "__main__":

@@ -3,11 +3,15 @@
 import json
 import random
 import shutil
+import signal
 import sqlite3
 from pathlib import Path
 
+import pytest
+
 from headway.store import RunIndex
-from headway_launch.trials.killed_study import BASE, trial
+from headway_launch.trials import killed_study
+from headway_launch.trials.killed_study import BASE, Blow, trial
 from headway_launch.trials.same_study import differences
 
 SMALL = (
@@ -45,3 +49,21 @@ def test_a_killed_study_is_the_unkilled_one_and_what_differs_would_be_seen(tmp_p
     assert "MLflow's curves differs" in found
     assert "has 2 runs" in found
     assert "figures differ" in found
+
+
+def test_sessions_that_no_blow_meets_are_no_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(killed_study, "_headway", lambda command: ["true"])
+    monkeypatch.setattr(killed_study, "_iterations", lambda root: 10)
+    with pytest.raises(SystemExit, match="ended before its blow fell"):
+        trial(tmp_path, SMALL, kills=2, chance=random.Random(5))
+    assert capsys.readouterr().out.count("the session had ended by itself at 10 of 10 iterations") == 2
+
+
+def test_a_blow_that_falls_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(killed_study, "_headway", list)
+    monkeypatch.setattr(killed_study, "_iterations", lambda root: 10)
+    blow = Blow("session", signal.SIGKILL)
+    assert killed_study._strike(["sleep", "60"], tmp_path, 5, blow, random.Random(5))
+    assert not killed_study._strike(["true"], tmp_path, 5, blow, random.Random(5))
