@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from headway.contracts import HeadwayError
-from headway.store.tracking import Tracker, require_answer, without_password
+from headway.store.tracking import Tracker, TrackingError, require_answer, without_password
 
 _RETRY_SECONDS = 30.0
 _CONNECT_SECONDS = 120.0
@@ -27,7 +27,8 @@ class Errand:
 
 class Courier:
     """Does errands in order, in a thread of its own. Where MLflow fails, they are put off, a notice says so
-    once, and it is tried again now and then and at the end; nothing here ends a session."""
+    once, and it is tried again now and then and at the end. What fails by itself, as a run that cannot be
+    read, is told once and keeps back nothing else. Nothing here ends a session."""
 
     def __init__(self, root: Path, tracking_uri: str | None) -> None:
         self._root, self._uri = root, tracking_uri
@@ -37,7 +38,10 @@ class Courier:
         self._tracker: Tracker | None = None
         self._connected = threading.Event()
         self._problem: HeadwayError | None = None
-        self._put_off: list[Errand] = []
+        self._put_off: dict[Callable[[Tracker], object], None] = {}
+        """What catches up with the errands that failed, each once, in order."""
+        self._told_of: set[str] = set()
+        self._away = False
         self._retry_at = 0.0
         self._abandoned = False
 
@@ -88,46 +92,55 @@ class Courier:
             self._fail(error)
         self._connected.set()
         while (errand := self._errands.get()) is not None and not self._abandoned:
-            if not self._attempt(errand):
+            answers = self._tracker is not None or self._reconnect()
+            if not (answers and self._try(errand.do, errand.lost)):
                 errand.lost()
-                self._put_off.append(errand)
+                self._put_off[errand.catch_up] = None
         if self._put_off and not self._abandoned:
             self._retry_at = 0.0
             self._reconnect()
 
-    def _attempt(self, errand: Errand) -> bool:
-        if self._tracker is None and not self._reconnect():
-            return False
+    def _try(self, step: Callable[[Tracker], object], lost: Callable[[], object]) -> bool:
+        """Whether MLflow answers: then the step is done or, for a reason of its own, `lost`."""
         assert self._tracker is not None
         try:
-            errand.do(self._tracker)
-        except Exception as error:
+            step(self._tracker)
+        except TrackingError as error:
             self._fail(error)
             return False
+        except Exception as error:  # whatever it is, it must not end the session
+            lost()
+            notice = f"MLflow does not get everything ({_told(error)}): training goes on"
+            if notice not in self._told_of:
+                self._told_of.add(notice)
+                self._notices.put(notice)
         return True
 
     def _reconnect(self) -> bool:
         """Whether MLflow answers again, and knows what was put off."""
         if time.monotonic() < self._retry_at:
             return False
-        put_off = list({errand.catch_up: errand for errand in self._put_off}.values())
         try:
             if self._uri is not None:
                 require_answer(self._uri)
             self._tracker = self._tracker or Tracker(self._root, self._uri)
-            for errand in put_off:
-                errand.catch_up(self._tracker)
         except Exception as error:
-            self._fail(error, quietly=True)
+            self._fail(error)
             return False
-        if put_off:
+        waiting = list(self._put_off)
+        for catch_up in waiting:
+            if not self._try(catch_up, lambda: None):
+                return False
+            del self._put_off[catch_up]
+        self._away = False
+        if waiting:
             self._notices.put(f"MLflow at {self._where} answers again and has what it missed")
-        self._put_off.clear()
         return True
 
-    def _fail(self, error: Exception, quietly: bool = False) -> None:
+    def _fail(self, error: Exception) -> None:
         self._tracker, self._retry_at = None, time.monotonic() + _RETRY_SECONDS
-        if not quietly:
+        if not self._away:
+            self._away = True
             self._notices.put(f"MLflow is behind ({_told(error)}): training goes on, {_LATER}")
 
     @property

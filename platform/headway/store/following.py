@@ -13,8 +13,7 @@ from headway.store.curve import ThinnedCurve
 from headway.store.durable import locked, read_json, write_json
 from headway.store.folder import CHECKPOINTS, Process, RunRecord, now, read_summary, run_folders
 from headway.store.log import read_rows
-from headway.store.tracking import Tracker, database_uri
-from headway.store.views import write_views
+from headway.store.tracking import Tracker, TrackingError, database_uri
 
 _SYNC_SECONDS = 600.0
 _STATE = "tracking.json"
@@ -90,7 +89,6 @@ class RunFollower:
         if not self._child:
             self.begin(tracker)
         record = RunRecord.read(self.directory)
-        write_views(self.directory, record.run_id)
         files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
         status = record.settled_status
         figures = _figures(read_summary(self.directory)) if status == "FINISHED" else {}
@@ -103,54 +101,67 @@ def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
     """Bring MLflow (None: the database in the root) up to date with every run folder under `root`, but those
     whose session still runs.
 
-    Safe to repeat: nothing is sent twice. Returns one line for each run brought up to date or unreadable.
-    Raises HeadwayError if MLflow fails.
+    Safe to repeat: nothing is sent twice. Returns one line for each run brought up to date or unreadable: one
+    that cannot be read keeps back no other. Raises TrackingError if MLflow fails.
     """
     runs, lines = _ended_runs(root)
-    missing = [folder for folder, _ in runs if not _is_complete(folder, root, tracking_uri)]
-    if not missing:
-        return tuple(lines)
-    return (*lines, *_send(root, Tracker(root, tracking_uri), missing))
+    return (*lines, *_send_missing(root, tracking_uri, runs))
 
 
 def sync_each(root: Path) -> tuple[str, ...]:
     """As `sync`, each run to where it was to be sent when it was trained."""
     runs, lines = _ended_runs(root)
     for uri in dict.fromkeys(record.tracking_uri for _, record in runs):
-        missing = [
-            folder
-            for folder, record in runs
-            if record.tracking_uri == uri and not _is_complete(folder, root, uri)
-        ]
-        if missing:
-            lines += _send(root, Tracker(root, uri), missing)
+        lines += _send_missing(root, uri, [run for run in runs if run[1].tracking_uri == uri])
     return tuple(lines)
 
 
 def behind(root: Path, tracking_uri: str | None) -> list[Path]:
     """Folders of ended runs that MLflow at this URI was to know of and does not know all of."""
-    return [
-        folder
-        for folder, record in _ended_runs(root)[0]
-        if record.tracking_uri == tracking_uri and not _is_complete(folder, root, tracking_uri)
-    ]
+    runs = [run for run in _ended_runs(root)[0] if run[1].tracking_uri == tracking_uri]
+    return _missing(root, tracking_uri, runs)
 
 
 def deliver(root: Path, tracker: Tracker) -> None:
-    """Send what is `behind` at a tracker's URI. Raises HeadwayError if MLflow fails."""
-    _send(root, tracker, behind(root, None if tracker.local else tracker.uri))
+    """Send what is `behind` at a tracker's URI. Raises TrackingError if MLflow fails, and HeadwayError for
+    runs that cannot be read, after all others are sent."""
+    _, unreadable = _send(root, tracker, behind(root, None if tracker.local else tracker.uri))
+    if unreadable:
+        raise HeadwayError("; ".join(unreadable))
 
 
-def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> list[str]:
-    """One session at a time, so that no run is created twice."""
-    lines = []
+def _send_missing(
+    root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, RunRecord]]
+) -> tuple[str, ...]:
+    missing = _missing(root, tracking_uri, runs)
+    if not missing:
+        return ()
+    sent, unreadable = _send(root, Tracker(root, tracking_uri), missing)
+    return (*sent, *unreadable)
+
+
+def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, RunRecord]]) -> list[Path]:
+    return [folder for folder, record in runs if not _is_complete(folder, record, root, tracking_uri)]
+
+
+def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[str], list[str]]:
+    """A line for each run sent, and for each unreadable one. One session at a time, so that no run is created
+    twice."""
+    sent: list[str] = []
+    unreadable: list[str] = []
     with locked(root / ".sync.lock", _SYNC_SECONDS, "MLflow was brought up to date"):
         for folder in folders:
-            record = RunRecord.read(folder)
-            if not _is_complete(folder, root, None if tracker.local else tracker.uri):
+            try:
+                record = RunRecord.read(folder)
+                if _is_complete(folder, record, root, None if tracker.local else tracker.uri):
+                    continue
                 RunFollower(folder, record.curve_points).catch_up(tracker)
-                lines.append(f"{record.run_id} is up to date in MLflow")
-    return lines
+                sent.append(f"{record.run_id} is up to date in MLflow")
+            except TrackingError:
+                raise
+            except HeadwayError as error:
+                unreadable.append(f"{folder.name} is not sent to MLflow: {error}")
+    return sent, unreadable
 
 
 def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
@@ -173,13 +184,16 @@ def _state_file(folder: Path, uri: str, local: bool) -> Path:
     return folder / (_STATE if local else f"tracking-{sha256(uri.encode()).hexdigest()[:8]}.json")
 
 
-def _is_complete(folder: Path, root: Path, tracking_uri: str | None) -> bool:
+def _is_complete(folder: Path, record: RunRecord, root: Path, tracking_uri: str | None) -> bool:
     uri = tracking_uri or database_uri(root)
     path = _state_file(folder, uri, tracking_uri is None)
     if not path.exists():
         return False
-    state = read_json(path)
-    return state.get("uri") == uri and state.get("complete") == _end(RunRecord.read(folder))
+    try:
+        state = read_json(path)
+    except HeadwayError:
+        return False  # MLflow is asked what it has, and the file written anew
+    return state.get("uri") == uri and state.get("complete") == _end(record)
 
 
 def _end(record: RunRecord) -> str:

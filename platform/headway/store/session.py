@@ -28,6 +28,7 @@ from headway.store.index import RunIndex
 from headway.store.log import read_rows
 from headway.store.provenance import provenance
 from headway.store.tracking import Tracker
+from headway.store.views import write_views
 
 EPISODES_RESTARTED = "episodes_restarted"
 """Tag of a run that was resumed where its environment keeps no snapshots: after which iterations."""
@@ -248,9 +249,11 @@ class Run:
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
         """End the run with its summary figures (`final_reward`, `auc`, `kwh`, `kg_co2`, ...; None where
-        not known). Raises HeadwayError if they cannot be written."""
+        not known) and what of it can be looked at. Raises HeadwayError if they cannot be written, or its log
+        cannot be read."""
         self._energy.write()
         write_json(self.directory / SUMMARY, summary)
+        write_views(self.directory, self.run_id)
         ended = self.record.ended_as(status)
         self.record = replace(ended, duration_s=ended.duration_s + _seconds_since(self._resumed_at))
         self.record.write(self.directory)

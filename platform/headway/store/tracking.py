@@ -7,7 +7,8 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,8 +38,12 @@ _QUIET = {
 }
 
 
+class TrackingError(HeadwayError):
+    """MLflow does not answer, or not as it should: of the runs that it is told of nothing is wrong."""
+
+
 class Tracker:
-    """A connection to MLflow. Used from one thread. Every method raises HeadwayError, in one line, where
+    """A connection to MLflow. Used from one thread. Every method raises TrackingError, in one line, where
     MLflow does not answer as it should, or its database stays locked for `wait_s` seconds (in steps of the
     20 that MLflow itself waits)."""
 
@@ -184,8 +189,14 @@ class Tracker:
         for first in range(0, len(params), _PARAMETERS):
             self._ask("log_batch", run, params=params[first : first + _PARAMETERS])
 
-    def _alone(self, purpose: str) -> Any:  # noqa: ANN401 - a context that gives nothing
-        return locked(self.root / ".mlflow.lock", self._wait_s, purpose)
+    @contextmanager
+    def _alone(self, purpose: str) -> Iterator[None]:
+        with ExitStack() as held:
+            try:
+                held.enter_context(locked(self.root / ".mlflow.lock", self._wait_s, purpose))
+            except HeadwayError as error:
+                raise TrackingError(str(error)) from error
+            yield
 
     def _ask(self, method: str, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - MLflow is not typed
         ask = getattr(self._client, method)
@@ -203,7 +214,7 @@ def without_password(uri: str) -> str:
 
 
 def require_answer(uri: str) -> None:
-    """Raise HeadwayError if the server of an `http` URI cannot be reached; of others nothing is known before
+    """Raise TrackingError if the server of an `http` URI cannot be reached; of others nothing is known before
     MLflow is asked."""
     from urllib.error import HTTPError
     from urllib.parse import urlsplit
@@ -218,7 +229,7 @@ def require_answer(uri: str) -> None:
         return  # something answers; MLflow finds out what it is
     except (OSError, ValueError) as error:
         reason = getattr(error, "reason", None) or error
-        raise HeadwayError(
+        raise TrackingError(
             f"MLflow's server at {without_password(uri)} cannot be reached ({reason}): start it, give another"
             " one, or leave out store.tracking_uri to keep runs here"
         ) from error
@@ -247,9 +258,9 @@ def _within(seconds: float, uri: str, ask: Callable[[], _Result]) -> _Result:
         except Exception as error:  # MLflow lets its libraries' exceptions through
             line = " ".join(str(error).split())[:300]
             if "database is locked" not in line:
-                raise HeadwayError(f"MLflow at {without_password(uri)} failed: {line}") from error
+                raise TrackingError(f"MLflow at {without_password(uri)} failed: {line}") from error
             if time.monotonic() >= deadline:
-                raise HeadwayError(
+                raise TrackingError(
                     f"MLflow's database {without_password(uri)} stayed locked for {seconds:g} s: "
                     "close what else writes to it"
                 ) from error

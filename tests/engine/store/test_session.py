@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from headway.contracts import HeadwayError
 from headway.events import Row
 from headway.store import Run, RunIndex, RunLog, SessionStore, sync
 from headway.store.checkpoint import save_checkpoint
+from headway.store.courier import Errand
 from headway.store.durable import read_json
 from headway.store.folder import rules_file
 from headway.store.tracking import Tracker
@@ -225,6 +227,68 @@ def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     sync(root)
     assert _histories(root, run)["train/loss"] == histories["train/loss"]
     assert len(_mlflow(root).search_runs(["1"])) == 2
+
+
+def test_a_run_that_cannot_be_read_keeps_no_other_from_mlflow(root: Path) -> None:
+    """While they are trained, at the next session's end, and by `sync`; it says so each time."""
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    broken, whole = _begin(store, seed=0), _begin(store, seed=1)
+    for run in (broken, whole):
+        _train(run, 1, 10)
+    store.close()
+    segment = broken.directory / "curve-000010.parquet"
+    content = segment.read_bytes()
+    segment.write_bytes(b"no Parquet")
+
+    second = SessionStore.open(StoreConfig(root=str(root)))
+    for run in (broken, whole):
+        replace(run.record, status="KILLED").write(run.directory)
+    second.resume(whole.run_id).finish("FINISHED", {"final_reward": 1.0})
+    [notice] = second.close()
+    assert "curve-000010.parquet cannot be read as Parquet" in notice
+    assert "is behind" not in notice
+    assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
+    [line] = sync(root)
+    assert line.startswith(f"{broken.run_id} is not sent to MLflow: ")
+
+    segment.write_bytes(content)
+    (whole.directory / "tracking.json").write_text("{half of it")  # what MLflow has is asked for
+    assert set(sync(root)) == {f"{run.run_id} is up to date in MLflow" for run in (broken, whole)}
+    assert sync(root) == ()
+    assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
+    assert len(_histories(root, broken)["train/reward"]) == 10
+
+
+def test_a_living_run_that_cannot_be_read_is_told_of_once_and_others_go_on(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    broken = _begin(store, seed=0)
+    (broken.directory / "curve-000001.parquet").write_bytes(b"no Parquet")
+    for iteration in (1, 2, 3):
+        store.follow(Errand(broken._follower.catch_up, broken._follower.forget, broken._follower.catch_up))
+        broken.record = replace(broken.record, durable_iteration=iteration)
+    whole = _begin(store, seed=1)
+    _train(whole, 1, ITERATIONS)
+    whole.finish("FINISHED", {"final_reward": 2.0})
+    [notice] = store.close()
+    assert "curve-000001.parquet cannot be read" in notice
+    assert notice.endswith("training goes on")
+    assert _histories(root, whole)["train/reward"][-1] == (4000, 40.0)
+    assert read_json(whole.directory / "tracking.json")["complete"]
+
+
+def test_what_of_a_run_can_be_looked_at_is_there_when_it_ends(root: Path) -> None:
+    store = SessionStore(StoreConfig(root=str(root)))
+    run = _begin(store)
+    log = RunLog(run.directory)
+    log.append("curve", [{"iteration": 1, "env_steps": 100, "evaluation_greedy/return": 1.0}])
+    log.commit(1)
+    run.finish("FINISHED", {})
+    assert (run.directory / "curves.png").is_file()
+    assert (run.directory / "evaluations.csv").is_file()
+    assert store.close() == ()
+    child = read_json(run.directory / "tracking.json")["run"]
+    sent = {artifact.path for artifact in _mlflow(root).list_artifacts(child)}
+    assert {"curves.png", "evaluations.csv"} <= sent
 
 
 @pytest.fixture
