@@ -72,12 +72,12 @@ def summary(scores: pd.DataFrame) -> pd.DataFrame:
     """Of each controller, over its runs on all tasks: `runs`, `mean`, `std` (ddof = 1; NaN for one run) and
     the interquartile mean `iqm` with its 95% interval `iqm_low`, `iqm_high` by the stratified bootstrap.
 
-    The interval of a single run is NaN: drawn again and again it would look certain."""
+    The interval is NaN where a task has but one run: drawn again and again it would look certain."""
     rows = []
     for controller, of_controller in scores.groupby("controller", sort=False):
         figures = mean_std(of_controller["score"].to_numpy())
-        interval = stratified_bootstrap_interval(list(_by_task(of_controller).values()))
-        known = figures.count > 1
+        tasks = list(_by_task(of_controller).values())
+        interval, known = stratified_bootstrap_interval(tasks), _several_runs(tasks)
         rows.append(
             {
                 "controller": controller,
@@ -116,18 +116,14 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
 
 def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.DataFrame:
     """The performance profile of each controller: at each `threshold` (default: evenly over all scores) the
-    `share` of runs above it, with the ends `low` and `high` of its 95% interval."""
+    `share` of runs above it, with the ends `low` and `high` of its 95% interval (NaN where a task has but
+    one run)."""
     points = np.asarray(even_thresholds(scores) if thresholds is None else thresholds, np.float64)
-    frames = [
-        _banded(
-            str(controller),
-            "threshold",
-            points,
-            performance_profile(list(_by_task(of_controller).values()), points),
-            "share",
-        )
-        for controller, of_controller in scores.groupby("controller", sort=False)
-    ]
+    frames = []
+    for controller, of_controller in scores.groupby("controller", sort=False):
+        tasks = list(_by_task(of_controller).values())
+        band = _honest(performance_profile(tasks, points), tasks)
+        frames.append(_banded(str(controller), "threshold", points, band, "share"))
     columns = ["controller", "threshold", "share", "low", "high"]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
@@ -141,8 +137,8 @@ def even_thresholds(scores: pd.DataFrame) -> NDArray[np.float64]:
 
 def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
     """The sample-efficiency curve of each controller: at the `env_steps` that all its runs on all its tasks
-    have, the interquartile mean `iqm` with the ends `low` and `high` of its 95% interval. A controller whose
-    runs share no steps is left out."""
+    have, the interquartile mean `iqm` with the ends `low` and `high` of its 95% interval (NaN where a task
+    has but one run). A controller whose runs share no steps is left out."""
     frames = []
     for controller, of_controller in curves.groupby("controller", sort=False):
         tables = [_table(of_task) for _, of_task in of_controller.groupby("task", sort=False)]
@@ -150,7 +146,8 @@ def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
         for table in tables[1:]:
             steps = steps.intersection(table.index)
         if len(steps):
-            band = sample_efficiency([table.loc[steps].to_numpy().T for table in tables])
+            values = [table.loc[steps].to_numpy().T for table in tables]
+            band = _honest(sample_efficiency(values), values)
             frames.append(_banded(str(controller), "env_steps", steps.to_numpy(), band, "iqm"))
     columns = ["controller", "env_steps", "iqm", "low", "high"]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
@@ -192,6 +189,18 @@ def _by_task(scores: pd.DataFrame) -> dict[str, NDArray[np.float64]]:
 def _table(curves: pd.DataFrame) -> pd.DataFrame:
     """The steps that all runs have (index, in order) by runs."""
     return curves.pivot_table(index="env_steps", columns="run_id", values="value").dropna().sort_index()
+
+
+def _several_runs(tasks: Sequence[NDArray[np.float64]]) -> bool:
+    """Whether every task, with runs along its first axis, has more than one."""
+    return all(len(task) > 1 for task in tasks)
+
+
+def _honest(band: Band, tasks: Sequence[NDArray[np.float64]]) -> Band:
+    """A band without ends where they would be those of single runs drawn again and again."""
+    if _several_runs(tasks):
+        return band
+    return Band(band.estimate, np.full_like(band.low, np.nan), np.full_like(band.high, np.nan))
 
 
 def _banded(

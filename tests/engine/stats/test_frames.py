@@ -58,6 +58,20 @@ def test_one_run_has_neither_deviation_nor_interval() -> None:
     assert found.loc["b", "iqm_low"] < 3 < found.loc["b", "iqm_high"]
 
 
+def test_bands_of_single_runs_have_no_ends() -> None:
+    one, two = {"bus": [3.0], "merge": [1.0]}, {"bus": [3.0, 4.0], "merge": [1.0, 2.0]}
+    found = frames.profiles(scores(a=one, b=two))
+    known = found.groupby("controller")[["low", "high"]].count()
+    assert known.loc["a"].tolist() == [0, 0]
+    assert known.loc["b"].tolist() == [found["controller"].eq("b").sum()] * 2
+    assert found["share"].notna().all()
+    assert frames.summary(scores(a=one, b=two))["iqm_low"].isna().tolist() == [True, False]
+    found = frames.efficiency(curves(a_0=[0, 1], b_0=[2, 3], b_1=[4, 5])).set_index("controller")
+    assert found.loc["a", "iqm"].tolist() == [0, 1]
+    assert found.loc["a", ["low", "high"]].isna().all(axis=None)
+    assert found.loc["b", "low"].tolist() == [2, 3]
+
+
 def test_improvements_are_over_common_tasks_and_pairs_sum_to_one() -> None:
     found = frames.improvements(
         scores(a={"bus": [1.0, 4.0]}, b={"bus": [1.0, 3.0], "merge": [9.0]}, c={"merge": [2.0]})
