@@ -47,6 +47,11 @@ def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
     }
 
 
+def counted(count: int, what: str) -> str:
+    """`1 run`, `3 runs`."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
 def learning_curves(
     means: "pd.DataFrame",
     rules: Mapping[str, Mapping[str, float]],
@@ -111,7 +116,7 @@ def _draw_curve(
     axes: "Axes", name: str, curve: "pd.DataFrame", column: str, remark: str, style: Mapping[str, Any]
 ) -> None:
     """A controller's line and the band of its interval."""
-    runs = f" ({_counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
+    runs = f" ({counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
     axes.plot(steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_marks(len(steps)), **style)
     ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
@@ -123,9 +128,10 @@ def _marks(points: int) -> dict[str, Any]:
     return {"marker": "o", "markersize": 3.5} if points <= _MARKED else {}
 
 
-def draw_rules(axes: "Axes", rules: Mapping[str, float]) -> None:
-    """A grey line a rule across what is drawn already; the far ones in the legend only."""
-    near = near_rules(rules, *axes.get_ylim())
+def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
+    """A grey line a rule across what is drawn already, or an upright one; the far ones in the legend only."""
+    near = near_rules(rules, *(axes.get_xlim() if upright else axes.get_ylim()))
+    draw = axes.axvline if upright else axes.axhline
     for place, (rule, value) in enumerate(sorted(rules.items())):
         style: dict[str, Any] = {
             "linestyle": _RULE_LINES[place % len(_RULE_LINES)],
@@ -133,7 +139,7 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float]) -> None:
             "linewidth": 1,
         }
         if rule in near:
-            axes.axhline(value, label=f"rule {rule}", **style)
+            draw(value, label=f"rule {rule}", **style)
         else:
             axes.plot([], [], label=f"rule {rule} (off, at {_four_digits(value)})", **style)
 
@@ -175,7 +181,7 @@ def intervals(
     summary: "pd.DataFrame", rules: Mapping[str, float], label: str, styles: Mapping[str, Mapping[str, Any]]
 ) -> "Figure":
     """The frame of `summary`: a line a controller, its interquartile mean and its interval; rules as upright
-    lines, but for those far away."""
+    lines, those far away in the legend only."""
     figure = _figure(_WIDTH, 0.9 + 0.36 * len(summary) + 0.2 * len(rules))
     axes = figure.subplots()
     names = [str(name) for name in summary.index]
@@ -190,19 +196,14 @@ def intervals(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
         )
         axes.plot([row["iqm"]] * 2, [place - 0.25, place + 0.25], color=colour, linewidth=2.5)
-    near = near_rules(rules, *axes.get_xlim()) if rules else set()
-    for place, (rule, value) in enumerate(sorted(rules.items())):
-        if rule in near:
-            style: dict[str, Any] = {"linestyle": _RULE_LINES[place % 3], "linewidth": 1}
-            shade = f"{0.2 + 0.4 * place / max(len(rules), 1):.2f}"
-            axes.axvline(value, label=f"rule {rule}", color=shade, **style)
+    draw_rules(axes, rules, upright=True)
     axes.use_sticky_edges = False  # or the bars would end at the frame
     axes.margins(x=0.05)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
     _finish(axes, label, "")
     axes.xaxis.set_major_formatter(_SEPARATED)
-    if near:
+    if rules:
         axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return figure
 
@@ -344,7 +345,3 @@ def _finish(axes: "Axes", across: str, upward: str) -> None:
 
 def _four_digits(value: float) -> str:
     return f"{float(f'{value:.4g}'):,.10g}"
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -62,6 +62,22 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
     draw_rules(axes, rules)
     assert axes.get_ylim()[0] > 0
     assert "rule random (off, at -1,819)" in [line.get_label() for line in axes.lines]
+    scores = pd.DataFrame({"iqm": [90.0, 250.0], "iqm_low": [80.0, 200.0], "iqm_high": [99.0, 290.0]})
+    scores.index = pd.Index(["ippo", "mappo"])
+    [upright] = intervals(scores, rules, "", colours(["ippo", "mappo"])).axes
+    assert upright.get_xlim()[0] > 0
+    legend = upright.get_legend()
+    assert legend is not None
+    styles = {
+        text.get_text(): (line.get_color(), line.get_linestyle())
+        for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)
+    }
+    assert styles == {
+        str(line.get_label()): (line.get_color(), line.get_linestyle())
+        for line in axes.lines
+        if str(line.get_label()).startswith("rule ")
+    }
+    assert len(styles) == len(rules)
 
 
 def _curves(**by_controller: list[float]) -> pd.DataFrame:

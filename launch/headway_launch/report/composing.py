@@ -3,13 +3,14 @@
 from datetime import UTC, datetime
 from importlib.metadata import version
 
+from headway.drawing import counted
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM
 from headway_launch.report.costs import energy_section, tradeoff_section
 from headway_launch.report.gather import StudyData
 from headway_launch.report.learning import across_environments, curves_section, figures_section
 from headway_launch.report.making import making_section, runs_section
 from headway_launch.report.page import Report
-from headway_launch.report.parts import Section, counted, figure, scale_of, with_interval
+from headway_launch.report.parts import Section, figure, scale_of, with_interval
 from headway_launch.report.rewards import improvement_section, published_form, sound_form
 
 

@@ -1,6 +1,7 @@
 """Sections on what it cost: energy, CO2, CPU seconds, and what was reached for them."""
 
 from headway import drawing
+from headway.drawing import counted
 from headway.stats import frames
 from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import (
@@ -8,7 +9,6 @@ from headway_launch.report.parts import (
     Picture,
     Section,
     Table,
-    counted,
     figure,
     scale_of,
     with_deviation,

@@ -108,11 +108,6 @@ def scale_of(largest: float, unit: str) -> tuple[str, float]:
     return "m" + base, 1e6
 
 
-def counted(count: int, what: str) -> str:
-    """`1 run`, `3 runs`."""
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
-
-
 def _decimals(spread: float, value: float) -> int:
     """Two digits of the spread, at most four of the whole, and one decimal for values below 1,000."""
     largest = max(abs(value), spread)
