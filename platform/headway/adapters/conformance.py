@@ -42,7 +42,9 @@ def play(
 ) -> Recording:
     """Random play from `reset`, with shapes, types and numbers checked at each step; `copies` None: COPIES,
     or as many as the environment allows."""
-    copies = _copies(make) if copies is None else copies
+    if copies is None:
+        with closing(make(1)) as first:
+            copies = min(COPIES, first.spec.max_copies_per_process or COPIES)
     env, seeds = make(copies), seeds_from(first_seed, copies)
     recording = record(env, env.reset(seeds), RandomPlay(seeds), longest, episodes=2)
     env.close()
@@ -56,7 +58,7 @@ def check_spec(make: Make, recording: Recording) -> None:
     assert len(spec.groups) in (0, spec.num_agents), "groups name each agent's group, or are empty"
     assert len(set(spec.metrics)) == len(spec.metrics), "metrics need names of their own"
     assert spec.observation_size > 0, "observations need at least one component"
-    copies = min(_copies(make), 2)
+    copies = min(recording.copies, 2)
     env = make(copies)
     assert env.num_copies == copies, "num_copies is the number asked for"
     assert env.spec == spec, "the spec depends on the number of copies"
@@ -98,7 +100,7 @@ def check_shared_reward(make: Make, recording: Recording) -> None:
 
 def check_determinism(make: Make, recording: Recording) -> None:
     """The same seeds and actions give the same, in a new environment and after `reset` of a used one."""
-    copies = _copies(make)
+    copies = recording.copies
     env, seeds = make(copies), seeds_from(FIRST_SEED, copies)
     others = seeds_from(FIRST_SEED + 100, copies)
     record(env, env.reset(others), RandomPlay(others), longest=7, episodes=2)
@@ -108,14 +110,14 @@ def check_determinism(make: Make, recording: Recording) -> None:
 
 def check_copies(make: Make, recording: Recording) -> None:
     """A copy is the same whatever stands beside it, later episodes included."""
-    for copy in range(_copies(make)):
+    for copy in range(recording.copies):
         alone = play(make, copies=1, first_seed=FIRST_SEED + copy)
         assert_same(alone, recording.of_copy(copy, steps=alone.steps))
 
 
 def check_snapshots(make: Make, recording: Recording) -> None:
     """A snapshot kept in a checkpoint goes on bit for bit, from mid-episode and across an episode's end."""
-    copies = _copies(make)
+    copies = recording.copies
     seeds = seeds_from(FIRST_SEED, copies)
     env = make(copies)
     play_on = RandomPlay(seeds)
@@ -139,11 +141,6 @@ def check_snapshots(make: Make, recording: Recording) -> None:
         rest = min(on.steps, recording.steps - before.steps)
         assert_same(on.of_copy(copy, steps=rest), recording.of_copy(copy, before.steps, rest))
     other.close()
-
-
-def _copies(make: Make) -> int:
-    with closing(make(1)) as env:
-        return min(COPIES, env.spec.max_copies_per_process or COPIES)
 
 
 def _through_a_checkpoint(snapshot: Any) -> Any:  # noqa: ANN401 - opaque to the engine

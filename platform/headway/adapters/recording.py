@@ -40,6 +40,11 @@ class Recording:
         """T."""
         return len(self.episode_ended)
 
+    @property
+    def copies(self) -> int:
+        """C."""
+        return int(self.episode_ended.shape[1])
+
     def of_copy(self, copy: int, first: int = 0, steps: int | None = None) -> "Recording":
         """Steps first to first + steps - 1 of one copy; all that follow where `steps` is None."""
         last = self.steps if steps is None else first + steps

@@ -128,3 +128,18 @@ def test_nan_in_a_live_row_is_caught_while_playing() -> None:
 
     with pytest.raises(HeadwayError, match=r"visitors .* of agent visitor_\d in copy 1 at step 4"):
         play(lambda copies: Broken(copies, spoil, {}))
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_check_starts_no_environment_only_to_ask_how_many_copies(check: str) -> None:
+    """A simulator takes seconds to start. Also a recording of fewer copies can be checked."""
+    started: list[int] = []
+
+    def make(copies: int) -> Visitors:
+        started.append(copies)
+        return Visitors(VisitorsConfig(), copies)
+
+    recording = play(make, copies=2)
+    started.clear()
+    CHECKS[check](make, recording)
+    assert started == {"spec": [2], "determinism": [2], "copies": [1, 1], "snapshots": [2, 2]}.get(check, [])
