@@ -19,6 +19,7 @@ from headway_launch.planning import (
     CellPlan,
     PlannedJob,
     Shares,
+    one_of_a_session,
     require_free_disk,
     share_cores,
     uses_gpu,
@@ -235,10 +236,7 @@ def conduct_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = F
     code."""
     sessions: dict[str, list[CellPlan]] = {}
     for cell in cells:
-        config = cell.experiment.config
-        sessions.setdefault(
-            str((config.study, config.store, config.energy, config.backend.parallel)), []
-        ).append(cell)
+        sessions.setdefault(str(one_of_a_session(cell.experiment.config)), []).append(cell)
     worst = EXIT_DONE
     for together in sessions.values():
         worst = max(worst, Conductor(together, debug, plan_kept).conduct())

@@ -200,6 +200,16 @@ def _experience_bytes(job: PlannedJob) -> int:
     return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each
 
 
+def one_of_a_session(config: ExperimentConfig) -> dict[str, object]:
+    """What a session has one of, by its key: experiments that differ here take a session each."""
+    return {
+        "study": config.study,
+        "store": config.store,
+        "energy": config.energy,
+        "backend.parallel": config.backend.parallel,
+    }
+
+
 def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:
     """The whole configuration with every default spelt out, so that a changed default changes no old run."""
     config: ExperimentConfig = experiment.config

@@ -7,6 +7,7 @@ from headway.config import ExperimentConfig
 from headway.configuration import parse_seeds
 from headway.contracts.errors import HeadwayError
 from headway_launch.composing import Experiment, compose, groups
+from headway_launch.planning import one_of_a_session
 
 _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
 
@@ -67,12 +68,7 @@ def _all_seeds(override: str, text: str) -> str:
 
 
 def _require_one_session(first: ExperimentConfig, other: ExperimentConfig) -> None:
-    parts = {
-        "study": (first.study, other.study),
-        "store": (first.store, other.store),
-        "energy": (first.energy, other.energy),
-        "backend.parallel": (first.backend.parallel, other.backend.parallel),
-    }
-    for name, (one, another) in parts.items():
-        if one != another:
+    another = one_of_a_session(other)
+    for name, value in one_of_a_session(first).items():
+        if value != another[name]:
             raise HeadwayError(f"{name} has one value in a sweep; give {name} one, or sweep once for each")
