@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 from headway.config import ExperimentConfig
@@ -163,7 +162,7 @@ def print_results(
     rows = [result.cells for result in results]
     finished = [result.cells for result in results if result.status == "FINISHED"]
     if len(finished) > 1:
-        rows += [_over_seeds("mean", finished), _over_seeds("std", finished)]
+        rows += _over_seeds(finished)
     estimated = _estimated(results)
     columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _COLUMNS)
     print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
@@ -182,19 +181,20 @@ def print_cells(study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]
         areas = [result.auc for result in finished if result.auc is not None]
         done = f"{len({result.seed for result in finished})} of {planned}"
         used = (_sum(results, name) for name in ("cpu_seconds", "kwh", "kg_co2"))
-        rows.append((label, done, _mean(rewards), _deviation(rewards), _mean(areas), *used))
+        rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
     estimated = any(_estimated(results) for _, _, results in cells)
     columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _CELL_COLUMNS)
     print_table(columns, rows, f"study {study}", ("finished",), ("kg CO2eq", AUC_HEADING))
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return fmean(values) if values else None
+def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
+    """Mean and the sample's deviation; None where there is none."""
+    from headway.stats import mean_std
 
-
-def _deviation(values: Sequence[float]) -> float | None:
-    """The sample's; None where there is none."""
-    return stdev(values) if len(values) > 1 else None
+    if not values:
+        return None, None
+    figures = mean_std(values)
+    return figures.mean, figures.std if figures.count > 1 else None
 
 
 def _sum(results: Sequence[SeedResult], name: str) -> float | None:
@@ -223,15 +223,13 @@ def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> 
     return [sorted(rows, key=lambda row: int(row["episode_seed"])) for rows in played]
 
 
-def _over_seeds(name: str, rows: Sequence[tuple[Cell, ...]]) -> tuple[Cell, ...]:
-    from headway.stats import mean_std
-
-    cells: list[Cell] = [name, None]
-    for column in range(2, len(_COLUMNS)):
-        values = [float(cell) for row in rows if isinstance(cell := row[column], int | float)]
-        if len(values) < 2:
-            cells.append(values[0] if values and name == "mean" else None)
-            continue
-        figures = mean_std(values)
-        cells.append(figures.mean if name == "mean" else figures.std)
-    return tuple(cells)
+def _over_seeds(rows: Sequence[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
+    """The rows of means and of deviations."""
+    figures = [
+        _mean_std([float(cell) for row in rows if isinstance(cell := row[column], int | float)])
+        for column in range(2, len(_COLUMNS))
+    ]
+    return [
+        ("mean", None, *(mean for mean, _ in figures)),
+        ("std", None, *(deviation for _, deviation in figures)),
+    ]

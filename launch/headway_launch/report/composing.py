@@ -102,15 +102,19 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
 
 def _cost(data: StudyData) -> str:
     used = data.summaries
-    cpu = used["cpu_seconds"].sum()
-    if not used["kwh"].notna().any():
-        return f"The finished runs used {figure(cpu)} CPU seconds; their energy was not measured."
-    kwh, co2 = float(used["kwh"].sum()), float(used["kg_co2"].sum())
+    measured = used[used["kwh"].notna()]
+    if measured.empty:
+        cpu = figure(used["cpu_seconds"].sum())
+        return f"The finished runs used {cpu} CPU seconds; their energy was not measured."
+    kwh, co2 = float(measured["kwh"].sum()), float(measured["kg_co2"].sum())
     kwh_unit, kwh_factor = scale_of(kwh, "kWh")
     co2_unit, co2_factor = scale_of(co2, "kg")
+    whose = "The finished runs"
+    if len(measured) < len(used):
+        whose = f"Of {counted(len(used), 'finished run')} the {len(measured)} whose energy was measured"
     return (
-        f"The finished runs used {figure(kwh * kwh_factor)} {kwh_unit} ({figure(cpu)} CPU seconds), which is "
-        f"{figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent."
+        f"{whose} used {figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU "
+        f"seconds), which is {figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent."
     )
 
 

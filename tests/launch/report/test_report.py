@@ -200,6 +200,9 @@ def test_some_runs_without_energy_are_said_and_left_out_of_its_means(keep_run: K
     report = made(root)
     assert "1 run had no measurement" in said(report)
     assert table(report, "energy")["runs"].tolist() == [1]
+    # CPU seconds of the same run, 3, and not of both, 7.
+    assert "Of 2 finished runs the 1 whose energy was measured used" in said(report)
+    assert "(3 CPU seconds)" in said(report)
 
 
 def test_one_seed_and_no_rule_are_said(keep_run: KeepRun, root: Path) -> None:
