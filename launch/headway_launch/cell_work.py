@@ -25,6 +25,8 @@ from headway_launch.planning import (
 from headway_launch.results import SeedResult, stored_result
 
 Rules = Mapping[str, list[Row]]
+_WHICH_DAYS = "evaluation_seed"
+"""Column of the rules' days: `episode_seed` counts days from 0 whatever they follow from."""
 
 
 class CellWork:
@@ -91,9 +93,11 @@ class CellWork:
         if key not in played:
             jobs = self.plan.jobs
             prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
-            played[key] = rule_episodes(
-                self.experiment, prepared, self.experiment.rules, evaluation.seed, days
-            )
+            episodes = rule_episodes(self.experiment, prepared, self.experiment.rules, evaluation.seed, days)
+            played[key] = {
+                rule: [{**row, _WHICH_DAYS: evaluation.seed} for row in rows]
+                for rule, rows in episodes.items()
+            }
         self.rules, self.touched = played[key], True
         self._cell.keep_rules(self.rules)
 
@@ -115,10 +119,12 @@ class CellWork:
         """What earlier sessions kept of all its rules and days; None if something is missing."""
         path = rules_file(Path(self.config.store.root), self.config.study, self._cell.name)
         kept = read_json(path) if path.exists() else {}
-        days = self.config.evaluation.last_episodes
-        if any(len(kept.get(rule, ())) != days for rule in self.experiment.rules):
+        evaluation = self.config.evaluation
+        days = [evaluation.seed] * evaluation.last_episodes
+        rules: Rules = {rule: kept.get(rule, []) for rule in self.experiment.rules}
+        if any([row.get(_WHICH_DAYS) for row in rows] != days for rows in rules.values()):
             return None
-        return {rule: kept[rule] for rule in self.experiment.rules}
+        return rules
 
 
 def _has_checkpoint(directory: Path) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 Row = Mapping[str, float | int | str]
 
-LABELS = frozenset({"copy", "episode_seed", "iteration", "env_steps", "mode", "final"})
+LABELS = frozenset({"copy", "episode_seed", "evaluation_seed", "iteration", "env_steps", "mode", "final"})
 """Columns of tables of episodes that say which one it was; the others are its figures."""
 
 
