@@ -5,6 +5,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,7 @@ def require_known(rows: Sequence["RunRow"], conditions: Sequence[Condition], key
     named += [("--sort", key.split()[0]) for key in keys.split(",") if key.strip()]
     for option, field in named:
         if "." in field and rows and all(value_of(row, field) is None for row in rows):
-            known = {name for row in rows for name in _parameters(row)}
+            known = {name for row in rows for name in _parameters(row.directory)}
             raise HeadwayError(f"{option}: no run has the parameter {field!r}; {suggestion(field, known)}")
 
 
@@ -92,13 +93,15 @@ def value_of(row: "RunRow", field: str) -> Value:
     if "." not in field:
         value: Value = getattr(row, field)
         return None if isinstance(value, float) and math.isnan(value) else value
-    return _parameters(row).get(field)
+    return _parameters(row.directory).get(field)
 
 
-def _parameters(row: "RunRow") -> Mapping[str, str]:
+@cache
+def _parameters(directory: str) -> Mapping[str, str]:
+    """Of the run in a folder: they are asked for by each condition and key, and never change."""
     from headway.store.folder import RunRecord
 
-    return RunRecord.read(Path(row.directory)).parameters
+    return RunRecord.read(Path(directory)).parameters
 
 
 def _require_field(option: str, field: str) -> None:
