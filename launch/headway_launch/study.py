@@ -64,8 +64,10 @@ def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
     have = set(curves["run_id"])
     for row in runs.rows:
         if row.run_id not in have:
-            every = runs.curves().columns
-            known = [name for name in every if "/" in name]
+            # Of the same kind, and in all runs: whatever else there is would be refused in its turn.
+            kind = "evaluation_" if metric.startswith("evaluation_") else ""
+            in_all = runs.curves().groupby("run_id").count().gt(0).all()
+            known = [name for name in in_all[in_all].index if "/" in name and name.startswith(kind)]
             raise HeadwayError(f"--metric: {row.run_id} has no {metric!r}; {suggestion(metric, known)}")
     for cell, points in curves.groupby("cell"):
         if points.groupby("env_steps")["run_id"].nunique().max() < points["run_id"].nunique():

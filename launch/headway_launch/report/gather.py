@@ -1,6 +1,5 @@
 """The data of a report: what a study's runs came to, beside the rules on the same days."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway import drawing
-from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
 from headway.stats import Interval, frames
@@ -265,11 +263,11 @@ class StudyData:
 
     def _usual_metric(self) -> str:
         """Greedy evaluation, or else the first mode in which all runs were evaluated."""
-        modes: Sequence[str] = ("greedy", "sampled")
-        for mode in modes:
-            if all(mode in configuration(row.directory)["evaluation"]["modes"] for row in self.runs.rows):
+        evaluated = [configuration(row.directory)["evaluation"]["modes"] for row in self.runs.rows]
+        for mode in ("greedy", "sampled"):
+            if all(mode in modes for modes in evaluated):
                 return f"evaluation_{mode}/return"
         raise HeadwayError(
-            f"the runs of {self.study} were evaluated in different modes; "
-            f"{suggestion('evaluation_greedy', [f'evaluation_{mode}' for mode in modes])}"
+            f"some runs of {self.study} were evaluated greedily only and others sampled only, so no curve is "
+            "of all; train them with a mode in common, such as evaluation.modes=[greedy]"
         )

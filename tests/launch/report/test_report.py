@@ -315,3 +315,17 @@ def test_of_evaluation_in_another_mode_that_is_taken(keep_run: KeepRun, root: Pa
     assert directory.exists()
     with pytest.raises(HeadwayError, match="has no 'evaluation_sampled/return'"):
         StudyData(root, "study")
+
+
+def test_a_metric_that_only_some_runs_have_is_not_suggested(keep_run: KeepRun, root: Path) -> None:
+    keep_run(TRACKING, 0, 1.0, wait=3.0)
+    keep_run(TRACKING, 1, 1.0)
+    with pytest.raises(HeadwayError, match=r"-s1-.* has no .*; did you mean .*/return\? There is: [^,]*$"):
+        StudyData(root, "study", "evaluation_greedy/wait")
+
+
+def test_runs_evaluated_in_different_modes_are_told_what_to_train_with(keep_run: KeepRun, root: Path) -> None:
+    keep_run((*TRACKING, "evaluation.modes=[greedy]"), 0, 1.0)
+    keep_run((*TRACKING, "evaluation.modes=[sampled]"), 1, 1.0)
+    with pytest.raises(HeadwayError, match=r"no curve is of all; train .* evaluation.modes=\[greedy\]$"):
+        StudyData(root, "study")
