@@ -180,6 +180,7 @@ class Conductor:
             print_cells(
                 self._config.study,
                 [(cell.plan.label, len(cell.config.seed), cell.in_order()) for cell in self._cells],
+                {cell.config.evaluation.episodes for cell in self._cells},
             )
 
     def _say_where(self, seconds: float) -> None:

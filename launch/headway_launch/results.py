@@ -1,6 +1,6 @@
 """What an experiment came to: one row a seed, their mean and deviation."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 _USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
 AUC_HEADING = "AUC (own range)"
+_FINAL, _MEAN_FINAL = "final reward", "mean final reward"
 _COLUMNS = (
     "seed",
     "status",
-    "final reward",
+    _FINAL,
     AUC_HEADING,
     "env steps",
     "steps/s",
@@ -31,7 +32,7 @@ _COLUMNS = (
 _CELL_COLUMNS = (
     "cell",
     "finished",
-    "mean final reward",
+    _MEAN_FINAL,
     "std",
     AUC_HEADING,
     "CPU s",
@@ -163,17 +164,18 @@ def print_results(
     finished = [result.cells for result in results if result.status == "FINISHED"]
     if len(finished) > 1:
         rows += _over_seeds(finished)
-    estimated = _estimated(results)
-    columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _COLUMNS)
+    columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
     print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
 
 
-def print_cells(study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]]) -> None:
+def print_cells(
+    study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]], days: Collection[int]
+) -> None:
     """A row a cell (its label, its planned seeds, the results of those that ended): means over the finished
-    seeds, and what all of them used."""
+    seeds, and what all of them used. `days`: how many the curves' points are of."""
     rows: list[tuple[Cell, ...]] = []
     for label, planned, results in cells:
         finished = [result for result in results if result.status == "FINISHED"]
@@ -183,8 +185,18 @@ def print_cells(study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]
         used = (_sum(results, name) for name in ("cpu_seconds", "kwh", "kg_co2"))
         rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
     estimated = any(_estimated(results) for _, _, results in cells)
-    columns = tuple(f"{name} (estimated)" if estimated and name == "kWh" else name for name in _CELL_COLUMNS)
+    columns = _headings(_CELL_COLUMNS, estimated, days)
     print_table(columns, rows, f"study {study}", ("finished",), ("kg CO2eq", AUC_HEADING))
+
+
+def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) -> tuple[str, ...]:
+    """With how energy is known, and of how many days a point of the curve is: figures of other columns and
+    tables are of the last evaluation, which may have more."""
+    from headway.drawing import counted
+
+    over = f"({counted(next(iter(days)), 'day')})" if len(days) == 1 else "(days differ)"
+    remarks = {_FINAL: over, _MEAN_FINAL: over, "kWh": "(estimated)" if estimated else ""}
+    return tuple(f"{name} {remarks.get(name, '')}".rstrip() for name in columns)
 
 
 def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
