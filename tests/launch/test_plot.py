@@ -9,11 +9,13 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+from headway import drawing
 from headway.contracts.errors import HeadwayError
 from headway.drawing import colours, draw_rules, far_off, intervals, learning_curves, near_rules
 from headway.store import RunLog, RunRecord, Selection, select
 from headway.store.durable import write_text
 from headway.store.folder import Process, create_run_folder, now, rules_file
+from headway_launch.command_line import run
 from headway_launch.study import curves_of, rules_beside
 
 
@@ -78,6 +80,41 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
         if str(line.get_label()).startswith("rule ")
     }
     assert len(styles) == len(rules)
+
+
+def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_out(
+    runs: Selection,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    record = replace(RunRecord.read(Path(runs.rows[0].directory)), algorithm="mappo")
+    run_id, directory = create_run_folder(tmp_path, "study", record.cell, 0)
+    replace(record, run_id=run_id).write(directory)
+    log = RunLog(directory)
+    log.append("curve", [{"iteration": 0, "env_steps": 0, "evaluation_greedy/return": 2.0}])
+    log.commit(0)
+    drawn: list[tuple[list[str], object]] = []
+
+    def keep(means: pd.DataFrame, rules: object, *_: object, **__: object) -> Figure:
+        drawn.append((sorted(means["controller"].unique()), rules))
+        return Figure()
+
+    monkeypatch.setattr(drawing, "learning_curves", keep)
+    words = ["plot", "study", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.png")]
+    assert run([*words, "--where", "algorithm=mappo", "--no-rules"]) == 0
+    assert drawn == [(["mappo"], {})]
+    capsys.readouterr()
+    for condition, line in (
+        ("algorithm=coma", "--where: no finished run of study is so"),
+        ("algo.lrr=1", "--where: no run has the parameter 'algo.lrr'"),
+        ("algoritm=mappo", "did you mean algorithm?"),
+        ("mappo", "is no condition"),
+    ):
+        assert run([*words, "--where", condition]) == 2
+        told = capsys.readouterr().err
+        assert line in told
+        assert told.count("\n") == 1
 
 
 def _curves(**by_controller: list[float]) -> pd.DataFrame:

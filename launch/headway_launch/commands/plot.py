@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.choosing import parse_conditions, require_known
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
@@ -11,6 +12,7 @@ examples:
   headway plot bus
   headway plot bus --output curves.png --metric evaluation_sampled/return
   headway plot bus --low 0                         cut the vertical axis below 0
+  headway plot bus --where 'policies=shared and algo.lr<1e-3' --no-rules
 
 One line a cell (algorithm, policies and the settings that tell cells apart), one panel an environment: the
 mean over its finished seeds with the 95% interval of that mean (Student's t); dashed lines beside a metric of
@@ -23,6 +25,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
     parser.add_argument("--output", default=None, help="picture to write (default: STUDY.png)")
     parser.add_argument("--metric", default="evaluation_greedy/return", help="column of the curve")
+    parser.add_argument(
+        "--where",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="only runs that are so, as in `headway runs`; repeatable",
+    )
+    parser.add_argument("--no-rules", action="store_true", help="leave out the rules")
     parser.add_argument("--low", type=float, default=None, help="lower end of the vertical axis")
     add_store_argument(parser)
 
@@ -35,12 +45,18 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.study import curves_of, finished_runs, rules_beside
 
     root = existing_store(arguments.store)
-    runs = Selection(root, tuple(finished_runs(root, arguments.study)))
+    conditions = parse_conditions(arguments.where)
+    finished = finished_runs(root, arguments.study)
+    require_known(finished, conditions, "")
+    chosen = tuple(row for row in finished if all(condition.holds(row) for condition in conditions))
+    if not chosen:
+        raise HeadwayError(f"--where: no finished run of {arguments.study} is so; see headway runs --where")
+    runs = Selection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, arguments.metric))
     figure = drawing.learning_curves(
         means,
-        rules_beside(runs, arguments.metric),
+        {} if arguments.no_rules else rules_beside(runs, arguments.metric),
         arguments.metric.replace("_", " ").replace("/", ": "),
         drawing.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
