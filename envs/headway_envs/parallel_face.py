@@ -1,6 +1,6 @@
 """One copy of a batched environment as a PettingZoo ParallelEnv, for use in other libraries."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,10 @@ from headway.contracts import (
     child_seeds,
 )
 
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
+Stepped = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+
 
 class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
     """`reset(seed=s)` begins episode 0 of seed s; `reset()` one of a seed derived from the last.
@@ -28,23 +32,33 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
     `episode_metrics` at an episode's end.
     """
 
-    render_mode = None
+    render_mode: str | None = None
 
-    def __init__(self, make: Callable[[int], BatchedEnv]) -> None:
-        """`make`: (copies) -> batched environment."""
+    def __init__(
+        self,
+        make: Callable[[int], BatchedEnv],
+        name: str | None = None,
+        bound: float = np.inf,
+        low: float | None = None,
+        agents: Sequence[str] | None = None,
+    ) -> None:
+        """`make`: (copies) -> batched environment. Shown are `name` and `agents` (default: the spec's), and
+        observations from `low` (default: -`bound`) to `bound`."""
         self._env = make(1)
         spec = self._env.spec
         self.metadata = {
-            "name": spec.name,
-            "render_modes": [],
+            "name": name or spec.name,
+            "render_modes": [] if self.render_mode is None else [self.render_mode],
             "episode_metrics": spec.metrics,
             "agents_come_and_go": spec.agents_come_and_go,
         }
-        self.possible_agents = list(spec.agents)
+        self.possible_agents = list(agents or spec.agents)
         self.agents: list[str] = []
         self._index = {agent: index for index, agent in enumerate(spec.agents)}
-        self._observation_space = spaces.Box(-np.inf, np.inf, (spec.observation_size,), np.float32)
-        self._action_spaces = {agent: _action_space(spec) for agent in spec.agents}
+        least = -bound if low is None else low
+        self._observation_space = spaces.Box(least, bound, (spec.observation_size,), np.float32)
+        self._action_spaces = {agent: _action_space(spec) for agent in self.possible_agents}
+        self.state_space = spaces.Box(-np.inf, np.inf, (spec.state_size,), np.float32)
         self._actions = _no_actions(spec)
         self._seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._state = np.zeros(spec.state_size, dtype=np.float32)
@@ -64,36 +78,24 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
-        self._seed = int(child_seeds(self._seed, "face", 1, 1)[0]) if seed is None else seed
-        self._observed = observed = self._env.reset(np.array([self._seed], dtype=np.uint64))
+    ) -> tuple[Observations, Infos]:
+        observed = self._begin(seed)
         self.agents = list(self.possible_agents)
-        self._state = observed.states[0].copy()
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        infos: Infos = {agent: {} for agent in self.agents}
         self._add_presence(infos, observed)
         return self._shown(observed.observations, observed.alive), infos
 
-    def step(
-        self, actions: dict[str, Any]
-    ) -> tuple[
-        dict[str, NDArray[np.float32]],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: dict[str, Any]) -> Stepped:
         for agent, action in actions.items():
             self._actions[0, self._index[agent]] = action
-        outcome, self._observed = self._env.step(self._actions)
-        observed = self._observed
+        outcome, observed = self._advance()
         stepped = self.agents
         ended = bool(outcome.episode_ended[0])
         over = outcome.terminated[0] | outcome.truncated[0]
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in stepped}
+        infos: Infos = {agent: {} for agent in stepped}
         if ended:
             observations = self._shown(outcome.final_observations, over[None])
-            self._state = outcome.final_states[0].copy()
-            metrics = dict(zip(self._env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+            metrics = self._metrics(outcome)
             for info in infos.values():
                 info["episode_metrics"] = metrics
         else:
@@ -101,7 +103,6 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
                 np.where(over[None, :, None], outcome.final_observations, observed.observations),
                 observed.alive | over[None],
             )
-            self._state = observed.states[0].copy()
             self._add_presence(infos, observed)
         if self._env.spec.agents_come_and_go:
             for agent, info in infos.items():
@@ -115,24 +116,40 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
             raise NotImplementedError(f"environment '{self._env.spec.name}' has no state")
         return self._state
 
-    def render(self) -> None:
+    def render(self) -> NDArray[np.uint8] | None:
         """There is nothing to see."""
+        return None
 
     def close(self) -> None:
         self._env.close()
 
-    def _shown(self, values: NDArray[np.float32], given: NDArray[np.bool_]) -> dict[str, NDArray[np.float32]]:
+    def _begin(self, seed: int | None) -> Observed:
+        self._seed = int(child_seeds(self._seed, "face", 1, 1)[0]) if seed is None else seed
+        self._observed = observed = self._env.reset(np.array([self._seed], np.uint64))
+        self._state = observed.states[0].copy()
+        return observed
+
+    def _advance(self) -> tuple[Outcome, Observed]:
+        outcome, self._observed = self._env.step(self._actions)
+        ended = bool(outcome.episode_ended[0])
+        self._state = (outcome.final_states if ended else self._observed.states)[0].copy()
+        return outcome, self._observed
+
+    def _metrics(self, outcome: Outcome) -> dict[str, float]:
+        return dict(zip(self._env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+
+    def _shown(self, values: NDArray[np.float32], given: NDArray[np.bool_]) -> Observations:
         """Values (1, N, D) of the agents there are, zeros where not `given` (1, N)."""
         rows = np.where(given[0, :, None], values[0], np.float32(0))
         return {agent: rows[self._index[agent]] for agent in self.agents}
 
-    def _add_presence(self, infos: dict[str, dict[str, Any]], observed: Observed) -> None:
+    def _add_presence(self, infos: Infos, observed: Observed) -> None:
         for agent, info in infos.items():
             index = self._index[agent]
             if self._env.spec.agents_come_and_go:
                 info["alive"] = bool(observed.alive[0, index])
             if observed.action_masks is not None:
-                info["action_mask"] = observed.action_masks[0, index].copy()
+                info["action_mask"] = observed.action_masks[0, index].astype(np.int8)
 
     def _results(
         self, stepped: list[str], outcome: Outcome

@@ -1,90 +1,41 @@
 """The PettingZoo faces of the intersection: vehicles that each live once, or slots that stay."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
-from pettingzoo import ParallelEnv
 
-from headway.contracts import HeadwayError, Observed, Outcome, child_seeds
+from headway.contracts import HeadwayError, Observed
 from headway_envs.intersection.config import IntersectionConfig
-from headway_envs.intersection.env import STRONGEST, IntersectionBatchedEnv
+from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.prepared import Prepared, prepare
-from headway_envs.intersection.reporting import METRICS
+from headway_envs.parallel_face import Infos, Observations, ParallelFace, Stepped
 
-Observation = NDArray[np.float32]
-Info = dict[str, Any]
-Stepped = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
 BOUND = 5.0
 """Of every component of an observation."""
 
 
-class _Face(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
-    """What both faces share: one copy, spaces, seeds, the state."""
+class _Face(ParallelFace):
+    """What both faces share."""
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "name": "headway_intersection_v0",
-        "render_modes": ["rgb_array"],
-        "episode_metrics": METRICS,
-        "agents_come_and_go": True,
-    }
     render_mode = "rgb_array"
+    _env: IntersectionBatchedEnv
 
     def __init__(self, config: IntersectionConfig | Prepared | None, agents: int | None) -> None:
         """`agents`: how many ids there are; None: as many as slots."""
         prepared = config if isinstance(config, Prepared) else prepare(config or IntersectionConfig())
-        self._env = IntersectionBatchedEnv(prepared, 1)
-        spec = self._env.spec
-        self.possible_agents = [f"av_{index}" for index in range(agents or spec.num_agents)]
-        self.agents: list[str] = []
-        self._observation_space = spaces.Box(-BOUND, BOUND, (spec.observation_size,), np.float32)
-        self._action_spaces = {
-            name: spaces.Box(-STRONGEST, STRONGEST, (1,), np.float32) for name in self.possible_agents
-        }
-        self.state_space = spaces.Box(-np.inf, np.inf, (spec.state_size,), np.float32)
-        self._state = np.zeros(spec.state_size, np.float32)
-        self._seed = int(np.random.SeedSequence().generate_state(1)[0])
-        self._actions = np.zeros((1, spec.num_agents, 1), np.float32)
-
-    @property
-    def native(self) -> tuple[IntersectionBatchedEnv, Observed]:
-        """The batch of one copy behind it, and what that observed last: where the rules look."""
-        return self._env, self._env.observed()
-
-    def observation_space(self, agent: str) -> spaces.Box:
-        return self._observation_space
-
-    def action_space(self, agent: str) -> spaces.Box:
-        return self._action_spaces[agent]
-
-    def state(self) -> NDArray[np.float32]:
-        """The global state (S,)."""
-        return self._state
+        super().__init__(
+            lambda copies: IntersectionBatchedEnv(prepared, copies),
+            name="headway_intersection_v0",
+            bound=BOUND,
+            agents=None if agents is None else [f"av_{index}" for index in range(agents)],
+        )
 
     def render(self) -> NDArray[np.uint8]:
         """A picture of the crossing as it is now, (height, width, 3)."""
         from headway_envs.intersection.picture import frame_of, render
 
         return render(frame_of(self._env))
-
-    def close(self) -> None:
-        self._env.close()
-
-    def _begin(self, seed: int | None) -> Observed:
-        self._seed = int(child_seeds(self._seed, "face", 1, 1)[0]) if seed is None else seed
-        observed = self._env.reset(np.array([self._seed], np.uint64))
-        self._state = observed.states[0].copy()
-        return observed
-
-    def _advance(self) -> tuple[Outcome, Observed]:
-        outcome, observed = self._env.step(self._actions)
-        ended = bool(outcome.episode_ended[0])
-        self._state = (outcome.final_states if ended else observed.states)[0].copy()
-        return outcome, observed
-
-    def _metrics(self, outcome: Outcome) -> dict[str, float]:
-        return dict(zip(METRICS, outcome.metrics[0].tolist(), strict=True))
 
 
 class IntersectionParallelEnv(_Face):
@@ -102,7 +53,7 @@ class IntersectionParallelEnv(_Face):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, Info]]:
+    ) -> tuple[Observations, Infos]:
         """Begin episode 0 of `seed`, or of one derived from the last; it ends when the first AV is there."""
         observed, ended = self._begin(seed), False
         while not (ended or observed.alive.any()):
@@ -114,7 +65,7 @@ class IntersectionParallelEnv(_Face):
             )
         there = self._there(observed)
         self.agents = list(there)
-        return self._shown(observed.observations, there), {name: {} for name in there}
+        return self._of_slots(observed.observations, there), {name: {} for name in there}
 
     def step(self, actions: dict[str, Any]) -> Stepped:
         """0.1 s, and as long as nobody is there; accelerations within 3 m/s^2."""
@@ -125,11 +76,11 @@ class IntersectionParallelEnv(_Face):
         ended = bool(outcome.episode_ended[0])
         over = outcome.terminated[0] | outcome.truncated[0]
         leaving = {name: slot for name, slot in before.items() if over[slot]}
-        observations = self._shown(outcome.final_observations, leaving)
+        observations = self._of_slots(outcome.final_observations, leaving)
         rewards = {name: float(outcome.rewards[0, slot]) for name, slot in before.items()}
         terminated = {name: bool(outcome.terminated[0, slot]) for name, slot in before.items()}
         truncated = {name: bool(outcome.truncated[0, slot]) for name, slot in before.items()}
-        infos: dict[str, Info] = {name: {} for name in before}
+        infos: Infos = {name: {} for name in before}
         for name, slot in leaving.items():
             infos[name]["event"] = self._env.events.get(slot, "horizon")
         while not (ended or observed.alive.any()):
@@ -142,7 +93,7 @@ class IntersectionParallelEnv(_Face):
             return observations, rewards, terminated, truncated, infos
         there = self._there(observed)
         self.agents = list(there)
-        observations |= self._shown(observed.observations, there)
+        observations |= self._of_slots(observed.observations, there)
         for name in there.keys() - before.keys():
             rewards[name], terminated[name], truncated[name], infos[name] = 0.0, False, False, {}
         return observations, rewards, terminated, truncated, infos
@@ -158,7 +109,7 @@ class IntersectionParallelEnv(_Face):
             )
         return {f"av_{serial[slot]}": slot for slot in slots}
 
-    def _shown(self, observations: NDArray[np.float32], slots: dict[str, int]) -> dict[str, Observation]:
+    def _of_slots(self, observations: NDArray[np.float32], slots: dict[str, int]) -> Observations:
         return {name: observations[0, slot].copy() for name, slot in slots.items()}
 
 
@@ -173,7 +124,7 @@ class IntersectionSlotsParallelEnv(_Face):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, Info]]:
+    ) -> tuple[Observations, Infos]:
         """Begin episode 0 of `seed`, or of one derived from the last."""
         observed = self._begin(seed)
         self.agents = list(self.possible_agents)
@@ -191,7 +142,7 @@ class IntersectionSlotsParallelEnv(_Face):
         over = outcome.terminated[0] | outcome.truncated[0]
         seen = np.where(over[:, None], outcome.final_observations[0], observed.observations[0])
         alive = observed.alive[0] & (not ended)
-        infos: dict[str, Info] = {
+        infos: Infos = {
             name: {"alive": there, "acting": acted}
             for name, there, acted in zip(names, alive.tolist(), outcome.acting[0].tolist(), strict=True)
         }
@@ -210,5 +161,5 @@ class IntersectionSlotsParallelEnv(_Face):
         rewards = dict(zip(names, outcome.rewards[0].tolist(), strict=True))
         return self._by_agent(seen), rewards, terminated, truncated, infos
 
-    def _by_agent(self, observations: NDArray[np.float32]) -> dict[str, Observation]:
+    def _by_agent(self, observations: NDArray[np.float32]) -> Observations:
         return dict(zip(self.possible_agents, observations.copy(), strict=True))

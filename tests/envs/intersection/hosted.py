@@ -24,10 +24,9 @@ def _host(face: str, config: IntersectionConfig, pipe: Connection) -> None:
 class HostedEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
     """Spaces here, the simulation there."""
 
-    metadata = IntersectionParallelEnv.metadata
-
     def __init__(self, face: str, config: IntersectionConfig) -> None:
         self._spaces = FACES[face](config)
+        self.metadata = self._spaces.metadata
         self.possible_agents, self.agents = self._spaces.possible_agents, []
         context = multiprocessing.get_context("forkserver")
         self._pipe, theirs = context.Pipe()
