@@ -75,38 +75,33 @@ def _report_training() -> None:
     """Of trainings of the experiment merge_study, as `headway run` has them, without evaluations."""
     print("\n## The merges: training one seed\n")
     print(
-        f"Experiment merge_study, density 2; episodes of {EPISODE_STEPS} steps, which is their longest. The"
+        "Experiment merge_study, one ramp lane, density 2, a learner and a rollout worker, which take "
+        f"turns; episodes of {EPISODE_STEPS} steps, which is their longest. The study needed "
+        f"{STUDY_HOURS:g} hours for {EPISODES:,} episodes of one algorithm.\n"
     )
-    print(f"study needed {STUDY_HOURS:g} hours for {EPISODES:,} episodes of one algorithm.\n")
-    print("| algorithm | workers | environment steps/s | a CPU second | episodes/s |", end=" ")
-    print(f"{EPISODES:,} episodes, minutes |")
-    print("|---|---:|---:|---:|---:|---:|")
+    print(f"| algorithm | environment steps/s | a CPU second | episodes/s | {EPISODES:,} episodes, minutes |")
+    print("|---|---:|---:|---:|---:|")
     for algo in ("mappo", "maacktr", "madqn"):
-        for workers in (1, 2):
-            result = measure([_training(algo, workers)])[0]
-            episodes = result.per_second / EPISODE_STEPS
-            print(
-                f"| {algo} | {workers} | {result.per_second:,.0f} | {result.per_cpu_second:,.0f} "
-                f"| {episodes:,.0f} | {EPISODES / episodes / 60.0:.1f} |",
-                flush=True,
-            )
+        result = measure([_training(algo)])[0]
+        episodes = result.per_second / EPISODE_STEPS
+        print(
+            f"| {algo} | {result.per_second:,.0f} | {result.per_cpu_second:,.0f} | {episodes:,.0f} "
+            f"| {EPISODES / episodes / 60.0:.1f} |",
+            flush=True,
+        )
 
 
-def _training(algo: str, workers: int) -> Task:
+def _training(algo: str) -> Task:
     experiment = compose(["experiment=merge_study", f"algo={algo}"])
     rollout = experiment.config.rollout
-    iteration = rollout.copies * rollout.steps
-    arguments = plain(experiment.algo_config)
-    arguments.pop("name")
     return Task(
         env="merge",
         algo=algo,
         env_args=plain(experiment.training_env_config),
-        algo_args=arguments,
+        algo_args=plain(experiment.algo_config),
         copies=rollout.copies,
         steps=rollout.steps,
         block=rollout.block,
-        iterations=-(-TRAINED_STEPS // iteration),
+        iterations=-(-TRAINED_STEPS // (rollout.copies * rollout.steps)),
         backend="process",
-        workers=workers,
     )
