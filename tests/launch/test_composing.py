@@ -1,10 +1,14 @@
+import json
+from functools import cache
+
 import pytest
+import yaml
 
 from headway.config import ExperimentConfig
 from headway.configuration import describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
-from headway_launch.composing import compose, groups, resolve, summary_of
+from headway_launch.composing import compose, configs_folder, groups, resolve, summary_of
 from headway_launch.planning import (
     Shares,
     cell_parameters,
@@ -13,6 +17,8 @@ from headway_launch.planning import (
     plan_jobs,
     share_cores,
 )
+from headway_launch.study_plan import distinct
+from headway_launch.sweeping import compose_sweep
 
 
 def test_overrides_reach_keys_that_no_file_has() -> None:
@@ -196,6 +202,37 @@ def test_the_papers_preset_knows_the_nine_that_the_paper_compares(algorithm: str
     experiment.prepare()
 
 
+@pytest.mark.parametrize("env", ["merge", "merge_two_lane"])
+@pytest.mark.parametrize("preset", ["merge_paper", "merge_tuned"])
+@pytest.mark.parametrize("algorithm", ["mappo", "ippo", "maacktr", "madqn"])
+def test_the_merging_study_has_values_for_its_algorithms(algorithm: str, preset: str, env: str) -> None:
+    experiment = compose(["experiment=merge_study", f"algo={algorithm}", f"preset={preset}", f"env={env}"])
+    experiment.prepare()
+    config, algo = experiment.config, experiment.algo_config
+    assert algo.policies == "shared"
+    assert config.evaluation.every == 20 * 100
+    assert config.env_steps == 10_000 * 100
+    assert not experiment.env_config.supervisor
+    # Whatever learners are paid, what is reported is the mean of all.
+    assert experiment.env_config.reward.scope == "global"
+    if preset == "merge_paper":
+        assert (algo.gamma, algo.model.hidden, algo.model.activation) == (0.99, (128, 128), "relu")
+        assert config.rollout.copies * config.rollout.steps == 100
+        assert not algo.normalise_observations
+        assert experiment.training_env_config.reward.scope == {"mappo": "global", "ippo": "global"}.get(
+            algorithm, "regional"
+        )
+
+
+def test_the_merging_study_has_no_other_protocol_in_one_sweep() -> None:
+    """All its cells in one study: with and without supervisor are environments of their own."""
+    words = ["experiment=merge_study", "algo=mappo,maacktr,madqn", "env=merge,merge_two_lane"]
+    cells = compose_sweep([*words, "env.args.supervisor=false,true"])
+    assert len(cells) == len(distinct(cells)) == 12
+    assert {cell.config.study for cell in cells} == {"merge_study"}
+    assert len({json.dumps(cell.reported_on, sort_keys=True) for cell in cells}) == 4
+
+
 def test_a_composition_without_a_name_runs_as_custom() -> None:
     """HAA2C, for one; and what its order refuses is refused before anything starts."""
     composed = compose(
@@ -210,6 +247,22 @@ def test_a_composition_without_a_name_runs_as_custom() -> None:
 def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
     assert summary_of("experiment", option).endswith(".")
     assert compose([f"experiment={option}"]).config.study
+
+
+@pytest.mark.parametrize("name", groups()["search"])
+def test_every_search_composes_on_seeds_that_no_study_reports(name: str) -> None:
+    search = yaml.safe_load((configs_folder() / "search" / f"{name}.yaml").read_text())
+    reported = {seed for option in groups()["experiment"] for seed in _seeds(f"experiment={option}")}
+    for cell in search["cells"].values():
+        for candidate in search["candidates"].values():
+            experiment = compose([*search["base"], *cell, *candidate])
+            assert reported.isdisjoint(experiment.config.seed)
+            assert experiment.config.study.startswith("search_")
+
+
+@cache
+def _seeds(experiment: str) -> tuple[int, ...]:
+    return compose([experiment]).config.seed
 
 
 def test_jobs_are_stacks_of_seeds_in_order() -> None:

@@ -103,6 +103,29 @@ def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
     assert {name.task for name in names} == {f"bus, env.wrappers [{stacked}]", "bus, without env.wrappers"}
     assert {name.controller for name in names} == {
         f"ippo, env.wrappers [{clipped}]",
-        "ippo, env.wrappers []",
+        "ippo, without env.wrappers",
         "ippo",
     }
+
+
+def test_what_only_changes_rewards_while_learning_makes_no_task_of_its_own(tmp_path: Path) -> None:
+    keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": "[{'name': 'scale_reward_v0', 'scale': 0.05}]"})
+    keep_run(tmp_path, 0, "FINISHED")
+    names = cell_names(RunIndex(tmp_path).rows()).values()
+    assert {name.task for name in names} == {"bus"}
+    assert len({name.controller for name in names}) == 2
+
+
+def test_of_many_settings_that_differ_a_name_has_the_first(tmp_path: Path) -> None:
+    many = {f"algo.key_{place}": "1" for place in range(9)}
+    for parameters in (many, dict.fromkeys(many, "2")):
+        keep_run(tmp_path, 0, "FINISHED", policies="shared", **parameters)
+    assert list(labelled_cells(RunIndex(tmp_path).rows())) == [
+        f"ippo, shared, bus, algo.key_0 {value}, algo.key_1 {value}, algo.key_2 {value}, 6 settings more"
+        for value in (1, 2)
+    ]
+    # One that differs from the first in the last setting only: now all must be named.
+    keep_run(tmp_path, 0, "FINISHED", policies="shared", **{**many, "algo.key_8": "2"})
+    labels = list(labelled_cells(RunIndex(tmp_path).rows()))
+    assert len(set(labels)) == 3
+    assert all("algo.key_8" in label for label in labels)

@@ -100,7 +100,7 @@ def _train(task: Task) -> Measurement:
     from headway.training import TrainingJob, train
 
     entry, algo = env_entry(task.env), algo_entry(task.algo)
-    prepared = entry.prepare(entry.config(**task.env_args))
+    prepared = entry.prepare(build(entry.config, task.env_args))
     make = DictBased(task.env) if task.dict_based else entry.make
     config = ExperimentConfig(
         env_steps=task.copies * task.steps * task.iterations,

@@ -5,15 +5,19 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from headway.configuration import plain
 from headway.contracts import BatchedEnv, child_seeds
 from headway.registry import env_entry
 from headway_launch.benchmarks.measuring import Task, measure
+from headway_launch.composing import compose
 
 COPIES = 256
 STEPS = 400
 PEER_STEPS = 300
 EPISODES = 20_000
 EPISODE_STEPS = 100
+TRAINED_STEPS = 48_000
+"""Environment steps of each training that is measured."""
 STUDY_HOURS = 33.0
 """What the study says that the 20,000 episodes of one algorithm took it."""
 
@@ -68,26 +72,36 @@ def _peer_steps_per_second() -> float:
 
 
 def _report_training() -> None:
-    algo_args = {"policies": "shared", "model": {"hidden": [128, 128]}, "minibatches": 4}
-    for workers in (1, 2):
-        task = Task(
-            env="merge",
-            algo="mappo",
-            env_args={},
-            algo_args=algo_args,
-            copies=40,
-            steps=EPISODE_STEPS,
-            block=20,
-            iterations=12,
-            backend="process",
-            workers=workers,
-        )
-        result = measure([task])[0]
-        minutes = EPISODES * EPISODE_STEPS / result.per_second / 60.0
+    """Of trainings of the experiment merge_study, as `headway run` has them, without evaluations."""
+    print("\n## The merges: training one seed\n")
+    print(
+        "Experiment merge_study, one ramp lane, density 2, a learner and a rollout worker, which take "
+        f"turns; episodes of {EPISODE_STEPS} steps, which is their longest. The study needed "
+        f"{STUDY_HOURS:g} hours for {EPISODES:,} episodes of one algorithm.\n"
+    )
+    print(f"| algorithm | environment steps/s | a CPU second | episodes/s | {EPISODES:,} episodes, minutes |")
+    print("|---|---:|---:|---:|---:|")
+    for algo in ("mappo", "maacktr", "madqn"):
+        result = measure([_training(algo)])[0]
+        episodes = result.per_second / EPISODE_STEPS
         print(
-            f"\nTraining (mappo, 128-128, density 2, {workers} worker{'s' * (workers > 1)}): "
-            f"{result.per_second:,.0f} environment steps/s, {result.per_cpu_second:,.0f} a CPU second; "
-            f"{EPISODES:,} episodes of {EPISODE_STEPS} steps would take {minutes:.1f} minutes, where the "
-            f"study needed {STUDY_HOURS:g} hours.",
+            f"| {algo} | {result.per_second:,.0f} | {result.per_cpu_second:,.0f} | {episodes:,.0f} "
+            f"| {EPISODES / episodes / 60.0:.1f} |",
             flush=True,
         )
+
+
+def _training(algo: str) -> Task:
+    experiment = compose(["experiment=merge_study", f"algo={algo}"])
+    rollout = experiment.config.rollout
+    return Task(
+        env="merge",
+        algo=algo,
+        env_args=plain(experiment.training_env_config),
+        algo_args=plain(experiment.algo_config),
+        copies=rollout.copies,
+        steps=rollout.steps,
+        block=rollout.block,
+        iterations=-(-TRAINED_STEPS // (rollout.copies * rollout.steps)),
+        backend="process",
+    )

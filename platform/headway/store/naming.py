@@ -13,6 +13,9 @@ _OF_TASK = "env."
 _NOT_OF_TASK = "env.training_args."
 """What is learned from, not what is reported on."""
 _WRAPPERS = "env.wrappers"
+_MOST_NAMED = 6
+"""Settings that a name has, all of them; of more it has the first."""
+_FIRST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +63,24 @@ def told_apart(
     kinds: Mapping[str, tuple[str, ...]], parameters: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
     """Of each cell, the first of its `kinds` and, `name value`, the parameters that are not the same in all
-    cells of its kinds; `without name` where it has none."""
+    cells of its kinds; `without name` where it has none. Of many the first few are named, if that will do to
+    tell the cells apart: settings of two presets differ in a dozen."""
     alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for cell, kind in kinds.items():
         alike[kind].append(cell)
     told: dict[str, str] = {}
     for kind, cells in alike.items():
         settings = _differing([parameters[cell] for cell in cells])
-        told |= {cell: ", ".join((kind[0], *own)) for cell, own in zip(cells, settings, strict=True)}
+        names = [", ".join((kind[0], *own)) for own in settings]
+        short = [", ".join((kind[0], *_first_few(own))) for own in settings]
+        told |= dict(zip(cells, short if len(set(short)) == len(set(names)) else names, strict=True))
     return told
+
+
+def _first_few(settings: Sequence[str]) -> Sequence[str]:
+    if len(settings) <= _MOST_NAMED:
+        return settings
+    return (*settings[:_FIRST_NAMED], f"{len(settings) - _FIRST_NAMED} settings more")
 
 
 def _kind(run: RunRow) -> str:
@@ -82,20 +94,21 @@ def _parted(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:
         return name.startswith(_OF_TASK) and not name.startswith(_NOT_OF_TASK)
 
     parted = {name: value for name, value in parameters.items() if says_what(name) is of_task}
-    if wrappers := parameters.get(_WRAPPERS):
-        parted[_WRAPPERS] = _wrappers(wrappers, of_task)
+    parted.pop(_WRAPPERS, None)
+    if wrappers := _wrappers(parameters.get(_WRAPPERS, "[]"), of_task):
+        parted[_WRAPPERS] = wrappers
     return parted
 
 
 def _wrappers(text: str, of_task: bool) -> str:
-    """Wrappers that only change rewards are there while learning only."""
+    """Wrappers that only change rewards are there while learning only. Empty where there are none."""
     from headway.registry import wrapper_entry
 
     # Not evaluated: an argument may be infinite, and `inf` is no literal.
     listed = ast.parse(text, mode="eval").body
     assert isinstance(listed, ast.List)
     kept = [each for each in listed.elts if wrapper_entry(_name(each)).only_rewards is not of_task]
-    return f"[{', '.join(ast.unparse(each) for each in kept)}]"
+    return f"[{', '.join(ast.unparse(each) for each in kept)}]" if kept else ""
 
 
 def _name(wrapper: ast.expr) -> str:
