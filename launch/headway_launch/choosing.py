@@ -45,6 +45,10 @@ class Condition:
             return _SIGNS[self.sign](own, number)
         if self.sign not in ("=", "==", "!="):
             condition = f"{self.field}{self.sign}{self.value}"
+            if own is not None:
+                raise HeadwayError(
+                    f"--where: {condition} compares a number, and {self.value!r} is none; {_FORMS}"
+                )
             raise HeadwayError(f"--where: {condition} compares text ({known}) by its size; use = or !=")
         return _SIGNS[self.sign](str(known), self.value)
 

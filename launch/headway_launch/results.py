@@ -194,7 +194,7 @@ def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) ->
     tables are of the last evaluation, which may have more."""
     from headway.drawing import counted
 
-    over = f"({counted(next(iter(days)), 'day')})" if len(days) == 1 else "(days differ)"
+    over = f"({counted(next(iter(days)), 'episode')})" if len(days) == 1 else "(episodes differ)"
     remarks = {_FINAL: over, _MEAN_FINAL: over, "kWh": "(estimated)" if estimated else ""}
     return tuple(f"{name} {remarks.get(name, '')}".rstrip() for name in columns)
 

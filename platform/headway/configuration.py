@@ -19,6 +19,8 @@ Record = TypeVar("Record")
 
 _SPAN = re.compile(r"\s*(\d+)\s*\.\.\s*(\d+)\s*")
 _RANGE = re.compile(r"\s*range\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*")
+_MOST_NAMES, _NEAREST_NAMES = 30, 8
+"""Of more names than that so many are shown: a line must stay one that is read."""
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 
@@ -30,10 +32,13 @@ def nearest(name: str, names: Iterable[str]) -> str | None:
 
 
 def suggestion(name: str, names: Iterable[str], prefix: str = "") -> str:
-    """`did you mean PREFIXname? ` if one is near, and in any case what there is."""
+    """`did you mean PREFIXname? ` if one is near, and what there is: of many names the nearest."""
     known = sorted(names)
     near = nearest(name, known)
     start = f"did you mean {prefix}{near}? There" if near else "there"
+    if len(known) > _MOST_NAMES:
+        shown = difflib.get_close_matches(name, known, n=_NEAREST_NAMES, cutoff=0.0)
+        return f"{start} is: {', '.join(shown)} and {len(known) - len(shown)} more"
     return f"{start} is: {', '.join(known) or 'nothing'}"
 
 

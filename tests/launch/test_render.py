@@ -90,7 +90,7 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
         (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
         (["s0"], "there is no store in 'runs'"),
         (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
-        (["trivial", "--rule", "random"], "trivial cannot be drawn: its entry has no painter"),
+        (["trivial", "--rule", "random"], "trivial cannot be drawn; those that can are: intersection"),
         (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
         (["merge", "--rule", "idle", "--step", "3"], "--step picks the moment of a picture"),
         (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),

@@ -75,6 +75,8 @@ def test_conditions_and_order(
         (["--where", "algo.lrr<1"], "--where: no run has the parameter 'algo.lrr'; did you mean algo.lr?"),
         (["--sort", "seed, algo.lrr desc"], "--sort: no run has the parameter 'algo.lrr'"),
         (["--where", "status>3"], "status>3 compares text (FINISHED) by its size"),
+        (["--where", "final_reward<abc"], "final_reward<abc compares a number, and 'abc' is none; write"),
+        (["--seed", "99"], "--seed 99: no run has that"),
         (["--where", "final_reward"], "'final_reward' is no condition; write FIELD<VALUE"),
         (["--sort", "sede"], "did you mean seed?"),
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),

@@ -117,7 +117,7 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     table = [line.split("\t") for line in done.stdout.splitlines()]
-    assert table[0][:4] == ["seed", "status", "final reward (1 day)", "AUC (own range)"]
+    assert table[0][:4] == ["seed", "status", "final reward (1 episode)", "AUC (own range)"]
     assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
     assert [row[0] for row in table[3:5]] == ["mean", "std"]
     assert any(row[:2] == ["rule optimal", "2"] and float(row[2]) == 20.0 for row in table)  # of two days
@@ -260,4 +260,4 @@ def test_of_a_killed_run_is_shown_what_is_kept(tmp_path: Path) -> None:
         shown = running.table()
     [run] = runs(tmp_path)
     assert (run.status, run.env_steps, run.final_reward) == ("KILLED", 0, None)
-    assert (shown[0]["env steps"], shown[0]["final reward (1 day)"]) == ("0", "")
+    assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")

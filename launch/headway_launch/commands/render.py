@@ -61,7 +61,10 @@ def execute(arguments: argparse.Namespace) -> int:
 
     found, root, act, heed = _player(arguments)
     if found.entry.painter is None:
-        raise HeadwayError(f"{found.spec.name} cannot be drawn: its entry has no painter")
+        from headway.registry import env_entries
+
+        drawn = sorted(name for name, entry in env_entries().items() if entry.painter is not None)
+        raise HeadwayError(f"{found.spec.name} cannot be drawn; those that can are: {', '.join(drawn)}")
     compile_kernels(found.entry)
     root = root if arguments.seed is None else arguments.seed
     with closing(_frames(found, root, arguments.episode, act, heed)) as frames:

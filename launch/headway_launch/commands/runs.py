@@ -112,6 +112,8 @@ def execute(arguments: argparse.Namespace) -> int:
     status = arguments.status.upper() if arguments.status else None
     _require_known("status", status, set(STATUSES))
     seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
+    if seeds is not None and everything and not {row.seed for row in everything} & set(seeds):
+        raise HeadwayError(f"--seed {arguments.seed}: no run has that")
     conditions = parse_conditions(arguments.where)
     require_known(everything, conditions, arguments.sort)
     rows = [
