@@ -74,7 +74,7 @@ def test_a_timetable_is_even_and_its_blocks_can_be_driven() -> None:
         ("demand", "seq0", 7, 900.0, "column seq0.*beyond the pattern's last stop"),
         ("link_times", "hour", 4, 7.5, "table link_times, row 4, column hour: 7.5 is not a whole number"),
         ("demand", "seq0", 7, 0.5, "table demand, row 7, column seq0: 0.5 is not a whole number"),
-        ("trips", "arr_s", 4, 1.0, "row 4, column arr_s.*not after dep_s"),
+        ("trips", "arr_s", 4, 1.0, "row 4, column arr_s.*before dep_s"),
         ("trips", "pattern", 4, 55.0, "row 4, column pattern.*not in table patterns"),
     ],
 )

@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
+from headway_envs.bus.config import SCENARIOS
 
 FIRST_LINK = 65535
 """The `link` of a pattern's first stop, to which no link leads."""
@@ -94,10 +95,10 @@ def read_tables(folder: str | Path) -> Tables:
     """Read and check a scenario folder. Raises HeadwayError naming table, row and column."""
     folder = Path(folder)
     if not folder.is_dir():
-        near = difflib.get_close_matches(str(folder), ("line", "corridor"), 1, 0.5)
+        near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise HeadwayError(
-            f"scenario '{folder}' is neither 'line' nor 'corridor' nor a folder{hint} "
+            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and no folder{hint} "
             "(a scenario folder holds eight Parquet tables and meta.json)"
         )
     frames = {}
@@ -159,8 +160,8 @@ def check_tables(tables: Tables) -> None:
         _refuse(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
     _check_patterns(tables)
     _check_calls(tables)
-    backwards = (tables.trips["arr_s"] <= tables.trips["dep_s"]).to_numpy()
-    _refuse("trips", tables.trips, "arr_s", backwards, "is not after dep_s; mend the times")
+    backwards = (tables.trips["arr_s"] < tables.trips["dep_s"]).to_numpy()
+    _refuse("trips", tables.trips, "arr_s", backwards, "is before dep_s; mend the times")
 
 
 def _refuse(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
