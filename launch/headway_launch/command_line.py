@@ -67,6 +67,7 @@ _COMMANDS = {
             "synthetic": _Command(
                 "write a scenario of a seed and fitted numbers", "data.synthetic", only_prints=False
             ),
+            "gtfs": _Command("write a scenario of any GTFS feed", "data.gtfs", only_prints=False),
             "describe": _Command("lines, fleet, headways and demand of a scenario", "data.describe"),
         },
     ),

@@ -12,7 +12,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import prepare
 from headway_launch.command_line import run
 
-PARTS = ("synthetic", "describe")
+PARTS = ("synthetic", "gtfs", "describe")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
 

@@ -1,0 +1,189 @@
+"""The calls of a feed's trips, cleaned: every call at a stop that has a place, with a time."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.scenario.gtfs.feed import Feed, numbers, seconds
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FASTEST_MPS = 25.0
+"""Links scheduled faster than 90 km/h are taken as driven at that."""
+
+
+@dataclass(frozen=True)
+class Calls:
+    """Rows of stop_times, trip after trip, in the order of driving."""
+
+    trip: Integers
+    """(Q,) row in the frame of trips"""
+    stop: Integers
+    """(Q,) row in the frame of places"""
+    time: Floats
+    """(Q,) arrival, at a trip's first call departure; s, rising along a trip"""
+    along: Floats
+    """(Q,) crow's metres since the trip's first call"""
+
+    @property
+    def first(self) -> Integers:
+        """Where each trip begins."""
+        return np.flatnonzero(np.append(True, np.diff(self.trip) > 0))
+
+
+def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
+    """Stops with coordinates, those of one parent station as one: the frame (stop_id, name, lat, lon), and
+    the row of each stop_id."""
+    stops = feed["stops"].drop_duplicates("stop_id").set_index("stop_id")
+    lat = pd.Series(numbers("stops", "stop_lat", stops["stop_lat"]), stops.index)
+    lon = pd.Series(numbers("stops", "stop_lon", stops["stop_lon"]), stops.index)
+    parent = stops["parent_station"].where(stops["parent_station"].isin(stops.index))
+    own = parent.fillna(pd.Series(stops.index, stops.index))
+    known = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
+    own = own.where(known, pd.Series(stops.index, stops.index))  # a station without a place joins nothing
+    usable = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
+    names = pd.unique(own[usable])
+    frame = pd.DataFrame(
+        {
+            "stop_id": names,
+            "name": stops["stop_name"].reindex(names).fillna("").to_numpy(),
+            "lat": lat.reindex(names).to_numpy(),
+            "lon": lon.reindex(names).to_numpy(),
+        }
+    )
+    wrong = ~(frame["lat"].between(-90, 90) & frame["lon"].between(-180, 180))
+    if wrong.any():
+        raise HeadwayError(f"FEED: stop {frame['stop_id'][wrong].iloc[0]} lies nowhere on Earth; mend it")
+    row = {name: i for i, name in enumerate(names)}
+    return frame, {str(stop): row[name] for stop, name in own[usable].items()}
+
+
+def clean_calls(
+    feed: Feed, trips: pd.DataFrame, stops: pd.DataFrame, rows: dict[str, int]
+) -> tuple[Calls, Counter[str]]:
+    """The calls of `trips` (trip_id), and how many of each oddity were met."""
+    counted: Counter[str] = Counter()
+    times = feed["stop_times"]
+    which = pd.Index(trips["trip_id"]).get_indexer(pd.Index(times["trip_id"]))
+    times = times[which >= 0]
+    trip = which[which >= 0].astype(np.int64)
+    sequence = numbers("stop_times", "stop_sequence", times["stop_sequence"])
+    arrival = seconds("stop_times", "arrival_time", times["arrival_time"])
+    departure = seconds("stop_times", "departure_time", times["departure_time"])
+    shape = numbers("stop_times", "shape_dist_traveled", times["shape_dist_traveled"])
+    codes, names = pd.factorize(times["stop_id"])
+    stop = np.array([*(rows.get(str(name), -1) for name in names), -1], np.int64)[codes]
+    order = np.lexsort((sequence, trip))
+    trip, stop, sequence, arrival, departure, shape = (
+        values[order] for values in (trip, stop, sequence, arrival, departure, shape)
+    )
+    keep = stop >= 0
+    counted["calls at stops without a place, left out"] += int((~keep).sum())
+    twice = np.append(False, (np.diff(trip) == 0) & (np.diff(sequence) == 0))
+    counted["calls given twice, the second left out"] += int(twice.sum())
+    keep &= ~twice
+    trip, stop, arrival, departure, shape = (
+        values[keep] for values in (trip, stop, arrival, departure, shape)
+    )
+    again = np.append(False, (np.diff(trip) == 0) & (np.diff(stop) == 0))
+    counted["calls at the same stop or station in a row, the second left out"] += int(again.sum())
+    trip, stop, arrival, departure, shape = (
+        values[~again] for values in (trip, stop, arrival, departure, shape)
+    )
+    time = np.where(np.isnan(arrival), departure, arrival)
+    begins = np.append(True, np.diff(trip) > 0)
+    ends = np.append(begins[1:], True)
+    time = np.where(begins & ~np.isnan(departure), departure, time)
+    whole = np.ones(len(trips), np.bool_)
+    whole[trip[(begins | ends) & np.isnan(time)]] = False
+    counted["trips without a time at an end, left out"] += int((~whole).sum())
+    short = np.bincount(trip, minlength=len(trips)) < 2
+    counted["trips of fewer than two calls, left out"] += int((short & whole).sum())
+    keep = (whole & ~short)[trip]
+    trip, stop, time, shape, begins, ends = (
+        values[keep] for values in (trip, stop, time, shape, begins, ends)
+    )
+    if not len(trip):
+        raise HeadwayError(
+            "FEED: no trip of the chosen days has two calls with times; look at stop_times.txt"
+        )
+    leg = _crow(stops, stop)
+    leg[begins] = 0.0
+    along = _since_first(leg, begins)
+    measured = _complete(shape, trip, begins, len(trips))
+    counted["times blank, set by distance"] += int(np.isnan(time).sum())
+    falling = _falling(time, trip)
+    counted["times before the one before, set by distance"] += int(falling.sum())
+    time[falling] = np.nan
+    known = ~np.isnan(time)
+    same = _same_as_next(time, known, trip, ends)
+    counted["times equal to the one before, spread by distance"] += int(same.sum())
+    way = np.where(measured[trip], shape, along)
+    time = _spread(
+        time, known & ~same, trip, _since_first(np.append(0.0, np.diff(way)) * ~begins + 1.0, begins)
+    )
+    return Calls(trip, stop, time, along), counted
+
+
+def _crow(stops: pd.DataFrame, stop: Integers) -> Floats:
+    """(Q,) m from the call before."""
+    lat, lon = stops["lat"].to_numpy()[stop], stops["lon"].to_numpy()[stop]
+    north = np.diff(lat, prepend=lat[0]) * 111_320.0
+    east = np.diff(lon, prepend=lon[0]) * 111_320.0 * np.cos(np.radians(lat))
+    return np.asarray(np.hypot(north, east), np.float64)
+
+
+def _since_first(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
+    """(Q,) sums along each trip, 0 at its beginning."""
+    total = np.cumsum(leg)
+    return np.asarray(total - total[begins][np.cumsum(begins) - 1], np.float64)
+
+
+def _complete(shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """(trips,) whether shape_dist_traveled is there all along and never falls."""
+    good = np.ones(count, np.bool_)
+    good[trip[np.isnan(shape)]] = False
+    fall = (np.diff(shape, prepend=np.inf) < 0) & ~begins
+    good[trip[fall]] = False
+    return good
+
+
+def _falling(time: Floats, trip: Integers) -> NDArray[np.bool_]:
+    """Times before an earlier one of their trip; a trip's last is kept, what is later than it falls."""
+    shifted = np.where(np.isnan(time), -np.inf, time) + trip * 1e7
+    highest = np.maximum.accumulate(shifted)
+    last = np.append(np.diff(trip) > 0, True)
+    latest = np.repeat(time[last], np.diff(np.append(-1, np.flatnonzero(last))))
+    first = np.append(True, np.diff(trip) > 0)
+    return np.asarray(~np.isnan(time) & ~first & ~last & ((shifted < highest) | (time > latest)), np.bool_)
+
+
+def _same_as_next(
+    time: Floats, known: NDArray[np.bool_], trip: Integers, ends: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Known times that repeat the known one before; of the last two of a trip the former."""
+    where = np.flatnonzero(known)
+    repeats = np.append(False, (np.diff(time[where]) <= 0) & (np.diff(trip[where]) == 0))
+    same = np.zeros(len(time), np.bool_)
+    same[where[repeats]] = True
+    for last in np.flatnonzero(ends & same):
+        same[last] = False
+        # The calls before it with its time give way, but for the trip's first.
+        call = last - 1
+        while trip[call] == trip[last] and (not known[call] or time[call] >= time[last]):
+            same[call] = known[call]
+            call -= 1
+        if call < 0 or trip[call] != trip[last]:
+            same[call + 1] = False
+    return same
+
+
+def _spread(time: Floats, fixed: NDArray[np.bool_], trip: Integers, way: Floats) -> Floats:
+    """Times between the fixed ones, by the share of the way; both ends of each trip are fixed."""
+    place = way + trip * 1e8
+    return np.asarray(np.interp(place, place[fixed], time[fixed]), np.float64)
