@@ -12,7 +12,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import prepare
 from headway_launch.command_line import run
 
-PARTS = ("synthetic", "gtfs", "describe")
+PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
 
@@ -43,6 +43,14 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["synthetic", "x", "--size", "village"], ["--size", "village"]),
         (["synthetic", "x", "--seed", "-1"], ["--seed must be at least 0"]),
         (["describe", "nowhere"], ["scenario 'nowhere' is none of line, corridor, district, city"]),
+        (["plot", "nowhere"], ["scenario 'nowhere' is none of"]),
+        (["plot", "line", "--output", "x.nothing"], ["--output: x.nothing cannot be written"]),
+        (["plot", "line", "--day-type", "monday"], ["--day-type", "monday"]),
+        (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
+        (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is no date YYYY-MM-DD"]),
+        (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must lie above 0"]),
+        (["sunt", "nowhere", "x"], ["RAW: nowhere is no folder"]),
+        (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is no date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
         (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),
     ],

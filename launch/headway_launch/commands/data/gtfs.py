@@ -1,10 +1,10 @@
 """`headway data gtfs`: a scenario of the timetable in a GTFS feed."""
 
 import argparse
-import datetime as dt
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.commands.data.choices import date_of, names_of
 from headway_launch.commands.data.writing import (
     add_output_arguments,
     check_output,
@@ -51,15 +51,15 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(
             f"--boardings-per-trip must lie above 0 and at most at 1000, not {arguments.boardings_per_trip:g}"
         )
-    weekday, sunday = _date("weekday", arguments.weekday), _date("sunday", arguments.sunday)
+    weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
     out = check_output(arguments)
     from headway_envs.bus.scenario.gtfs.importing import BUS_TYPES, GtfsOptions, import_gtfs
 
     options = GtfsOptions(
         weekday=weekday,
         sunday=sunday,
-        lines=_names(arguments.lines),
-        route_types=_names(arguments.types) or BUS_TYPES,
+        lines=names_of(arguments.lines),
+        route_types=names_of(arguments.types) or BUS_TYPES,
         boardings_per_trip=arguments.boardings_per_trip,
         seed=arguments.seed,
     )
@@ -67,16 +67,3 @@ def execute(arguments: argparse.Namespace) -> int:
     write_scenario(tables, out)
     tell_written(tables, out)
     return 0
-
-
-def _date(day: str, text: str | None) -> dt.date | None:
-    if text is None:
-        return None
-    try:
-        return dt.date.fromisoformat(text)
-    except ValueError as error:
-        raise HeadwayError(f"--{day}: '{text}' is no date YYYY-MM-DD") from error
-
-
-def _names(text: str | None) -> tuple[str, ...]:
-    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
