@@ -96,7 +96,9 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     lines = sorted(inner["line"].unique())
     of_lines = len(lines) <= _LINE_COLOURS
     ways = ["from_stop", "stop", *(["line"] if of_lines else [])]
-    links = inner.groupby(ways, as_index=False)[["load", "departures"]].sum().sort_values("load")
+    links = inner.groupby(ways, as_index=False)[["load", "departures"]].sum()
+    # Lines on the same links are seen beneath each other when the wide ones come first.
+    links = links.sort_values("load", ascending=not of_lines)
     ends = [
         np.column_stack((x.reindex(links[stop]).to_numpy(), y.reindex(links[stop]).to_numpy()))
         for stop in ("from_stop", "stop")
@@ -122,7 +124,9 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
         bar.ax.minorticks_off()
         bar.set_label("minutes between buses on a link, all lines, mean of the day")
     axes.add_collection(
-        LineCollection(np.stack(ends, axis=1), linewidths=widths, colors=colours, capstyle="round", zorder=2)
+        LineCollection(
+            list(np.stack(ends, axis=1)), linewidths=widths, colors=colours, capstyle="round", zorder=2
+        )
     )
     board = tables.demand[tables.demand["daytype"] == day].groupby(["pattern", "seq0"])["board"].sum()
     at = calls.set_index(["pattern", "seq0"])["stop"].reindex(board.index)
@@ -172,5 +176,5 @@ def _draw_headways(axes: "Axes", trips: pd.DataFrame) -> None:
     axes.fill_between(hours, low.to_numpy(), high.to_numpy(), color="#E69F00", alpha=0.4, linewidth=0)
     axes.plot(hours, middle.to_numpy(), color="#D55E00")
     axes.set_ylim(bottom=0)
-    axes.set_title("minutes between departures: median and half of the patterns", fontsize="medium")
+    axes.set_title("headways of patterns, min: median, quartiles", fontsize="medium")
     axes.set_xlabel("hour of the day")

@@ -18,6 +18,8 @@ _BENT = 0.5
 """Assumption: sd of the log of a street's weight in looking for ways, so that these are no straight lines."""
 _BEYOND = 0.1
 """Cells that a place may lie beyond its own: with this the log of links' lengths has about the fitted sd."""
+_LONGEST = 2.0
+"""Assumption: longer links than this many medians are streets only where nothing else leads on."""
 _TRIED = 12
 """Ends drawn for a way through a hub; the one with the least of its way driven twice is taken."""
 
@@ -99,7 +101,7 @@ def _legs(x: Floats, y: Floats, stops: Integers) -> Floats:
 
 def _trees(rng: np.random.Generator, x: Floats, y: Floats, hubs: Integers) -> list[_Tree]:
     from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components, dijkstra
+    from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
     from scipy.spatial import Delaunay
 
     corners = Delaunay(np.column_stack((x, y))).simplices
@@ -107,10 +109,15 @@ def _trees(rng: np.random.Generator, x: Floats, y: Floats, hubs: Integers) -> li
         np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])), axis=0
     )
     length = np.hypot(x[edges[:, 0]] - x[edges[:, 1]], y[edges[:, 0]] - y[edges[:, 1]])
+    # No streets run along the hull; the tree keeps every site within reach.
+    tree = minimum_spanning_tree(coo_array((length, edges.T), shape=(len(x), len(x)))).tocoo()
+    kept = (length < _LONGEST * np.median(length)) | np.isin(
+        edges @ [len(x), 1], tree.row * len(x) + tree.col
+    )
+    edges, length = edges[kept], length[kept]
     # A bit more than its length each: without that, many short links would be no longer than few long ones.
     weight = (length + np.median(length)) * rng.lognormal(0.0, _BENT, len(edges))
     graph = coo_array((weight, (edges[:, 0], edges[:, 1])), shape=(len(x), len(x))).tocsr()
-    assert connected_components(graph, directed=False)[0] == 1  # a triangulation is
     metres, before = dijkstra(graph, directed=False, indices=hubs, return_predecessors=True)
     trees = []
     for hub, far, last in zip(hubs, metres, before, strict=True):

@@ -39,9 +39,11 @@ class Calls:
 def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
     """Stops with coordinates, those of one parent station as one: the frame (stop_id, name, lat, lon), and
     the row of each stop_id."""
-    stops = feed["stops"].drop_duplicates("stop_id").set_index("stop_id")
-    lat = pd.Series(numbers("stops", "stop_lat", stops["stop_lat"]), stops.index)
-    lon = pd.Series(numbers("stops", "stop_lon", stops["stop_lon"]), stops.index)
+    stops = feed["stops"].drop_duplicates("stop_id")
+    latitudes = numbers("stops", "stop_lat", stops["stop_lat"])
+    longitudes = numbers("stops", "stop_lon", stops["stop_lon"])
+    stops = stops.set_index("stop_id")
+    lat, lon = pd.Series(latitudes, stops.index), pd.Series(longitudes, stops.index)
     parent = stops["parent_station"].where(stops["parent_station"].isin(stops.index))
     own = parent.fillna(pd.Series(stops.index, stops.index))
     known = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
@@ -68,54 +70,16 @@ def clean_calls(
 ) -> tuple[Calls, Counter[str]]:
     """The calls of `trips` (trip_id), and how many of each oddity were met."""
     counted: Counter[str] = Counter()
-    times = feed["stop_times"]
-    which = pd.Index(trips["trip_id"]).get_indexer(pd.Index(times["trip_id"]))
-    times = times[which >= 0]
-    trip = which[which >= 0].astype(np.int64)
-    sequence = numbers("stop_times", "stop_sequence", times["stop_sequence"])
-    arrival = seconds("stop_times", "arrival_time", times["arrival_time"])
-    departure = seconds("stop_times", "departure_time", times["departure_time"])
-    shape = numbers("stop_times", "shape_dist_traveled", times["shape_dist_traveled"])
-    codes, names = pd.factorize(times["stop_id"])
-    stop = np.array([*(rows.get(str(name), -1) for name in names), -1], np.int64)[codes]
-    order = np.lexsort((sequence, trip))
-    trip, stop, sequence, arrival, departure, shape = (
-        values[order] for values in (trip, stop, sequence, arrival, departure, shape)
-    )
-    keep = stop >= 0
-    counted["calls at stops without a place, left out"] += int((~keep).sum())
-    twice = np.append(False, (np.diff(trip) == 0) & (np.diff(sequence) == 0))
-    counted["calls given twice, the second left out"] += int(twice.sum())
-    keep &= ~twice
-    trip, stop, arrival, departure, shape = (
-        values[keep] for values in (trip, stop, arrival, departure, shape)
-    )
-    again = np.append(False, (np.diff(trip) == 0) & (np.diff(stop) == 0))
-    counted["calls at the same stop or station in a row, the second left out"] += int(again.sum())
-    trip, stop, arrival, departure, shape = (
-        values[~again] for values in (trip, stop, arrival, departure, shape)
-    )
-    time = np.where(np.isnan(arrival), departure, arrival)
-    begins = np.append(True, np.diff(trip) > 0)
-    ends = np.append(begins[1:], True)
-    time = np.where(begins & ~np.isnan(departure), departure, time)
-    whole = np.ones(len(trips), np.bool_)
-    whole[trip[(begins | ends) & np.isnan(time)]] = False
-    counted["trips without a time at an end, left out"] += int((~whole).sum())
-    short = np.bincount(trip, minlength=len(trips)) < 2
-    counted["trips of fewer than two calls, left out"] += int((short & whole).sum())
-    keep = (whole & ~short)[trip]
-    trip, stop, time, shape, begins, ends = (
-        values[keep] for values in (trip, stop, time, shape, begins, ends)
-    )
-    if not len(trip):
+    frame = _whole_trips(_placed(_given(feed, trips, rows), counted), len(trips), counted)
+    if frame.empty:
         raise HeadwayError(
             "FEED: no trip of the chosen days has two calls with times; look at stop_times.txt"
         )
-    leg = _crow(stops, stop)
-    leg[begins] = 0.0
-    along = _since_first(leg, begins)
-    measured = _complete(shape, trip, begins, len(trips))
+    trip, stop = frame["trip"].to_numpy(np.int64), frame["stop"].to_numpy(np.int64)
+    time, shape = frame["time"].to_numpy(np.float64).copy(), frame["shape"].to_numpy(np.float64)
+    begins = np.append(True, np.diff(trip) > 0)
+    ends = np.append(begins[1:], True)
+    along = _since_first(_crow(stops, stop) * ~begins, begins)
     counted["times blank, set by distance"] += int(np.isnan(time).sum())
     falling = _falling(time, trip)
     counted["times before the one before, set by distance"] += int(falling.sum())
@@ -123,11 +87,61 @@ def clean_calls(
     known = ~np.isnan(time)
     same = _same_as_next(time, known, trip, ends)
     counted["times equal to the one before, spread by distance"] += int(same.sum())
-    way = np.where(measured[trip], shape, along)
-    time = _spread(
-        time, known & ~same, trip, _since_first(np.append(0.0, np.diff(way)) * ~begins + 1.0, begins)
-    )
+    way = np.where(_complete(shape, trip, begins, len(trips))[trip], shape, along)
+    legs = np.append(0.0, np.diff(way))
+    legs[begins] = 0.0
+    time = _spread(time, known & ~same, trip, _since_first(legs + 1.0, begins))
     return Calls(trip, stop, time, along), counted
+
+
+def _given(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFrame:
+    """The rows of stop_times of `trips` in the order of driving: trip, stop (-1: no place), sequence, time,
+    shape."""
+    times = feed["stop_times"]
+    which = pd.Index(trips["trip_id"]).get_indexer(pd.Index(times["trip_id"]))
+    times = times[which >= 0]
+    codes, names = pd.factorize(times["stop_id"])
+    places_of = np.array([*(rows.get(str(name), -1) for name in names), -1], np.int64)
+    arrival = seconds("stop_times", "arrival_time", times["arrival_time"])
+    departure = seconds("stop_times", "departure_time", times["departure_time"])
+    frame = pd.DataFrame(
+        {
+            "trip": which[which >= 0].astype(np.int64),
+            "stop": places_of[codes],
+            "sequence": numbers("stop_times", "stop_sequence", times["stop_sequence"]),
+            "time": np.where(np.isnan(arrival), departure, arrival),
+            "departure": departure,
+            "shape": numbers("stop_times", "shape_dist_traveled", times["shape_dist_traveled"]),
+        }
+    )
+    frame = frame.iloc[np.lexsort((frame["sequence"], frame["trip"]))].reset_index(drop=True)
+    # A trip begins when it leaves, not when the bus stands ready.
+    leaves = ~frame["trip"].duplicated() & frame["departure"].notna()
+    return frame.assign(time=frame["time"].where(~leaves, frame["departure"]))
+
+
+def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
+    """Without calls at no place, calls given twice and calls at one place in a row."""
+    lost = frame["stop"] < 0
+    counted["calls at stops without a place, left out"] += int(lost.sum())
+    twice = frame.duplicated(["trip", "sequence"])
+    counted["calls given twice, the second left out"] += int(twice.sum())
+    frame = frame[~lost & ~twice]
+    again = (frame["trip"].diff() == 0) & (frame["stop"].diff() == 0)
+    counted["calls at the same stop or station in a row, the second left out"] += int(again.sum())
+    return frame[~again]
+
+
+def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
+    """Only trips of at least two calls, with times at both ends."""
+    trip = frame["trip"].to_numpy()
+    ends = ~frame["trip"].duplicated() | ~frame["trip"].duplicated(keep="last")
+    timeless = np.zeros(count, np.bool_)
+    timeless[trip[(ends & frame["time"].isna()).to_numpy()]] = True
+    counted["trips without a time at an end, left out"] += int(timeless.sum())
+    short = np.bincount(trip, minlength=count) < 2
+    counted["trips of fewer than two calls, left out"] += int((short & ~timeless).sum())
+    return frame[~(timeless | short)[trip]]
 
 
 def _crow(stops: pd.DataFrame, stop: Integers) -> Floats:

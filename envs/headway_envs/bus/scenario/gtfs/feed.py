@@ -82,7 +82,7 @@ def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
     for place, text in enumerate(values):
         parts = str(text).split(":")
         if len(parts) != 3 or not all(part.strip().isdigit() for part in parts):
-            row = int(np.flatnonzero(codes == place)[0]) + 2
+            row = texts.index[int(np.flatnonzero(codes == place)[0])] + 2
             raise HeadwayError(f"FEED: {file}.txt, line {row}, {column}: '{text}' is no time HH:MM:SS")
         hours, minutes, rest = (int(part) for part in parts)
         parsed[place] = 3600.0 * hours + 60.0 * minutes + rest
@@ -95,7 +95,9 @@ def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
     wrong = np.isnan(values) & texts.notna().to_numpy()
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise HeadwayError(f"FEED: {file}.txt, line {row + 2}, {column}: '{texts.iloc[row]}' is no number")
+        raise HeadwayError(
+            f"FEED: {file}.txt, line {texts.index[row] + 2}, {column}: '{texts.iloc[row]}' is no number"
+        )
     return np.asarray(values, np.float64)
 
 

@@ -202,7 +202,7 @@ def _driven(
         counted["departures of frequencies.txt"] += len(here)
         part = pd.concat([pd.DataFrame({"trip": single, "shift": 0.0}), here], ignore_index=True)
         parts.append(part.assign(daytype=day))
-    driven = pd.concat(parts, ignore_index=True)
+    driven: pd.DataFrame = pd.concat(parts, ignore_index=True)
     if driven.empty:
         raise HeadwayError("FEED: no trip of the chosen days can be used; look at stop_times.txt")
     return driven

@@ -63,7 +63,7 @@ def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
     place = {service: i for i, service in enumerate(services)}
     runs = np.zeros((len(dates), len(services)), np.bool_)
     weekday = np.array([date.weekday() for date in dates])
-    on = calendar[list(_DAYS)].eq("1").to_numpy()
+    on = (calendar[list(_DAYS)] == "1").to_numpy(np.bool_)
     for row, service in enumerate(calendar["service_id"]):
         inside = slice((begin[row] - first).days, (end[row] - first).days + 1)
         runs[inside, place[service]] |= on[row, weekday[inside]]

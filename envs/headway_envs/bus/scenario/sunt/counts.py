@@ -67,8 +67,8 @@ def alighting_table(
     if days:
         every = pd.concat([day.calls for day in days])
         every = every[every["load_before"].notna()]
-        period = np.searchsorted(_PERIODS, every["time"] // 3600, side="right")
-        seen = every.assign(period=period).groupby([*LINE_STOP, "period"])[["alight", "load_before"]].sum()
+        periods = np.searchsorted(_PERIODS, every["time"] // 3600, side="right")
+        seen = every.assign(period=periods).groupby([*LINE_STOP, "period"])[["alight", "load_before"]].sum()
     calls = network["pattern_stops"].merge(network["patterns"][["pattern", "line", "dir"]], on="pattern")
     calls = calls.merge(network["stops"][["stop", "stop_id"]], on="stop").sort_values(["pattern", "seq0"])
     prior = calls.groupby("pattern")["seq0"].transform(lambda rows: _prior(len(rows)))

@@ -70,7 +70,9 @@ def import_sunt(raw: Path, options: SuntOptions) -> Tables:
             rows, lost = node_demand(here, nodes[kind], rates)
             made_from[f"demand {kind}"] = f"counts by stop of {nodes[kind].attrs['days']} days, raw counts"
         else:
-            means = {kind: dict.fromkeys(range(len(network["patterns"])), BOARDINGS_PER_TRIP[kind])}
+            means: dict[str, dict[int, float]] = {
+                kind: dict.fromkeys(range(len(network["patterns"])), BOARDINGS_PER_TRIP[kind])
+            }
             made = trips[trips["daytype"] == kind]
             rows, lost = passengers(network["pattern_stops"], made, means, options.seed)[0], 0.0
             made_from[f"demand {kind}"] = f"made up: {BOARDINGS_PER_TRIP[kind]:g} boardings a trip"

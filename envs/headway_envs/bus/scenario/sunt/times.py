@@ -55,8 +55,8 @@ def _legs(
     counted[f"link times above {LONGEST_S:g} s, not used"] += int((legs["s"] > LONGEST_S).sum())
     fast = (legs["s"] > 0) & (metres[legs["link"]] / legs["s"].clip(lower=0.1) > FASTEST_MPS)
     counted["link times faster than 90 km/h, not used"] += int(fast.sum())
-    legs = legs[(legs["s"] > 0) & (legs["s"] <= LONGEST_S) & ~fast]
-    return legs.assign(hour=legs["hour"].clip(_HOURS[0], _HOURS[-1]).astype(np.int64))
+    kept: pd.DataFrame = legs[(legs["s"] > 0) & (legs["s"] <= LONGEST_S) & ~fast]
+    return kept.assign(hour=kept["hour"].clip(_HOURS[0], _HOURS[-1]).astype(np.int64))
 
 
 def _table(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str]) -> pd.DataFrame:
