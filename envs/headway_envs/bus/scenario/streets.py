@@ -16,9 +16,10 @@ LENGTHENED = 3.0
 """Assumption: the sides of the town's rectangle, one to the other; Salvador lies along its coast."""
 _BENT = 0.5
 """Assumption: sd of the log of a street's weight in looking for ways, so that these are no straight lines."""
-_BEYOND = 0.1
-"""Cells that a place may lie beyond its own: with this the log of links' lengths has about the fitted sd."""
-_LONGEST = 2.0
+_BEYOND = 0.3
+"""Cells that a place may lie beyond its own: with this the log of links' lengths has an sd of about 0.54
+(fitted: 0.64)."""
+_LONGEST = 3.0
 """Assumption: longer links than this many medians are streets only where nothing else leads on."""
 _TRIED = 12
 """Ends drawn for a way through a hub; the one with the least of its way driven twice is taken."""

@@ -129,7 +129,8 @@ def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     frame = frame[~lost & ~twice]
     again = (frame["trip"].diff() == 0) & (frame["stop"].diff() == 0)
     counted["calls at the same stop or station in a row, the second left out"] += int(again.sum())
-    return frame[~again]
+    kept: pd.DataFrame = frame[~again]
+    return kept
 
 
 def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
@@ -141,7 +142,8 @@ def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.D
     counted["trips without a time at an end, left out"] += int(timeless.sum())
     short = np.bincount(trip, minlength=count) < 2
     counted["trips of fewer than two calls, left out"] += int((short & ~timeless).sum())
-    return frame[~(timeless | short)[trip]]
+    kept: pd.DataFrame = frame[~(timeless | short)[trip]]
+    return kept
 
 
 def _crow(stops: pd.DataFrame, stop: Integers) -> Floats:
