@@ -64,13 +64,11 @@ _COMMANDS = {
         "scenarios of the bus environment: made, described and drawn",
         "data",
         parts={
-            "synthetic": _Command(
-                "write a scenario of a seed and fitted numbers", "data.synthetic", only_prints=False
-            ),
-            "gtfs": _Command("write a scenario of any GTFS feed", "data.gtfs", only_prints=False),
-            "sunt": _Command("write a scenario of raw files of SUNT", "data.sunt", only_prints=False),
+            "synthetic": _Command("write a scenario of a seed and fitted numbers", "data.synthetic"),
+            "gtfs": _Command("write a scenario of any GTFS feed", "data.gtfs"),
+            "sunt": _Command("write a scenario of raw files of SUNT", "data.sunt"),
             "describe": _Command("lines, fleet, headways and demand of a scenario", "data.describe"),
-            "plot": _Command("map of a scenario with load and headways", "data.plot", only_prints=False),
+            "plot": _Command("map of a scenario with load and headways", "data.plot"),
         },
     ),
     "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
