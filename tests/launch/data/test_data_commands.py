@@ -95,6 +95,44 @@ def test_what_lies_there_is_not_written_over(tmp_path: Path, capsys: pytest.Capt
     assert "is a file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("other", ["src/a.py", "notes.txt"])
+def test_a_folder_that_holds_more_than_a_scenario_is_never_replaced(
+    other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project = tmp_path / "project"
+    assert run(["data", "synthetic", str(project)]) == 0
+    mine = project / other
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine")
+    assert run(["data", "synthetic", str(project), "--seed", "1", "--replace"]) == 2
+    assert f"holds other files ({other.split('/')[0]}); name a new folder" in capsys.readouterr().err
+    assert mine.read_text() == "mine"
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (alone / "meta.json").write_text("mine")
+    assert run(["data", "synthetic", str(alone), "--replace"]) == 2
+    assert (alone / "meta.json").read_text() == "mine"
+
+
+def test_the_old_scenario_comes_back_if_the_new_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    assert run(["data", "synthetic", str(out)]) == 0
+    rename = Path.rename
+
+    def failing(self: Path, target: Path) -> Path:
+        if self.name == "new":
+            raise OSError("no room")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    assert run(["data", "synthetic", str(out), "--seed", "1", "--replace"]) == 2
+    assert "cannot be written (no room)" in capsys.readouterr().err
+    assert json.loads((out / "meta.json").read_text())["seed"] == 0
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
+
+
 def test_a_description_counts_what_the_environment_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["data", "describe", "corridor", "--lines", "3", "--day-type", "weekday"]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if line]

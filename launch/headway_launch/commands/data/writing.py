@@ -1,8 +1,7 @@
 """The folder that a scenario is written to, and what is said of it."""
 
 import argparse
-import shutil
-from contextlib import suppress
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,30 +22,46 @@ def check_output(arguments: argparse.Namespace) -> Path:
     out = Path(arguments.out)
     if out.exists() and not out.is_dir():
         raise HeadwayError(f"OUT: {out} is a file; name a folder")
-    if out.is_dir() and any(out.iterdir()):
-        if not (out / "meta.json").is_file():
-            raise HeadwayError(f"OUT: {out} holds other files; name a new folder")
-        if not arguments.replace:
-            raise HeadwayError(f"OUT: {out} holds a scenario; --replace writes over it")
+    _refuse_others(out)
+    if out.is_dir() and any(out.iterdir()) and not arguments.replace:
+        raise HeadwayError(f"OUT: {out} holds a scenario; --replace writes over it")
     return out
 
 
+def _refuse_others(out: Path) -> None:
+    """Raises HeadwayError if the folder, where there is one, holds anything but a scenario."""
+    from headway_envs.bus.scenario.tables import COLUMNS
+
+    held = {entry.name: entry.is_file() for entry in out.iterdir()} if out.is_dir() else {}
+    tables = {f"{name}.parquet" for name in COLUMNS}
+    others = [name for name, is_file in held.items() if not is_file or name not in {*tables, "meta.json"}]
+    if held and not others and not tables & set(held):
+        others = ["meta.json"]  # alone it is anybody's
+    if others:
+        raise HeadwayError(f"OUT: {out} holds other files ({min(others)}); name a new folder")
+
+
 def write_scenario(tables: "Tables", out: Path) -> None:
-    """Check and write; a scenario that was there is replaced when the new one is whole."""
+    """Check and write; a scenario that was there goes when the new one stands whole in its place."""
     from headway_envs.bus.scenario.tables import check_tables, write_tables
 
     check_tables(tables)
-    unfinished = out.with_name(f"{out.name}.unfinished")
     try:
-        with suppress(FileNotFoundError):
-            shutil.rmtree(unfinished)
-        write_tables(tables, unfinished)
-        if out.is_dir():
-            shutil.rmtree(out)
-        unfinished.rename(out)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            prefix=f".{out.name}.", dir=out.parent, ignore_cleanup_errors=True
+        ) as beside:
+            new, old = Path(beside) / "new", Path(beside) / "old"
+            write_tables(tables, new)
+            _refuse_others(out)
+            try:
+                if out.is_dir():
+                    out.rename(old)
+                new.rename(out)
+            finally:
+                if old.is_dir() and not out.exists():
+                    old.rename(out)
     except OSError as error:
-        with suppress(OSError):
-            shutil.rmtree(unfinished)
         raise HeadwayError(f"OUT: {out} cannot be written ({error})") from error
 
 
