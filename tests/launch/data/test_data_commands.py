@@ -133,6 +133,18 @@ def test_the_old_scenario_comes_back_if_the_new_one_cannot_take_its_place(
     assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
 
 
+@pytest.mark.parametrize("out", ["city", "./line/"])
+def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(
+    out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["data", "synthetic", out]) == 2
+    name = Path(out).name
+    assert f"OUT: env.args.scenario={name} is the built-in scenario; give the" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert run(["data", "synthetic", f"towns/{name}"]) == 0
+
+
 def test_a_description_counts_what_the_environment_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["data", "describe", "corridor", "--lines", "3", "--day-type", "weekday"]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if line]

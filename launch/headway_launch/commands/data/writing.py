@@ -19,7 +19,13 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 def check_output(arguments: argparse.Namespace) -> Path:
     """The folder to write; before any work, so that none is lost. Raises HeadwayError if it is taken."""
+    from headway_envs.bus.config import SCENARIOS
+
     out = Path(arguments.out)
+    if str(out) in SCENARIOS:
+        raise HeadwayError(
+            f"OUT: env.args.scenario={out} is the built-in scenario; give the folder another name: my_{out}"
+        )
     if out.exists() and not out.is_dir():
         raise HeadwayError(f"OUT: {out} is a file; name a folder")
     _refuse_others(out)
