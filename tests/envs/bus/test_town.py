@@ -57,7 +57,10 @@ def test_links_and_demand_follow_the_fitted_figures(district: Tables) -> None:
     boards = weekday(district.demand)
     by_hour = boards.groupby("hour")["board"].sum()
     shares = np.array(HOUR_SHARES["weekday"])
-    np.testing.assert_allclose(by_hour.loc[5:23] / by_hour.sum(), shares / shares.sum(), atol=0.004)
+    # In the first hour and the last one buses serve only a part of the stops.
+    inner = by_hour.loc[6:22]
+    np.testing.assert_allclose(inner / inner.sum(), shares[1:-1] / shares[1:-1].sum(), atol=0.002)
+    assert by_hour.loc[5] / by_hour.sum() == pytest.approx(shares[0] / shares.sum(), abs=0.02)
     length = district.patterns.set_index("pattern")["n_stops"].reindex(boards["pattern"]).to_numpy()
     by_tenth = boards["board"].groupby(boards["seq0"].to_numpy() * 10 // length).sum()
     np.testing.assert_allclose(by_tenth / by_tenth.sum(), BOARDING_TENTHS, atol=0.02)

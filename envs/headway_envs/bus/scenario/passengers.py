@@ -13,12 +13,15 @@ from headway_envs.bus.scenario.fitted import (
     BOARDING_TENTHS,
     HOUR_SHARES,
 )
+from headway_envs.bus.scenario.network import KNOT_S
+from headway_envs.bus.scenario.timetable import smooth
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[np.generic]]
 
 FIRST_SHARE_HOUR = 5
 """The hour of the first of HOUR_SHARES; before it and after the last, shares stay as they are there."""
+_LAST_HOUR = 29
 ALIGHTING_SD = 1.0
 """Assumption: sd of the log of a stop's alightings within its tenth of the pattern."""
 
@@ -48,8 +51,8 @@ def passengers(
     """The tables demand and alighting for the given pattern_stops and trips.
 
     A stop draws passengers and lets them go with one pull on all patterns that call there, spread over each
-    pattern by its tenths; `per_trip` gives the mean boardings of a trip, by day type and pattern; they fall
-    to the hours from the first departure to the last arrival by the measured shares."""
+    pattern by its tenths; `per_trip` gives the mean boardings of a trip, by day type and pattern; at each
+    stop they fall to the hours in which buses serve it, by the measured shares."""
     places, which = np.unique(calls["stop"].to_numpy(), return_inverse=True)
     draws = generator(seed, "bus stops", 0)
     pulls = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
@@ -87,19 +90,46 @@ def _by_period(pattern: int, alight: Floats) -> Columns:
 def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, mean: float) -> Columns:
     """Rows of demand of one pattern and day type."""
     departures = trips["dep_s"].to_numpy(np.float64)
-    last = trips["arr_s"].to_numpy(np.float64).max()
-    hours = np.arange(int(departures.min() // 3600), min(int(last // 3600), 29) + 1)
-    weights = np.interp(hours, FIRST_SHARE_HOUR + np.arange(len(HOUR_SHARES[day])), HOUR_SHARES[day])
-    by_hour = mean * len(departures) * weights / weights.sum()
-    leaving = np.bincount((departures // 3600).astype(np.int64), minlength=31)[hours]
+    hours, served = service_by_hour(len(boarding), trips)
+    shares = np.interp(hours, FIRST_SHARE_HOUR + np.arange(len(HOUR_SHARES[day])), HOUR_SHARES[day])
+    weights = served * shares
+    weights /= weights.sum(axis=1, keepdims=True)
+    leaving = np.bincount((departures // 3600).astype(np.int64), minlength=51)[hours]
     count = len(boarding)
     return {
         "pattern": np.full(count * len(hours), pattern, np.int32),
         "seq0": np.repeat(np.arange(count, dtype=np.int16), len(hours)),
         "hour": np.tile(hours.astype(np.int8), count),
         "calls": np.tile(leaving.astype(np.int32), count),
-        "board": np.outer(boarding, by_hour).ravel(),
+        "board": (mean * len(departures) * boarding[:, None] * weights).ravel(),
     }
+
+
+def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64], Floats]:
+    """Hours (H,), and (count, H) what share of each hour's passengers a bus comes for at each stop of a
+    pattern: those who are there from one headway before the first bus to the last one, as in `build`.
+
+    As there, passengers of an hour come from the middle of the hour before to that of the next one, most of
+    them in between. Stops are reached at even times; an hour of less than half the best one's share has 0."""
+    departures = np.sort(trips["dep_s"].to_numpy(np.float64))
+    headway = np.interp(departures[0], KNOT_S, smooth(departures, KNOT_S).headway)
+    lasting = float((trips["arr_s"].to_numpy(np.float64) - trips["dep_s"].to_numpy(np.float64)).mean())
+    reached = np.linspace(0.0, lasting, count)
+    opens, closes = departures[0] - headway + reached, departures[-1] + reached
+    # A service day that begins with the first bus has no passengers of the hours before it.
+    earliest = max(min(departures[0] // 3600.0, FIRST_SHARE_HOUR), opens[0] // 3600.0, 0.0)
+    hours = np.arange(int(earliest), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
+    served = _come_by(closes[:, None], hours) - _come_by(opens[:, None], hours)
+    # Of a stop that is reached after the last hour there is.
+    served[served.max(axis=1) <= 0.0, -1] = 1.0
+    best = served.max(axis=1, keepdims=True)
+    return hours, np.where(served >= 0.5 * best, served, 0.0)
+
+
+def _come_by(moment: Floats, hours: NDArray[np.int64]) -> Floats:
+    """The share of each hour's passengers who have come by a moment, s."""
+    since = np.clip(moment / 3600.0 - hours - 0.5, -1.0, 1.0)
+    return np.asarray(0.5 + since - 0.5 * since * np.abs(since), np.float64)
 
 
 def _stacked(parts: Sequence[Columns]) -> pd.DataFrame:

@@ -12,6 +12,7 @@ import pytest
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
+from headway_envs.bus.kernel.layout import BIN_S
 from headway_envs.bus.scenario.gtfs.importing import GtfsOptions, import_gtfs
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.tables import Tables, check_tables
@@ -170,6 +171,22 @@ def test_demand_is_the_trips_times_the_scale_and_said_to_be_made_up(write_feed: 
     assert by_day["sunday"] == pytest.approx(10.0 * 28.0 / 47.0)
     assert "10 boardings" in tables.meta["made_up"]["demand, alighting"]
     assert "doi 10.17632" in tables.meta["made_up"]["demand, alighting"]
+
+
+def test_passengers_come_when_buses_do(write_feed: FeedWriter) -> None:
+    """Of a trip or two a day most passengers are there for it, and of regular service nearly all: what falls
+    outside are parts of hours, between which the environment interpolates."""
+    few = imported(write_feed())
+    regular = imported(
+        write_feed(frequencies="trip_id,start_time,end_time,headway_secs\nout,06:00:00,20:00:00,1200\n"),
+        lines=("1",),
+    )
+    for tables, least in ((few, 0.65), (regular, 0.97)):
+        stated = tables.demand.loc[tables.demand["daytype"] == "weekday", "board"].sum()
+        network = build(tables, BusConfig())[0]
+        assert least * stated <= network.boarding_rate.sum() * BIN_S <= stated * (1 + 1e-9)
+    hours = few.demand[(few.demand["board"] > 0) & (few.demand["daytype"] == "weekday")]["hour"]
+    assert set(hours) == {6, 7, 22, 23, 24}  # for buses of 08:01 and 23:58
 
 
 @pytest.mark.parametrize(
