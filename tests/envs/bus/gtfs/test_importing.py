@@ -126,6 +126,19 @@ def test_equal_times_are_spread_and_falling_ones_left_out(write_feed: FeedWriter
     assert counted["times before the one before, set by distance"] == 1
 
 
+@pytest.mark.parametrize("unit", [1.0, 0.001])
+def test_blank_times_follow_the_shape_in_any_unit(write_feed: FeedWriter, unit: float) -> None:
+    times = (
+        "trip_id,arrival_time,stop_id,stop_sequence,shape_dist_traveled\n"
+        f"out,08:00:00,A,1,{7000 * unit}\n"
+        f"out,,B,2,{8200 * unit}\n"
+        f"out,,C1,3,{10_000 * unit}\n"
+        f"out,08:10:00,D,4,{13_000 * unit}\n"
+    )
+    tables = imported(write_feed(stop_times=times))
+    np.testing.assert_allclose(weekday_seconds(tables, "I"), [120.0, 180.0, 300.0], rtol=0.01)
+
+
 def test_odd_rows_are_left_out_and_counted(write_feed: FeedWriter) -> None:
     times = (
         "trip_id,arrival_time,departure_time,stop_id,stop_sequence\n"

@@ -87,6 +87,7 @@ def clean_calls(
     known = ~np.isnan(time)
     same = _same_as_next(time, known, trip, ends)
     counted["times equal to the one before, spread by distance"] += int(same.sum())
+    shape = _in_metres(shape, along, begins)
     way = np.where(_complete(shape, trip, begins, len(trips))[trip], shape, along)
     legs = np.append(0.0, np.diff(way))
     legs[begins] = 0.0
@@ -158,6 +159,16 @@ def _since_first(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
     """(Q,) sums along each trip, 0 at its beginning."""
     total = np.cumsum(leg)
     return np.asarray(total - total[begins][np.cumsum(begins) - 1], np.float64)
+
+
+def _in_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Floats:
+    """(Q,) shape_dist_traveled since each trip's first call, of whatever unit, scaled to the trip's crow's
+    metres; NaN for trips whose last call is not beyond the first."""
+    trip = np.cumsum(begins) - 1
+    last = np.append(np.flatnonzero(begins)[1:], len(begins)) - 1
+    since = shape - shape[begins][trip]
+    total = np.where(since[last] > 0, since[last], np.nan)
+    return np.asarray(since * (along[last] / total)[trip], np.float64)
 
 
 def _complete(shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
