@@ -56,6 +56,12 @@ SMALL: Files = {
 
 
 @pytest.fixture
+def small() -> Files:
+    """The files of the small feed."""
+    return SMALL
+
+
+@pytest.fixture
 def write_feed(tmp_path: Path) -> FeedWriter:
     """Writes the small feed, files replaced, or left out where None."""
 

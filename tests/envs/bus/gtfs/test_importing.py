@@ -3,7 +3,7 @@
 import datetime as dt
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.tables import Tables, check_tables
 
 FeedWriter = Callable[..., Path]
+Files = Mapping[str, str]
 BRT = Path(__file__).parents[5] / "shared" / "data" / "sunt_raw" / "brt_gtfs"
 
 
@@ -58,6 +59,29 @@ def test_times_pass_midnight_and_other_modes_stay_out(write_feed: FeedWriter) ->
     assert tables.trips["daytype"].value_counts().to_dict() == {"weekday": 2, "sunday": 1}
     metro = imported(write_feed(), route_types=("1",))
     assert metro.patterns["line"].tolist() == ["M"]
+
+
+def test_times_that_start_anew_at_midnight_go_on(write_feed: FeedWriter, small: Files) -> None:
+    text = small["stop_times"].replace("24:02:00,24:02:00", "00:02:00,00:02:00")
+    tables = imported(write_feed(stop_times=text.replace("25:10:00,25:10:00", "01:10:00,01:10:00")))
+    assert tables.meta["counted"]["times after midnight written from 0 h on, 24 h added"] == 2
+    written = imported(write_feed(stop_times=small["stop_times"]))
+    pd.testing.assert_frame_equal(tables.trips, written.trips)
+    pd.testing.assert_frame_equal(tables.link_times, written.link_times)
+
+
+def test_one_time_of_midnight_moves_no_other(write_feed: FeedWriter, small: Files) -> None:
+    text = small["stop_times"].replace("24:02:00,24:02:00", "00:00:00,00:00:00")
+    tables = imported(write_feed(stop_times=text.replace("25:10:00,25:10:00", "23:59:30,23:59:30")))
+    trips = tables.trips[tables.trips["daytype"] == "weekday"]
+    assert trips["arr_s"].max() == 24 * 3600 - 30
+
+
+def test_a_trip_that_ends_before_it_begins_is_left_out(write_feed: FeedWriter, small: Files) -> None:
+    text = small["stop_times"].replace("out,08:09:00,08:09:00", "out,07:09:00,07:09:00")
+    tables = imported(write_feed(stop_times=text))
+    assert tables.meta["counted"]["trips that end before they begin, left out"] == 1
+    assert tables.trips["daytype"].value_counts().to_dict() == {"weekday": 1, "sunday": 1}
 
 
 def test_the_busiest_date_is_chosen_and_exceptions_count(write_feed: FeedWriter) -> None:

@@ -13,6 +13,7 @@ from headway_envs.bus.scenario.gtfs.feed import Feed, numbers, seconds
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+_DAY_S = 86_400.0
 FASTEST_MPS = 25.0
 """Links scheduled faster than 90 km/h are taken as driven at that."""
 
@@ -70,7 +71,8 @@ def clean_calls(
 ) -> tuple[Calls, Counter[str]]:
     """The calls of `trips` (trip_id), and how many of each oddity were met."""
     counted: Counter[str] = Counter()
-    frame = _whole_trips(_placed(_given(feed, trips, rows), counted), len(trips), counted)
+    frame = _past_midnight(_placed(_given(feed, trips, rows), counted), counted)
+    frame = _whole_trips(frame, len(trips), counted)
     if frame.empty:
         raise HeadwayError(
             "FEED: no trip of the chosen days has two calls with times; look at stop_times.txt"
@@ -134,16 +136,32 @@ def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     return kept
 
 
+def _past_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
+    """With 24 h more where a trip's times fall by over 12 h, until they rise by as much again: after 23:58
+    some feeds write 00:10 for 24:10."""
+    timed = frame[frame["time"].notna()]
+    step = timed["time"].diff().where(timed["trip"].diff() == 0, 0.0)
+    midnights = (step < -0.5 * _DAY_S).astype(np.int64) - (step > 0.5 * _DAY_S)
+    days = midnights.groupby(timed["trip"]).cumsum().clip(lower=0)
+    counted["times after midnight written from 0 h on, 24 h added"] += int((days > 0).sum())
+    return frame.assign(time=frame["time"] + _DAY_S * days.reindex(frame.index, fill_value=0))
+
+
 def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
-    """Only trips of at least two calls, with times at both ends."""
+    """Only trips of at least two calls, with times at both ends, the last not before the first."""
     trip = frame["trip"].to_numpy()
-    ends = ~frame["trip"].duplicated() | ~frame["trip"].duplicated(keep="last")
+    begins, finishes = ~frame["trip"].duplicated(), ~frame["trip"].duplicated(keep="last")
+    ends = begins | finishes
     timeless = np.zeros(count, np.bool_)
     timeless[trip[(ends & frame["time"].isna()).to_numpy()]] = True
     counted["trips without a time at an end, left out"] += int(timeless.sum())
     short = np.bincount(trip, minlength=count) < 2
     counted["trips of fewer than two calls, left out"] += int((short & ~timeless).sum())
-    kept: pd.DataFrame = frame[~(timeless | short)[trip]]
+    lasting = np.zeros(count)
+    lasting[trip[begins.to_numpy()]] = frame["time"][finishes].to_numpy() - frame["time"][begins].to_numpy()
+    backwards = lasting < 0
+    counted["trips that end before they begin, left out"] += int((backwards & ~short).sum())
+    kept: pd.DataFrame = frame[~(timeless | short | backwards)[trip]]
     return kept
 
 
