@@ -278,6 +278,21 @@ def test_other_wrong_feeds_and_lines_are_named(write_feed: FeedWriter, tmp_path:
         imported(write_feed(), lines=("7",))
 
 
+def test_files_of_two_feeds_are_not_mixed(write_feed: FeedWriter, tmp_path: Path) -> None:
+    folder = write_feed()
+    (folder / "old").mkdir()
+    (folder / "old" / "notes.txt").write_text("of last year")
+    imported(folder)
+    (folder / "old" / "stops.txt").write_text("stop_id,stop_lat,stop_lon\nA,1,1\n")
+    with pytest.raises(HeadwayError, match=r"holds old/stops\.txt and stops\.txt; leave one feed there"):
+        imported(folder)
+    with zipfile.ZipFile(tmp_path / "two.zip", "w") as archive:
+        for name in ("new/agency.txt", "old/agency.txt"):
+            archive.writestr(name, "agency_id\n1\n")
+    with pytest.raises(HeadwayError, match=r"holds new/agency\.txt and old/agency\.txt"):
+        imported(tmp_path / "two.zip")
+
+
 def test_the_real_feed_of_the_brt_is_whole_and_runs() -> None:
     if not BRT.is_dir():
         pytest.skip("the BRT's feed ../shared/data/sunt_raw/brt_gtfs is not there")

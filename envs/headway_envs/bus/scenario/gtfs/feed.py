@@ -3,6 +3,7 @@
 import csv
 import io
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -55,13 +56,16 @@ class Feed:
 def read_feed(path: Path) -> Feed:
     """Raises HeadwayError naming the file, and the column, that is missing or cannot be read."""
     if path.is_dir():
-        found = {file.name: file for file in sorted(path.rglob("*.txt"))}
-        frames = {name: _frame(name, _text(found, f"{name}.txt")) for name in {**NEEDED, **_OPTIONAL}}
+        inside = _by_name(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
+        frames = {
+            name: _frame(name, (path / inside[name]).read_bytes() if name in inside else None)
+            for name in {**NEEDED, **_OPTIONAL}
+        }
     elif path.is_file() and zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
-            inside = {PurePosixPath(name).name: name for name in sorted(archive.namelist())}
+            inside = _by_name(path, archive.namelist())
             frames = {
-                name: _frame(name, archive.read(inside[f"{name}.txt"]) if f"{name}.txt" in inside else None)
+                name: _frame(name, archive.read(inside[name]) if name in inside else None)
                 for name in {**NEEDED, **_OPTIONAL}
             }
     else:
@@ -101,8 +105,20 @@ def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
     return np.asarray(values, np.float64)
 
 
-def _text(found: dict[str, Path], name: str) -> bytes | None:
-    return found[name].read_bytes() if name in found else None
+def _by_name(feed: Path, files: Iterable[str]) -> dict[str, str]:
+    """Where each known file lies, in whatever folder. Raises HeadwayError if one is there twice: those of two
+    feeds name each other's stops and trips."""
+    found: dict[str, str] = {}
+    for file in sorted(files):
+        name = PurePosixPath(file).name.removesuffix(".txt")
+        if f"{name}.txt" != PurePosixPath(file).name or name not in {**NEEDED, **_OPTIONAL}:
+            continue
+        if name in found:
+            raise HeadwayError(
+                f"FEED: {feed} holds {found[name]} and {file}; leave one feed there, without others below it"
+            )
+        found[name] = file
+    return found
 
 
 def _frame(name: str, content: bytes | None) -> pd.DataFrame:
