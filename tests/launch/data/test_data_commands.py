@@ -145,6 +145,23 @@ def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(
     assert run(["data", "synthetic", f"towns/{name}"]) == 0
 
 
+def test_the_working_directory_and_those_above_are_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for out in (".", "", "..", "towns/..", str(tmp_path)):
+        assert run(["data", "gtfs", "no feed", out]) == 2
+        assert "is the working directory or lies above it; name a folder in it" in capsys.readouterr().err
+
+
+def test_a_link_to_a_scenario_stays_one_and_names_the_new_one(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "mine")
+    for seed in ("0", "1"):
+        assert run(["data", "synthetic", str(tmp_path / "link"), "--seed", seed, "--replace"]) == 0
+        assert json.loads((tmp_path / "mine" / "meta.json").read_text())["seed"] == int(seed)
+    assert (tmp_path / "link").is_symlink()
+
+
 def test_a_description_counts_what_the_environment_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["data", "describe", "corridor", "--lines", "3", "--day-type", "weekday"]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if line]

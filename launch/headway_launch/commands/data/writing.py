@@ -26,6 +26,9 @@ def check_output(arguments: argparse.Namespace) -> Path:
         raise HeadwayError(
             f"OUT: env.args.scenario={out} is the built-in scenario; give the folder another name: my_{out}"
         )
+    here = Path.cwd()
+    if out.resolve() in (here, *here.parents):
+        raise HeadwayError(f"OUT: {out} is the working directory or lies above it; name a folder in it")
     if out.exists() and not out.is_dir():
         raise HeadwayError(f"OUT: {out} is a file; name a folder")
     _refuse_others(out)
@@ -52,6 +55,7 @@ def write_scenario(tables: "Tables", out: Path) -> None:
     from headway_envs.bus.scenario.tables import check_tables, write_tables
 
     check_tables(tables)
+    out = out.resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
