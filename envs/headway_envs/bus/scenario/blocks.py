@@ -10,22 +10,35 @@ LEAST_LAYOVER_S = 300.0
 """Between two trips of a vehicle. Of SUNT's vehicles 97.9% go on where they arrived, after 286 s in the
 median."""
 TERMINAL_M = 300.0
-"""Stops no farther from each other than this are one terminal."""
+"""No two stops of a terminal are farther from each other than this."""
 
 
 def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
     """Of each of the stops `ends` (rows of the frame with lat, lon) the number of its terminal."""
+    from scipy.cluster.hierarchy import fcluster, linkage
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     ends = np.unique(ends)
     lat, lon = stops["lat"].to_numpy(np.float64)[ends], stops["lon"].to_numpy(np.float64)[ends]
-    east = lon * np.cos(np.radians(lat.mean()))
-    near = KDTree(np.column_stack((lat, east)) * 111_320.0).query_pairs(TERMINAL_M, output_type="ndarray")
+    places = np.column_stack((lat, lon * np.cos(np.radians(lat.mean())))) * 111_320.0
+    near = KDTree(places).query_pairs(TERMINAL_M, output_type="ndarray")
     joined = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(ends),) * 2)
-    found = connected_components(joined, directed=False)[1]
-    return dict(zip(ends.tolist(), found.tolist(), strict=True))
+    # Stops that hang together may stretch over kilometres: each such row falls into terminals.
+    count, row = connected_components(joined, directed=False)
+    terminal = np.zeros(len(ends), np.int64)
+    found = 0
+    for members in np.split(
+        np.argsort(row, kind="stable"), np.cumsum(np.bincount(row, minlength=count))[:-1]
+    ):
+        if len(members) > 1:
+            tree = linkage(places[members], method="complete")
+            terminal[members] = found + fcluster(tree, TERMINAL_M, criterion="distance") - 1
+        else:
+            terminal[members] = found
+        found = int(terminal[members].max()) + 1
+    return dict(zip(ends.tolist(), terminal.tolist(), strict=True))
 
 
 def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
