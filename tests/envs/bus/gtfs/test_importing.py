@@ -131,6 +131,29 @@ def test_blocks_are_vehicles(write_feed: FeedWriter) -> None:
     assert tables.trips[tables.trips["daytype"] == "weekday"]["vehicle"].nunique() == 2
 
 
+def test_a_block_whose_trips_overlap_is_as_many_vehicles_as_it_takes(write_feed: FeedWriter) -> None:
+    trips = "route_id,service_id,trip_id,block_id\n" + "".join(
+        f"r1,work,{trip},{block}\n" for trip, block in (("t1", "x"), ("t2", "x"), ("t3", "x"), ("u", "y"))
+    )
+    times = "trip_id,arrival_time,stop_id,stop_sequence\n" + "".join(
+        f"{trip},{begin},A,1\n{trip},{end},D,2\n"
+        for trip, begin, end in (
+            ("t1", "08:00:00", "08:20:00"),
+            ("t2", "08:20:00", "08:40:00"),
+            ("t3", "08:30:00", "08:50:00"),
+            ("u", "08:00:00", "08:20:00"),
+        )
+    )
+    tables = imported(write_feed(trips=trips, stop_times=times))
+    assert tables.meta["counted"]["blocks of trips that overlap, chained instead"] == 1
+    ordered = tables.trips.sort_values(["vehicle", "dep_s"])
+    gaps = ordered["dep_s"] - ordered.groupby("vehicle")["arr_s"].shift()
+    assert not (gaps < 0).any()
+    fine = imported(write_feed(trips=trips, stop_times=times.replace("08:30:00", "08:40:00")))
+    assert "blocks of trips that overlap, chained instead" not in fine.meta["counted"]
+    assert fine.trips["vehicle"].tolist() == [0, 0, 0, 1]
+
+
 def test_equal_times_are_spread_and_falling_ones_left_out(write_feed: FeedWriter) -> None:
     times = (
         "trip_id,arrival_time,departure_time,stop_id,stop_sequence\n"

@@ -234,7 +234,8 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
 def _trip_table(
     driven: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
 ) -> pd.DataFrame:
-    """The table trips; vehicles by block_id where every trip of the day has one, else chained."""
+    """The table trips; vehicles by block_id where every trip of the day has one, else chained, as are those
+    of a block's trips that overlap."""
     begin = calls.first
     last = np.append(begin[1:], len(calls.trip)) - 1
     terminal = terminals(stops, np.concatenate((calls.stop[begin], calls.stop[last])))
@@ -262,10 +263,23 @@ def _trip_table(
         # A trip that frequencies.txt repeats cannot be in one block with itself.
         blocked = part["block"].notna().all() and not driven["trip"].iloc[part.index].duplicated().any()
         counted["days with vehicles by block_id"] += int(blocked)
-        vehicle = pd.factorize(part["block"])[0] if blocked else chain_at_terminals(part)
+        vehicle = _by_block(part, counted) if blocked else chain_at_terminals(part)
         parts.append(part.assign(vehicle=vehicle))
     columns = ["pattern", "vehicle", "dep_s", "arr_s", "n_stops", "daytype"]
     return pd.concat(parts, ignore_index=True)[columns]
+
+
+def _by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
+    """(J,) a vehicle for each trip: one a block or, where its trips overlap, as many as it takes."""
+    vehicle = pd.factorize(trips["block"])[0].astype(np.int64)
+    ordered = trips.assign(vehicle=vehicle).sort_values(["vehicle", "dep_s", "arr_s"])
+    before = ordered.groupby("vehicle")["arr_s"].cummax().groupby(ordered["vehicle"]).shift()
+    overlapping = ordered.loc[ordered["dep_s"] < before, "vehicle"].unique()
+    counted["blocks of trips that overlap, chained instead"] += len(overlapping)
+    for block in overlapping:
+        own = vehicle == block
+        vehicle[own] = vehicle.max() + 1 + chain_at_terminals(trips[own])
+    return np.asarray(pd.factorize(vehicle)[0], np.int64)
 
 
 def _link_times(
