@@ -22,6 +22,7 @@ Columns = dict[str, NDArray[np.generic]]
 FIRST_SHARE_HOUR = 5
 """The hour of the first of HOUR_SHARES; before it and after the last, shares stay as they are there."""
 _LAST_HOUR = 29
+"""Passengers of later hours are given to this one."""
 ALIGHTING_SD = 1.0
 """Assumption: sd of the log of a stop's alightings within its tenth of the pattern."""
 
@@ -118,7 +119,7 @@ def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64],
     opens, closes = departures[0] - headway + reached, departures[-1] + reached
     # A service day that begins with the first bus has no passengers of the hours before it.
     earliest = max(min(departures[0] // 3600.0, FIRST_SHARE_HOUR), opens[0] // 3600.0, 0.0)
-    hours = np.arange(int(earliest), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
+    hours = np.arange(int(min(earliest, _LAST_HOUR)), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
     served = _come_by(closes[:, None], hours) - _come_by(opens[:, None], hours)
     # Of a stop that is reached after the last hour there is.
     served[served.max(axis=1) <= 0.0, -1] = 1.0

@@ -247,6 +247,12 @@ def test_passengers_come_when_buses_do(write_feed: FeedWriter) -> None:
         assert least * stated <= network.boarding_rate.sum() * BIN_S <= stated * (1 + 1e-9)
     hours = few.demand[(few.demand["board"] > 0) & (few.demand["daytype"] == "weekday")]["hour"]
     assert set(hours) == {6, 7, 22, 23, 24}  # for buses of 08:01 and 23:58
+    late = imported(
+        write_feed(frequencies="trip_id,start_time,end_time,headway_secs\nout,31:00:00,31:10:00,600\n")
+    )
+    out = late.patterns.loc[late.patterns["dir"] == "I", "pattern"].iloc[0]
+    own = late.demand[(late.demand["pattern"] == out) & (late.demand["daytype"] == "weekday")]
+    assert own["board"].sum() == pytest.approx(47.0)
 
 
 @pytest.mark.parametrize(
