@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.describing import buses_at_once
-from headway_envs.bus.scenario.tables import Tables
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,6 @@ _LINE_COLOURS = 10
 """Up to so many lines each have a colour of their own; more are coloured by their headway."""
 _HEADWAYS_MIN = (5.0, 60.0)
 """Ends of the scale of headways, minutes."""
-_PERIODS = (9, 15, 20)
 
 
 def draw_scenario(tables: Tables, day: str, title: str, output: Path) -> None:
@@ -56,7 +56,7 @@ def link_loads(tables: Tables, day: str) -> pd.DataFrame:
     """One row a call (pattern, seq0, stop, link) with `load`: passengers a day on the way to it, when all
     board and alight as the tables say and no bus is too full."""
     demand = tables.demand[tables.demand["daytype"] == day]
-    period = np.searchsorted(_PERIODS, demand["hour"], side="right")
+    period = np.searchsorted(PERIOD_HOURS, demand["hour"], side="right")
     boards = demand.assign(period=period).groupby(["pattern", "seq0", "period"])["board"].sum()
     alights = tables.alighting.set_index(["pattern", "seq0", "period"])["p_alight"]
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"]).reset_index(drop=True)
@@ -87,9 +87,9 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     )
     places = tables.stops.set_index("stop")
     latitude = float(places["lat"].mean())
-    across = math.cos(math.radians(latitude)) * 111.32
+    across = math.cos(math.radians(latitude)) * METRES_A_DEGREE / 1000.0
     x = (places["lon"] - places["lon"].min()) * across
-    y = (places["lat"] - places["lat"].min()) * 111.32
+    y = (places["lat"] - places["lat"].min()) * METRES_A_DEGREE / 1000.0
     departures = trips.groupby("pattern").size()
     inner = calls[calls["seq0"] > 0].merge(tables.links[["link", "from_stop"]], on="link")
     inner["departures"] = departures.reindex(inner["pattern"]).to_numpy()

@@ -25,6 +25,7 @@ from headway_envs.bus.scenario.fitted import (
     SUNDAY_FLEET,
     WITHIN_HOUR_SD,
 )
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.passengers import hazards, spread_by_tenth
 from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
@@ -139,8 +140,8 @@ def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside:
     """Coordinates `along` m from the centre of Salvador on a heading, `aside` m to its right."""
     north = along * math.cos(heading) - aside * math.sin(heading)
     east = along * math.sin(heading) + aside * math.cos(heading)
-    lat = -12.97 + north / 111_320.0
-    lon = -38.50 + east / (111_320.0 * math.cos(math.radians(12.97)))
+    lat = -12.97 + north / METRES_A_DEGREE
+    lon = -38.50 + east / (METRES_A_DEGREE * math.cos(math.radians(12.97)))
     return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
 
 
@@ -149,7 +150,7 @@ def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: NDArra
     base = np.exp(intercept + slope * np.log(legs) + rng.normal(0.0, sd, len(legs)))
     frames = []
     for day, (hours, speeds) in SPEED_KMH.items():
-        every = np.arange(4, 27)
+        every = TIMED_HOURS
         factor = MEAN_SPEED_KMH / np.interp(every, hours, speeds)
         frames.append(
             pd.DataFrame(

@@ -22,7 +22,8 @@ from headway_envs.bus.config import SCENARIOS
 FIRST_LINK = 65535
 """The `link` of a pattern's first stop, to which no link leads."""
 
-PERIODS = 4
+PERIOD_HOURS = (9, 15, 20)
+PERIODS = len(PERIOD_HOURS) + 1
 """Of the day, in which other shares alight: before 9 h, 9-15, 15-20 and after."""
 
 DAY_TYPES = ("weekday", "sunday")

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from headway.contracts import generator
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.kernel.layout import FIRST_KNOT_HOUR, KNOTS
+from headway_envs.bus.kernel.layout import KNOTS
 from headway_envs.bus.scenario.fitted import (
     BOARDINGS_PER_TRIP,
     DEPARTURES,
@@ -26,6 +26,8 @@ from headway_envs.bus.scenario.fitted import (
     SUNDAY_LINES,
     WITHIN_HOUR_SD,
 )
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.network import KNOT_HOURS, KNOT_S
 from headway_envs.bus.scenario.passengers import passengers
 from headway_envs.bus.scenario.streets import Ways, lay_out
 from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
@@ -47,13 +49,11 @@ SERVICE_SD = 0.5
 """Assumption: sd of the log of departures, between lines of one length, by which fleets are dealt out."""
 _STOPS = {"district": (8, 76), "city": (5, 90)}
 """Stops of a pattern, the fewest and the most, of the same."""
-_LAT, _LON, _METRES_A_DEGREE = -12.97, -38.50, 111_320.0
+_LAT, _LON = -12.97, -38.50
 """Salvador."""
 _LEAST_LINK_S = 8.0
 _ALLOWANCE = 1.05
 """Assumption: planned over mean link times, for the dwell at busy stops that link times do not hold."""
-_HOURS = np.arange(FIRST_KNOT_HOUR, FIRST_KNOT_HOUR + KNOTS)
-_KNOT_S = np.asarray(_HOURS * 3600.0 + 1800.0, np.float64)
 
 
 def generate_town(size: str, seed: int) -> Tables:
@@ -129,8 +129,8 @@ def _geometry(rng: np.random.Generator, ways: Ways) -> dict[str, pd.DataFrame]:
     stops = pd.DataFrame(
         {
             "stop": np.arange(len(used)),
-            "lat": _LAT + ways.y[used] / _METRES_A_DEGREE,
-            "lon": _LON + ways.x[used] / (_METRES_A_DEGREE * math.cos(math.radians(_LAT))),
+            "lat": _LAT + ways.y[used] / METRES_A_DEGREE,
+            "lon": _LON + ways.x[used] / (METRES_A_DEGREE * math.cos(math.radians(_LAT))),
         }
     )
     inner = calls["seq0"].to_numpy() > 0
@@ -164,7 +164,7 @@ def _geometry(rng: np.random.Generator, ways: Ways) -> dict[str, pd.DataFrame]:
 def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
     intercept, slope, sd = LINK_S_LOG
     base = np.exp(intercept + slope * np.log(metres) + rng.normal(0.0, sd, len(metres)))
-    hours = np.arange(4, 27)
+    hours = TIMED_HOURS
     frames = []
     for day, (knots, speeds) in SPEED_KMH.items():
         seconds = np.outer(base, MEAN_SPEED_KMH / np.interp(hours, knots, speeds))
@@ -186,8 +186,8 @@ def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:
     """By day type (links, K) seconds at the knots; before 4 h and after 27 h as there."""
     found = {}
     for day, rows in tables["link_times"].groupby("daytype"):
-        by_hour = rows["mean_s"].to_numpy(np.float64).reshape(-1, 23)
-        found[str(day)] = by_hour[:, np.clip(_HOURS - 4, 0, 22)]
+        by_hour = rows["mean_s"].to_numpy(np.float64).reshape(-1, len(TIMED_HOURS))
+        found[str(day)] = by_hour[:, np.clip(KNOT_HOURS - TIMED_HOURS[0], 0, len(TIMED_HOURS) - 1)]
     return found
 
 
@@ -266,7 +266,7 @@ def _departures(base: float, durations: Sequence[Floats], day: str) -> list[Trip
     for way, passed in enumerate(durations):
         count = max(int(flow[-1]), 2)
         leaves = np.interp(np.arange(count) + 0.5 * way, flow, edges)
-        leaves = smooth(leaves, _KNOT_S).times
-        arrives = leaves + np.interp(leaves, _KNOT_S, passed)
+        leaves = smooth(leaves, KNOT_S).times
+        arrives = leaves + np.interp(leaves, KNOT_S, passed)
         trips += [Trip(way, float(t), float(a)) for t, a in zip(leaves, arrives, strict=True)]
     return trips

@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.gtfs.feed import Feed, numbers, seconds
+from headway_envs.bus.scenario.measures import distance_m
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _DAY_S = 86_400.0
-FASTEST_MPS = 25.0
-"""Links scheduled faster than 90 km/h are taken as driven at that."""
 
 
 @dataclass(frozen=True)
@@ -168,9 +167,7 @@ def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.D
 def _crow(stops: pd.DataFrame, stop: Integers) -> Floats:
     """(Q,) m from the call before."""
     lat, lon = stops["lat"].to_numpy()[stop], stops["lon"].to_numpy()[stop]
-    north = np.diff(lat, prepend=lat[0]) * 111_320.0
-    east = np.diff(lon, prepend=lon[0]) * 111_320.0 * np.cos(np.radians(lat))
-    return np.asarray(np.hypot(north, east), np.float64)
+    return distance_m(lat, lon, np.append(lat[0], lat[:-1]), np.append(lon[0], lon[:-1]))
 
 
 def _since_first(leg: Floats, begins: NDArray[np.bool_]) -> Floats:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.blocks import chain_at_terminals, terminals
 from headway_envs.bus.scenario.fitted import BOARDINGS_PER_TRIP, SOURCE, WITHIN_HOUR_SD
-from headway_envs.bus.scenario.gtfs.calls import FASTEST_MPS, Calls, clean_calls, places
+from headway_envs.bus.scenario.gtfs.calls import Calls, clean_calls, places
 from headway_envs.bus.scenario.gtfs.feed import Feed, numbers, read_feed, seconds
 from headway_envs.bus.scenario.gtfs.service import chosen_days
+from headway_envs.bus.scenario.measures import FASTEST_MPS, TIMED_HOURS
 from headway_envs.bus.scenario.passengers import passengers
 from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
 
@@ -31,7 +32,7 @@ BUS_TYPES = (
     "800",
 )
 """Route types of buses, trolleybuses and coaches, the extended ones too."""
-_FIRST_HOUR, _LAST_HOUR = 4, 26
+_FIRST_HOUR, _LAST_HOUR = int(TIMED_HOURS[0]), int(TIMED_HOURS[-1])
 _LEAST_LINK_S = 5.0
 
 

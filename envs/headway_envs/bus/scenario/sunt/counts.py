@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from headway_envs.bus.scenario.fitted import ALIGHTING_TENTHS, BOARDING_TENTHS
 from headway_envs.bus.scenario.passengers import hazards, spread_by_tenth
 from headway_envs.bus.scenario.sunt.records import Day
+from headway_envs.bus.scenario.tables import PERIOD_HOURS, PERIODS
 
-_PERIODS = (9, 15, 20)
 _PRIOR_LOAD = 30.0
 """Passengers' worth of the measured shares by tenth that a stop's own share of alightings is mixed with."""
 _LEAST_RATE = 0.05
@@ -67,13 +67,13 @@ def alighting_table(
     if days:
         every = pd.concat([day.calls for day in days])
         every = every[every["load_before"].notna()]
-        periods = np.searchsorted(_PERIODS, every["time"] // 3600, side="right")
+        periods = np.searchsorted(PERIOD_HOURS, every["time"] // 3600, side="right")
         seen = every.assign(period=periods).groupby([*LINE_STOP, "period"])[["alight", "load_before"]].sum()
     calls = network["pattern_stops"].merge(network["patterns"][["pattern", "line", "dir"]], on="pattern")
     calls = calls.merge(network["stops"][["stop", "stop_id"]], on="stop").sort_values(["pattern", "seq0"])
     prior = calls.groupby("pattern")["seq0"].transform(lambda rows: _prior(len(rows)))
     parts = []
-    for period in range(len(_PERIODS) + 1):
+    for period in range(PERIODS):
         keys = pd.MultiIndex.from_frame(calls[LINE_STOP].assign(period=period))
         own = seen.reindex(keys).fillna(0.0)
         share = (own["alight"].to_numpy() + _PRIOR_LOAD * prior.to_numpy()) / (

@@ -11,6 +11,7 @@ import pandas as pd
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.fitted import BOARDINGS_PER_TRIP
+from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.passengers import passengers
 from headway_envs.bus.scenario.sunt.counts import alighting_table, counted_demand, node_demand
 from headway_envs.bus.scenario.sunt.records import (
@@ -170,10 +171,9 @@ def _network(
     order["stop"] = pd.Index(used).get_indexer(pd.Index(order["stop_id"]))
     lat, lon = (places[column].reindex(used).to_numpy(np.float64) for column in ("lat", "lon"))
     stop = order["stop"].to_numpy()
-    north = (lat[stop] - np.roll(lat[stop], 1)) * 111_320.0
-    east = (lon[stop] - np.roll(lon[stop], 1)) * 111_320.0 * np.cos(np.radians(lat[stop]))
+    legs = distance_m(lat[stop], lon[stop], np.roll(lat[stop], 1), np.roll(lon[stop], 1))
     inner = order["seq0"].to_numpy() > 0
-    order["leg_m"] = np.where(inner, np.round(np.hypot(north, east)), 0.0)
+    order["leg_m"] = np.where(inner, np.round(legs), 0.0)
     pairs = np.column_stack((np.roll(stop, 1), stop))[inner]
     links, first, link = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order["link"] = FIRST_LINK

@@ -8,18 +8,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway_envs.bus.scenario.fitted import LINK_S_LOG, WITHIN_HOUR_SD
+from headway_envs.bus.scenario.measures import FASTEST_MPS, TIMED_HOURS
 from headway_envs.bus.scenario.sunt.records import Day
 
 LONGEST_S = 1800.0
 """Longer times from stop to stop are faults of the positions, or breaks."""
-FASTEST_MPS = 25.0
 _WORTH = 4.0
 """Drives that the model of link and hour counts for, beside those seen in a cell."""
 _SD_WORTH = 8.0
 """Drives that the measured spread counts for, beside those of a link."""
 _LARGEST_SD = 0.8
 _LEAST_S = 5.0
-_HOURS = np.arange(4, 27)
 
 
 def link_times(
@@ -56,7 +55,7 @@ def _legs(
     fast = (legs["s"] > 0) & (metres[legs["link"]] / legs["s"].clip(lower=0.1) > FASTEST_MPS)
     counted["link times faster than 90 km/h, not used"] += int(fast.sum())
     kept: pd.DataFrame = legs[(legs["s"] > 0) & (legs["s"] <= LONGEST_S) & ~fast]
-    return kept.assign(hour=kept["hour"].clip(_HOURS[0], _HOURS[-1]).astype(np.int64))
+    return kept.assign(hour=kept["hour"].clip(TIMED_HOURS[0], TIMED_HOURS[-1]).astype(np.int64))
 
 
 def _table(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str]) -> pd.DataFrame:
@@ -70,11 +69,11 @@ def _table(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str
     total = np.bincount(legs["link"], legs["s"], minlength=len(metres))
     base = (total + _WORTH * fitted) / (count + _WORTH)
     counted["links never driven, times by length"] += int((count == 0).sum())
-    hour = legs["hour"].to_numpy() - _HOURS[0]
-    seen = np.bincount(hour, legs["s"], minlength=len(_HOURS)) + _WORTH * base.mean()
-    expected = np.bincount(hour, base[legs["link"]], minlength=len(_HOURS)) + _WORTH * base.mean()
+    hour = legs["hour"].to_numpy() - TIMED_HOURS[0]
+    seen = np.bincount(hour, legs["s"], minlength=len(TIMED_HOURS)) + _WORTH * base.mean()
+    expected = np.bincount(hour, base[legs["link"]], minlength=len(TIMED_HOURS)) + _WORTH * base.mean()
     model = np.outer(base, seen / expected)
-    cell = legs["link"].to_numpy() * len(_HOURS) + hour
+    cell = legs["link"].to_numpy() * len(TIMED_HOURS) + hour
     n = np.bincount(cell, minlength=model.size).reshape(model.shape)
     sums = np.bincount(cell, legs["s"], minlength=model.size).reshape(model.shape)
     mean = np.maximum((sums + _WORTH * model) / (n + _WORTH), _LEAST_S)
@@ -85,10 +84,10 @@ def _table(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str
     sigma = np.sqrt((squares + _SD_WORTH * WITHIN_HOUR_SD**2) / (free + _SD_WORTH))
     return pd.DataFrame(
         {
-            "link": np.repeat(np.arange(len(metres)), len(_HOURS)),
-            "hour": np.tile(_HOURS, len(metres)),
+            "link": np.repeat(np.arange(len(metres)), len(TIMED_HOURS)),
+            "hour": np.tile(TIMED_HOURS, len(metres)),
             "n": n.ravel(),
-            "log_sigma": np.repeat(np.minimum(sigma, _LARGEST_SD), len(_HOURS)),
+            "log_sigma": np.repeat(np.minimum(sigma, _LARGEST_SD), len(TIMED_HOURS)),
             "mean_s": mean.ravel(),
         }
     )
