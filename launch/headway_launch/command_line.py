@@ -2,8 +2,8 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import NoReturn, Protocol, cast
 
@@ -28,6 +28,8 @@ class _Command:
     module: str
     only_prints: bool = True
     """Nothing is left to do once its reader has gone; False for what trains."""
+    parts: "Mapping[str, _Command]" = field(default_factory=dict)
+    """Commands of a second word; then `module` is a package with EXAMPLES."""
 
 
 class _CommandModule(Protocol):
@@ -58,6 +60,17 @@ _COMMANDS = {
     "report": _Command("a whole study as one page, with tables and pictures", "report"),
     "browse": _Command("browse the store in MLflow's pages", "browse"),
     "sync": _Command("bring MLflow up to date with the run folders", "sync"),
+    "data": _Command(
+        "scenarios of the bus environment: made, described and drawn",
+        "data",
+        parts={
+            "synthetic": _Command("write a scenario of a seed and fitted numbers", "data.synthetic"),
+            "gtfs": _Command("write a scenario of any GTFS feed", "data.gtfs"),
+            "sunt": _Command("write a scenario of raw files of SUNT", "data.sunt"),
+            "describe": _Command("lines, fleet, headways and demand of a scenario", "data.describe"),
+            "plot": _Command("map of a scenario with load and headways", "data.plot"),
+        },
+    ),
     "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
 
@@ -106,6 +119,8 @@ def run(arguments: Sequence[str]) -> int:
 
 def _only_prints(words: Sequence[str]) -> bool:
     command = _COMMANDS.get(words[0]) if words else None
+    if command is not None and len(words) > 1:
+        command = command.parts.get(words[1], command)
     return command is None or command.only_prints or not {"-h", "--help"}.isdisjoint(words)
 
 
@@ -122,6 +137,15 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     if name not in _COMMANDS:
         raise HeadwayError(f"{name!r} is no command; {suggestion(name, _COMMANDS, 'headway ')}")
     command = _COMMANDS[name]
+    rest = words[1:]
+    if command.parts:
+        if not rest or rest[0] in ("-h", "--help", "help"):
+            _parser_of_parts(name, command).print_help()
+            return 0
+        if rest[0] not in command.parts:
+            fix = suggestion(rest[0], command.parts, f"headway {name} ")
+            raise HeadwayError(f"{rest[0]!r} is no command of headway {name}; {fix}")
+        name, command, rest = f"{name} {rest[0]}", command.parts[rest[0]], rest[1:]
     module = cast(_CommandModule, import_module(f"headway_launch.commands.{command.module}"))
     parser = _Parser(
         prog=f"headway {name}",
@@ -131,11 +155,26 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     )
     module.add_arguments(parser)
     try:
-        parsed = parser.parse_intermixed_args(words[1:])
+        parsed = parser.parse_intermixed_args(rest)
     except SystemExit as done:  # --help
         return int(done.code or 0)
     parsed.command, parsed.debug = name, debug
     return module.execute(parsed)
+
+
+def _parser_of_parts(name: str, command: _Command) -> argparse.ArgumentParser:
+    module = cast(_CommandModule, import_module(f"headway_launch.commands.{command.module}"))
+    return argparse.ArgumentParser(
+        prog=f"headway {name}",
+        usage=f"headway {name} COMMAND ...",
+        description=command.summary[0].upper() + command.summary[1:] + ".",
+        epilog=_listed(command.parts) + "\n" + module.EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def _listed(commands: Mapping[str, _Command]) -> str:
+    return "commands:\n" + "".join(f"  {name:<10}{command.summary}\n" for name, command in commands.items())
 
 
 def _top_parser() -> argparse.ArgumentParser:
@@ -143,10 +182,7 @@ def _top_parser() -> argparse.ArgumentParser:
         prog="headway",
         usage="headway COMMAND ...",
         description="Multi-agent reinforcement-learning experiments in transport.",
-        epilog="commands:\n"
-        + "".join(f"  {name:<10}{command.summary}\n" for name, command in _COMMANDS.items())
-        + "\n"
-        + _EXAMPLES,
+        epilog=_listed(_COMMANDS) + "\n" + _EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")

@@ -5,7 +5,7 @@ from typing import Literal
 
 from headway.contracts.checks import require, require_at_least
 
-SCENARIOS = ("line", "corridor")
+SCENARIOS = ("line", "corridor", "district", "city")
 """Names of the built-in synthetic scenarios; anything else is the path of a scenario folder."""
 
 
@@ -165,8 +165,8 @@ class BusConfig:
     """One bus network, its passengers, its rewards and what agents see."""
 
     scenario: str = "line"
-    """`line` (1 line, 14 buses at once), `corridor` (10 lines, about 110), or the path of a scenario
-    folder."""
+    """`line` (1 line, 14 buses at once), `corridor` (10 lines, about 110), `district` (40, about 440), `city`
+    (382, about 1,360), or the path of a scenario folder."""
     scenario_seed: int = 0
     """Seed of a synthetic scenario's geometry and demand."""
     day_type: Literal["weekday", "sunday"] = "weekday"
@@ -211,7 +211,7 @@ class BusConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        require(bool(self.scenario), "scenario must name line, corridor or a scenario folder")
+        require(bool(self.scenario), f"scenario must name {', '.join(SCENARIOS)} or a scenario folder")
         require_at_least(0, scenario_seed=self.scenario_seed)
         require(
             self.day_type in ("weekday", "sunday"),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.bus.config import SCENARIOS, BusConfig
+from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import SETTINGS, Network
 
 
@@ -139,12 +139,8 @@ def prepare(config: BusConfig) -> Prepared:
 
     Raises HeadwayError where the scenario cannot be used."""
     from headway_envs.bus.scenario.network import build
-    from headway_envs.bus.scenario.synthetic import generate
-    from headway_envs.bus.scenario.tables import read_tables
+    from headway_envs.bus.scenario.source import scenario_tables
 
-    if config.scenario in SCENARIOS:
-        tables = generate(config.scenario, config.scenario_seed)
-    else:
-        tables = read_tables(config.scenario)
+    tables = scenario_tables(config.scenario, config.scenario_seed)
     network, lines = build(tables, config)
     return Prepared(config, network, lines, str(tables.meta.get("source", "unknown")))

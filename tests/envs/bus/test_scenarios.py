@@ -1,6 +1,7 @@
 """The scenario format: what is written reads back, and every fault is named."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import headway_envs.bus.scenario
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig, NoiseConfig, RewardConfig, UpkeepConfig
 from headway_envs.bus.prepared import prepare
@@ -74,8 +76,22 @@ def test_a_timetable_is_even_and_its_blocks_can_be_driven() -> None:
         ("demand", "seq0", 7, 900.0, "column seq0.*beyond the pattern's last stop"),
         ("link_times", "hour", 4, 7.5, "table link_times, row 4, column hour: 7.5 is not a whole number"),
         ("demand", "seq0", 7, 0.5, "table demand, row 7, column seq0: 0.5 is not a whole number"),
-        ("trips", "arr_s", 4, 1.0, "row 4, column arr_s.*not after dep_s"),
+        ("trips", "arr_s", 4, 1.0, "row 4, column arr_s.*before dep_s"),
         ("trips", "pattern", 4, 55.0, "row 4, column pattern.*not in table patterns"),
+        ("trips", "vehicle", 4, 1.5, "row 4, column vehicle: 1.5 is not a whole number"),
+        ("trips", "dep_s", 4, -60.0, "table trips, row 4, column dep_s: -60.0 lies outside 0 to 180000"),
+        ("stops", "lat", 3, 91.0, "table stops, row 3, column lat: 91.0 lies outside -90 to 90"),
+        ("stops", "lon", 3, np.inf, "table stops, row 3, column lon: inf lies outside -180 to 180"),
+        ("links", "leg_m", 3, -1.0, "table links, row 3, column leg_m: -1.0 lies outside"),
+        ("links", "from_stop", 3, 9999.0, "row 3, column from_stop.*not in table stops"),
+        ("link_times", "mean_s", 3, 0.0, "table link_times, row 3, column mean_s: 0.0 lies outside"),
+        ("link_times", "log_sigma", 3, -0.1, "table link_times, row 3, column log_sigma"),
+        ("link_times", "link", 3, 9999.0, "table link_times, row 3, column link.*not in table links"),
+        ("demand", "hour", 3, 31.0, "table demand, row 3, column hour: 31.0 lies outside 0 to 30"),
+        ("demand", "calls", 3, -1.0, "table demand, row 3, column calls"),
+        ("demand", "pattern", 3, 55.0, "table demand, row 3, column pattern.*not in table patterns"),
+        ("alighting", "period", 3, 4.0, "table alighting, row 3, column period: 4.0 lies outside 0 to 3"),
+        ("patterns", "line", 1, " ", "table patterns, row 1, column line:  +is empty; fill it in"),
     ],
 )
 def test_a_broken_value_is_named(
@@ -84,7 +100,7 @@ def test_a_broken_value_is_named(
     frame = getattr(tables, table).copy()
     frame[column] = frame[column].astype(object)
     frame.iloc[row, frame.columns.get_loc(column)] = value
-    if column != "daytype":
+    if not isinstance(value, str):
         frame[column] = frame[column].astype(float)
     with pytest.raises(HeadwayError, match=message) as error:
         check_tables(replace(tables, **{table: frame}))
@@ -149,6 +165,40 @@ def test_other_faults_of_tables_are_named(tables: Tables) -> None:
     alighting = tables.alighting.assign(p_alight=0.5)
     with pytest.raises(HeadwayError, match="below 1 at the last stop"):
         check_tables(replace(tables, alighting=alighting))
+
+
+def test_a_call_without_its_shares_of_alighting_is_named(tables: Tables) -> None:
+    frame = tables.alighting
+    gap = frame[(frame["seq0"] != 7) | (frame["period"] != 2) | (frame["pattern"] != 0)]
+    with pytest.raises(
+        HeadwayError, match=r"pattern_stops, row 7, column pattern\+seq0: 0, 7 has not 4 rows in"
+    ):
+        check_tables(replace(tables, alighting=gap))
+
+
+@pytest.mark.parametrize(
+    ("meta", "message"),
+    [
+        ({"link_times_include_dwell": "no"}, "link_times_include_dwell must be true or false, not 'no'"),
+        ({"service_centres": "here"}, "service_centres must be a list of"),
+        ({"service_centres": [[1.0, 2.0, 3.0]]}, "service_centres must be a list of"),
+        ({"service_centres": [[-12.9, "x"]]}, "service_centres must be a list of"),
+        ({"service_centres": [[-38.5, -200.0]]}, "lies nowhere on Earth"),
+    ],
+)
+def test_wrong_meta_data_are_named(tables: Tables, meta: dict[str, object], message: str) -> None:
+    with pytest.raises(HeadwayError, match=f"^meta.json: .*{message}"):
+        check_tables(replace(tables, meta=meta))
+
+
+def test_the_page_of_the_format_names_every_table_and_column() -> None:
+    page = (Path(headway_envs.bus.scenario.__file__).parent / "FORMAT.md").read_text()
+    sections = {part.split("\n", 1)[0]: part for part in page.split("\n## ")[1:]}
+    tables = {name for name in sections if name.startswith("`")}
+    assert tables == {f"`{name}`" for name in COLUMNS}
+    for name, columns in COLUMNS.items():
+        named = re.findall(r"^\| `(\w+)` \|", sections[f"`{name}`"], re.MULTILINE)
+        assert named == list(columns)
 
 
 def test_faults_of_folders_are_named(tables: Tables, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Network
 from headway_envs.bus.prepared import arrivals_per_boarding
-from headway_envs.bus.scenario.tables import Tables
+from headway_envs.bus.scenario.measures import distance_m
+from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
 from headway_envs.bus.scenario.timetable import Departures, Trip, chain, smooth, work_until_depot
 
 Floats = NDArray[np.float64]
@@ -188,7 +189,7 @@ def _mean_dwell(
     pattern; anyone moves with the Poisson chance."""
     per_call = np.zeros_like(boarding)
     dwell = np.zeros_like(boarding)
-    periods = np.searchsorted([9, 15, 20], KNOT_HOURS, side="right")
+    periods = np.searchsorted(PERIOD_HOURS, KNOT_HOURS, side="right")
     for p, departing in enumerate(departures):
         first, last = pattern_calls[p], pattern_calls[p + 1]
         buses = 3600.0 / departing.headway
@@ -224,13 +225,6 @@ def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tab
     return running, nominal
 
 
-def _distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
-    """Crow's distance by the local flat approximation, m."""
-    north = (lat2 - lat) * 111_320.0
-    east = (lon2 - lon) * 111_320.0 * np.cos(np.radians(lat))
-    return np.asarray(np.hypot(north, east), dtype=np.float64)
-
-
 def _deadheads(
     tables: Tables, calls: pd.DataFrame, pattern_calls: Integers, line_patterns: Integers
 ) -> list[Floats]:
@@ -240,7 +234,7 @@ def _deadheads(
     ways = []
     for begin, end in pairwise(line_patterns):
         start, stop = pattern_calls[begin:end], pattern_calls[begin + 1 : end + 1] - 1
-        metres = _distance_m(lat[stop][:, None], lon[stop][:, None], lat[start][None], lon[start][None])
+        metres = distance_m(lat[stop][:, None], lon[stop][:, None], lat[start][None], lon[start][None])
         ways.append(np.where(metres < 300.0, 0.0, 1.3 * metres / (20.0 / 3.6)))
     return ways
 
@@ -332,7 +326,7 @@ def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
         raise HeadwayError("meta.json: service_centres must be a list of [lat, lon]") from error
     if len(places) == 0:
         raise HeadwayError("meta.json: service_centres is empty; give at least one [lat, lon]")
-    metres = _distance_m(lat[:, None], lon[:, None], places[None, :, 0], places[None, :, 1]).min(axis=1)
+    metres = distance_m(lat[:, None], lon[:, None], places[None, :, 0], places[None, :, 1]).min(axis=1)
     seconds = config.upkeep.detour_fixed_s + 1.3 * metres / (config.upkeep.detour_kmh / 3.6)
     return np.asarray(seconds, dtype=np.float64)
 

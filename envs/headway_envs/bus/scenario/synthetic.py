@@ -1,9 +1,4 @@
-"""Synthetic scenarios, generated from a seed by numbers fitted to SUNT.
-
-Source of every number in capitals: SUNT, Salvador Urban Network Transportation (LabIA-UFBA), CC BY 4.0,
-doi 10.17632/85fdtx3kr5.1; operations of Monday 2024-08-26 and Sunday 2024-09-15, demand of March 2024 and
-ten Sundays.
-"""
+"""Synthetic scenarios of a few lines that share no stop, generated from a seed by fitted numbers."""
 
 import math
 from typing import Any
@@ -14,66 +9,26 @@ from numpy.typing import NDArray
 
 from headway.contracts import generator
 from headway_envs.bus.config import BusConfig
+from headway_envs.bus.scenario.fitted import (
+    ALIGHTING_TENTHS,
+    ATTRACTIVENESS_SD,
+    BOARDING_TENTHS,
+    BOARDINGS_PER_TRIP,
+    DEPARTURES,
+    HOUR_SHARES,
+    LINK_M_LOGNORMAL,
+    LINK_S_LOG,
+    MEAN_SPEED_KMH,
+    SOURCE,
+    SPEED_KMH,
+    STOPS_GAMMA,
+    SUNDAY_FLEET,
+    WITHIN_HOUR_SD,
+)
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
 from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.passengers import hazards, spread_by_tenth
 from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
-
-STOPS_GAMMA = (2.76, 11.9)
-"""Stops of a pattern beyond two: gamma shape and scale."""
-LINK_M_LOGNORMAL = (5.78, 0.64)
-"""Link length, m: mean and sd of the log."""
-LINK_S_LOG = (0.29, 0.683, 0.48)
-"""Log of a link's mean time in s: intercept, slope on the log of its length, sd of what stays with it."""
-WITHIN_HOUR_SD = 0.28
-"""Sd of the log of link times within a link and hour."""
-SPEED_KMH = {
-    "weekday": ((5, 7, 10, 17, 22), (20.5, 14.2, 16.9, 14.5, 23.6)),
-    "sunday": ((5, 7, 10, 17, 22), (21.6, 20.0, 18.2, 18.2, 23.6)),
-}
-"""Mean speed, dwell included, at hours of the day."""
-MEAN_SPEED_KMH = 17.2
-"""Mean link length over mean link time."""
-HOUR_SHARES = {
-    "weekday": (
-        6.9,
-        11.7,
-        10.2,
-        6.1,
-        3.8,
-        3.3,
-        4.0,
-        5.3,
-        4.5,
-        3.9,
-        4.6,
-        6.8,
-        9.3,
-        8.1,
-        5.1,
-        2.5,
-        2.1,
-        1.4,
-        0.3,
-    ),
-    "sunday": (3.4, 6.7, 7.2, 6.4, 6.0, 6.0, 6.5, 6.4, 5.8, 5.3, 5.0, 5.3, 6.6, 7.0, 6.4, 4.5, 3.1, 1.8, 0.5),
-}
-"""Boardings by hour from 05 h on, %."""
-DEPARTURES = {
-    "weekday": (
-        *(1420, 1749, 1562, 1410, 1284, 1199, 1120, 1079, 1101, 1091),
-        *(1214, 1399, 1467, 1523, 1340, 1017, 769, 564, 292),
-    ),
-    "sunday": (457, 620, 659, 629, 661, 652, 632, 662, 676, 653, 660, 667, 644, 636, 616, 515, 443, 348, 203),
-}
-"""Departures of the whole city by hour from 05 h on."""
-SUNDAY_FLEET = 430 / 1359
-"""Buses at once on a Sunday over those at the weekday's peak."""
-BOARDINGS_PER_TRIP = {"weekday": 47.0, "sunday": 28.0}
-"""Median boardings of a trip."""
-BOARDING_TENTHS = (0.33, 0.09, 0.10, 0.10, 0.08, 0.08, 0.07, 0.06, 0.05, 0.04)
-ALIGHTING_TENTHS = (0.03, 0.04, 0.05, 0.07, 0.07, 0.09, 0.10, 0.09, 0.11, 0.37)
-"""Shares of boardings and alightings by tenth of the pattern."""
-ATTRACTIVENESS_SD = 1.67
-"""Sd of the log of a stop's boardings."""
 
 FLEETS = {"line": (14,), "corridor": (20, 16, 14, 12, 11, 10, 9, 8, 6, 4)}
 """Buses at once on each line of a size, at the weekday's peak."""
@@ -85,16 +40,20 @@ Floats = NDArray[np.float64]
 
 
 def generate(size: str, seed: int) -> Tables:
-    """The tables of `line` or `corridor`; line i depends on (seed, i) alone."""
+    """The tables of a size of SCENARIOS. In `line` and `corridor` line i depends on (seed, i) alone."""
+    if size not in FLEETS:
+        from headway_envs.bus.scenario.town import generate_town
+
+        return generate_town(size, seed)
     parts = [_line(size, seed, number, buses) for number, buses in enumerate(FLEETS[size])]
     frames: dict[str, Any] = {
         name: pd.concat([p[name] for p in parts], ignore_index=True) for name in _TABLES
     }
-    return Tables(**frames, meta=dict(_META))
+    return Tables(**frames, meta={**_META, "size": size, "seed": seed})
 
 
 _META: dict[str, Any] = {
-    "source": "synthetic, by numbers fitted to SUNT (doi 10.17632/85fdtx3kr5.1, CC BY 4.0)",
+    "source": f"synthetic, by numbers fitted to {SOURCE}",
     "link_times_include_dwell": True,
 }
 
@@ -181,8 +140,8 @@ def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside:
     """Coordinates `along` m from the centre of Salvador on a heading, `aside` m to its right."""
     north = along * math.cos(heading) - aside * math.sin(heading)
     east = along * math.sin(heading) + aside * math.cos(heading)
-    lat = -12.97 + north / 111_320.0
-    lon = -38.50 + east / (111_320.0 * math.cos(math.radians(12.97)))
+    lat = -12.97 + north / METRES_A_DEGREE
+    lon = -38.50 + east / (METRES_A_DEGREE * math.cos(math.radians(12.97)))
     return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
 
 
@@ -191,7 +150,7 @@ def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: NDArra
     base = np.exp(intercept + slope * np.log(legs) + rng.normal(0.0, sd, len(legs)))
     frames = []
     for day, (hours, speeds) in SPEED_KMH.items():
-        every = np.arange(4, 27)
+        every = TIMED_HOURS
         factor = MEAN_SPEED_KMH / np.interp(every, hours, speeds)
         frames.append(
             pd.DataFrame(
@@ -212,27 +171,13 @@ def _stop_shares(rng: np.random.Generator, calls: pd.DataFrame) -> dict[int, tup
     shares = {}
     for pattern, group in calls.groupby("pattern"):
         count = len(group)
-        tenth = np.minimum(np.arange(count) * 10 // count, 9)
         parts = []
         for tenths, sd in ((BOARDING_TENTHS, ATTRACTIVENESS_SD), (ALIGHTING_TENTHS, 1.0)):
             pull = rng.lognormal(0.0, sd, count)
             pull[-1 if tenths is BOARDING_TENTHS else 0] = 0.0
-            total = np.bincount(tenth, pull, minlength=10)[tenth]
-            share = np.array(tenths)[tenth] * pull / np.maximum(total, 1e-12)
-            parts.append(share / share.sum())
+            parts.append(spread_by_tenth(tenths, pull))
         shares[int(str(pattern))] = (parts[0], parts[1])
     return shares
-
-
-def _hazards(boarding: Floats, alighting: Floats) -> Floats:
-    """The share of the load on arrival that alights at each stop, 1 at the last."""
-    hazards, load = np.zeros(len(boarding)), 0.0
-    for stop in range(len(boarding)):
-        leaving = min(alighting[stop], 0.95 * load)
-        hazards[stop] = leaving / load if load > 0 else 0.0
-        load += boarding[stop] - leaving
-    hazards[-1] = 1.0
-    return hazards
 
 
 def _service(
@@ -248,7 +193,7 @@ def _service(
                     "pattern": pattern,
                     "seq0": np.repeat(np.arange(count), 4),
                     "period": np.tile(np.arange(4), count),
-                    "p_alight": np.repeat(_hazards(boarding, leaving), 4),
+                    "p_alight": np.repeat(hazards(boarding, leaving), 4),
                 }
             )
         )

@@ -7,6 +7,7 @@ checked: they may hold blanks.
 
 import difflib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
+from headway_envs.bus.config import SCENARIOS
 
 FIRST_LINK = 65535
 """The `link` of a pattern's first stop, to which no link leads."""
+
+PERIOD_HOURS = (9, 15, 20)
+PERIODS = len(PERIOD_HOURS) + 1
+"""Of the day, in which other shares alight: before 9 h, 9-15, 15-20 and after."""
 
 DAY_TYPES = ("weekday", "sunday")
 
@@ -36,7 +42,7 @@ COLUMNS = {
 of the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
 
 _TEXT = {"line", "dir", "daytype"}
-_WHOLE = {"stop", "pattern", "link", "from_stop", "to_stop", "seq0", "n_stops", "hour", "period"}
+_WHOLE = {"stop", "pattern", "vehicle", "link", "from_stop", "to_stop", "seq0", "n_stops", "hour", "period"}
 _RANGES = {
     "lat": (-90.0, 90.0),
     "lon": (-180.0, 180.0),
@@ -94,10 +100,10 @@ def read_tables(folder: str | Path) -> Tables:
     """Read and check a scenario folder. Raises HeadwayError naming table, row and column."""
     folder = Path(folder)
     if not folder.is_dir():
-        near = difflib.get_close_matches(str(folder), ("line", "corridor"), 1, 0.5)
+        near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise HeadwayError(
-            f"scenario '{folder}' is neither 'line' nor 'corridor' nor a folder{hint} "
+            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and no folder{hint} "
             "(a scenario folder holds eight Parquet tables and meta.json)"
         )
     frames = {}
@@ -159,8 +165,9 @@ def check_tables(tables: Tables) -> None:
         _refuse(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
     _check_patterns(tables)
     _check_calls(tables)
-    backwards = (tables.trips["arr_s"] <= tables.trips["dep_s"]).to_numpy()
-    _refuse("trips", tables.trips, "arr_s", backwards, "is not after dep_s; mend the times")
+    _check_meta(tables.meta)
+    backwards = (tables.trips["arr_s"] < tables.trips["dep_s"]).to_numpy()
+    _refuse("trips", tables.trips, "arr_s", backwards, "is before dep_s; mend the times")
 
 
 def _refuse(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
@@ -186,6 +193,8 @@ def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
         wrong = ~frame[column].isin((*DAY_TYPES, "saturday")).to_numpy()
         _refuse(name, frame, column, wrong, "is not weekday, saturday or sunday; mend it")
     if column in _TEXT:
+        empty = (frame[column].astype(str).str.strip() == "").to_numpy()
+        _refuse(name, frame, column, empty, "is empty; fill it in")
         return
     if not pd.api.types.is_numeric_dtype(frame[column]):
         raise HeadwayError(f"table {name}, column {column} is not numeric: write numbers")
@@ -229,3 +238,29 @@ def _check_calls(tables: Tables) -> None:
     last = frame["seq0"].to_numpy() == counts.reindex(frame["pattern"]).to_numpy() - 1
     staying = last & (frame["p_alight"].to_numpy() < 1)
     _refuse("alighting", frame, "p_alight", staying, "is below 1 at the last stop; set it to 1")
+    calls = tables.pattern_stops
+    periods = frame.groupby(["pattern", "seq0"]).size()
+    found = periods.reindex(pd.MultiIndex.from_frame(calls[["pattern", "seq0"]])).to_numpy(np.float64)
+    what = f"has not {PERIODS} rows in table alighting, one for each period; add them"
+    _refuse("pattern_stops", calls, "pattern+seq0", ~(found == PERIODS), what)
+
+
+def _check_meta(meta: Mapping[str, Any]) -> None:
+    dwell = meta.get("link_times_include_dwell", True)
+    if not isinstance(dwell, bool):
+        raise HeadwayError(f"meta.json: link_times_include_dwell must be true or false, not {dwell!r}")
+    centres = meta.get("service_centres")
+    if centres is None:
+        return
+    places = centres if isinstance(centres, list) else [None]
+    for place in places:
+        if not (isinstance(place, list) and len(place) == 2 and all(map(_is_number, place))):
+            raise HeadwayError(f"meta.json: service_centres must be a list of [lat, lon]; {place!r} is none")
+        if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
+            raise HeadwayError(
+                f"meta.json: service_centres: {place!r} lies nowhere on Earth; give [lat, lon]"
+            )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,63 @@
+"""Vehicles for a timetable that names none: trips chained where one ends and the next begins."""
+
+import heapq
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+
+LEAST_LAYOVER_S = 300.0
+"""Between two trips of a vehicle. Of SUNT's vehicles 97.9% go on where they arrived, after 286 s in the
+median."""
+TERMINAL_M = 300.0
+"""No two stops of a terminal are farther from each other than this."""
+
+
+def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
+    """Of each of the stops `ends` (rows of the frame with lat, lon) the number of its terminal."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    ends = np.unique(ends)
+    lat, lon = stops["lat"].to_numpy(np.float64)[ends], stops["lon"].to_numpy(np.float64)[ends]
+    places = np.column_stack((lat, lon * np.cos(np.radians(lat.mean())))) * METRES_A_DEGREE
+    near = KDTree(places).query_pairs(TERMINAL_M, output_type="ndarray")
+    joined = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(ends),) * 2)
+    # Stops that hang together may stretch over kilometres: each such row falls into terminals.
+    count, row = connected_components(joined, directed=False)
+    terminal = np.zeros(len(ends), np.int64)
+    found = 0
+    for members in np.split(
+        np.argsort(row, kind="stable"), np.cumsum(np.bincount(row, minlength=count))[:-1]
+    ):
+        if len(members) > 1:
+            tree = linkage(places[members], method="complete")
+            terminal[members] = found + fcluster(tree, TERMINAL_M, criterion="distance") - 1
+        else:
+            terminal[members] = found
+        found = int(terminal[members].max()) + 1
+    return dict(zip(ends.tolist(), terminal.tolist(), strict=True))
+
+
+def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
+    """(J,) a vehicle for each trip (dep_s, arr_s, and the terminals `begin` and `end`): in order of departure
+    each takes the one that has waited longest there, or else a new one."""
+    waiting: dict[int, list[tuple[float, int]]] = {}
+    vehicle = np.zeros(len(trips), np.int64)
+    count = 0
+    departs, arrives = trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)
+    first, last = trips["begin"].to_numpy(), trips["end"].to_numpy()
+    for trip in np.lexsort((first, departs)):
+        there = waiting.get(int(first[trip]), [])
+        if there and there[0][0] <= departs[trip]:
+            vehicle[trip] = heapq.heappop(there)[1]
+        else:
+            vehicle[trip] = count
+            count += 1
+        ready = (float(arrives[trip]) + LEAST_LAYOVER_S, int(vehicle[trip]))
+        heapq.heappush(waiting.setdefault(int(last[trip]), []), ready)
+    return vehicle

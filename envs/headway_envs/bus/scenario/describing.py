@@ -1,0 +1,193 @@
+"""A scenario in figures: by day type and by line."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.tables import DAY_TYPES, Tables
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DayFigures:
+    """One day type."""
+
+    day_type: str
+    lines: int
+    trips: int
+    first_h: float
+    last_h: float
+    vehicles: int
+    peak_buses: int
+    peak_h: float
+    agents: int
+    trip_min: float
+    headway_morning: float | None
+    headway_midday: float | None
+    headway_evening: float | None
+    boardings: float
+    boardings_a_trip: float
+    busiest_hour: int
+    """The hour in which most board."""
+
+    LABELS: ClassVar[Mapping[str, str]] = {
+        "lines": "lines that run",
+        "trips": "trips",
+        "first_h": "first departure, h",
+        "last_h": "last arrival, h",
+        "vehicles": "vehicles of the timetable",
+        "peak_buses": "buses at once, at most",
+        "peak_h": "at, h",
+        "agents": "agents (slots), 5 to 24 h",
+        "trip_min": "mean trip, min",
+        "headway_morning": "headway 6-8 h, min",
+        "headway_midday": "headway 10-14 h, min",
+        "headway_evening": "headway 17-19 h, min",
+        "boardings": "boardings",
+        "boardings_a_trip": "boardings a trip",
+        "busiest_hour": "busiest hour",
+    }
+
+
+@dataclass(frozen=True)
+class LineFigures:
+    """One line on one day type."""
+
+    line: str
+    patterns: int
+    stops: int
+    km: float
+    trips: int
+    agents: int
+    headway_morning: float | None
+    trip_min: float
+    boardings: float
+
+    LABELS: ClassVar[Mapping[str, str]] = {
+        "line": "line",
+        "patterns": "patterns",
+        "stops": "stops",
+        "km": "km",
+        "trips": "trips",
+        "agents": "agents",
+        "headway_morning": "headway 6-8 h, min",
+        "trip_min": "mean trip, min",
+        "boardings": "boardings",
+    }
+
+
+def by_day_type(tables: Tables) -> list[DayFigures]:
+    """Figures of each day type that has trips."""
+    found = []
+    for day in DAY_TYPES:
+        trips = tables.trips[tables.trips["daytype"] == day]
+        if trips.empty:
+            continue
+        demand = tables.demand[tables.demand["daytype"] == day]
+        by_hour = demand.groupby("hour")["board"].sum()
+        moments, buses = buses_at_once(trips)
+        peak = int(np.argmax(buses))
+        line_of = tables.patterns.set_index("pattern")["line"]
+        found.append(
+            DayFigures(
+                day_type=day,
+                lines=int(line_of.reindex(trips["pattern"]).nunique()),
+                trips=len(trips),
+                first_h=float(trips["dep_s"].min() / 3600.0),
+                last_h=float(trips["arr_s"].max() / 3600.0),
+                vehicles=int(trips["vehicle"].nunique()),
+                peak_buses=int(buses[peak]),
+                peak_h=float(moments[peak] / 3600.0),
+                agents=int(_agents(tables, day).sum()),
+                trip_min=float((trips["arr_s"] - trips["dep_s"]).mean() / 60.0),
+                headway_morning=_headway(trips, 6, 8),
+                headway_midday=_headway(trips, 10, 14),
+                headway_evening=_headway(trips, 17, 19),
+                boardings=float(by_hour.sum()),
+                boardings_a_trip=float(by_hour.sum() / len(trips)),
+                busiest_hour=int(str(by_hour.idxmax())) if len(by_hour) else 0,
+            )
+        )
+    return found
+
+
+def by_line(tables: Tables, day: str) -> list[LineFigures]:
+    """Figures of the lines that run, most trips first."""
+    trips = tables.trips[tables.trips["daytype"] == day].merge(
+        tables.patterns[["pattern", "line"]], on="pattern"
+    )
+    legs = tables.pattern_stops[tables.pattern_stops["seq0"] > 0].merge(
+        tables.links[["link", "leg_m"]], on="link", suffixes=("_here", "")
+    )
+    metres = legs.groupby("pattern")["leg_m"].sum()
+    boards = tables.demand[tables.demand["daytype"] == day].groupby("pattern")["board"].sum()
+    agents = _agents(tables, day)
+    found = []
+    for line, own in trips.groupby("line"):
+        patterns = own["pattern"].unique()
+        calls = tables.pattern_stops["pattern"].isin(patterns)
+        found.append(
+            LineFigures(
+                line=str(line),
+                patterns=len(patterns),
+                stops=int(tables.pattern_stops.loc[calls, "stop"].nunique()),
+                km=float(metres.reindex(patterns).sum() / 1000.0),
+                trips=len(own),
+                agents=int(agents.get(str(line), 0)),
+                headway_morning=_headway(own, 6, 8),
+                trip_min=float((own["arr_s"] - own["dep_s"]).mean() / 60.0),
+                boardings=float(boards.reindex(patterns).sum()),
+            )
+        )
+    return sorted(found, key=lambda figures: (-figures.trips, figures.line))
+
+
+def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
+    """The meta data as rows (name, value); what was counted, one a row."""
+    rows: list[tuple[str, str | int | float]] = []
+    for name, value in meta.items():
+        if isinstance(value, Mapping):
+            rows += [(f"{name}: {part}", _plain(count)) for part, count in value.items()]
+        else:
+            rows.append((name, _plain(value)))
+    return rows
+
+
+def buses_at_once(trips: pd.DataFrame) -> tuple[Floats, NDArray[np.int64]]:
+    """Moments at which trips begin or end, s, and how many are under way from then on."""
+    moments = np.concatenate((trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)))
+    change = np.repeat([1, -1], len(trips))
+    order = np.lexsort((change, moments))  # arrivals first
+    return moments[order], np.cumsum(change[order])
+
+
+def _agents(tables: Tables, day: str) -> "pd.Series[int]":
+    """Slots by line; none where no trip lies in the default service day."""
+    config = BusConfig(day_type="sunday" if day == "sunday" else "weekday")
+    trips = tables.trips[tables.trips["daytype"] == day]
+    if not trips["dep_s"].between(config.start_hour * 3600.0, config.end_hour * 3600.0, "left").any():
+        return pd.Series(dtype=np.int64)
+    network, lines = build(tables, config)
+    return pd.Series(np.bincount(network.slot_line, minlength=len(lines)), index=list(lines))
+
+
+def _headway(trips: pd.DataFrame, begin: int, end: int) -> float | None:
+    """Median over patterns of the mean minutes between departures from `begin` to `end` h."""
+    inside = trips[trips["dep_s"].between(begin * 3600.0, end * 3600.0, "left")]
+    counts = inside.groupby("pattern").size()
+    return float(np.median((end - begin) * 60.0 / counts)) if len(counts) else None
+
+
+def _plain(value: object) -> str | int | float:
+    if isinstance(value, str | int | float) and not isinstance(value, bool):
+        return value
+    if isinstance(value, list | tuple):
+        return ", ".join(str(part) for part in value)
+    return str(value)

@@ -1,0 +1,56 @@
+"""Numbers fitted to SUNT, of which scenarios are made up where no data are given.
+
+Source of every number: SUNT, Salvador Urban Network Transportation (LabIA-UFBA), CC BY 4.0,
+doi 10.17632/85fdtx3kr5.1; operations of Monday 2024-08-26 and Sunday 2024-09-15, demand of March 2024 and
+ten Sundays.
+"""
+
+SOURCE = "SUNT (doi 10.17632/85fdtx3kr5.1, CC BY 4.0)"
+
+STOPS_GAMMA = (2.76, 11.9)
+"""Stops of a pattern beyond two: gamma shape and scale."""
+LINK_M_LOGNORMAL = (5.78, 0.64)
+"""Link length, m: mean and sd of the log."""
+LINK_S_LOG = (0.29, 0.683, 0.48)
+"""Log of a link's mean time in s: intercept, slope on the log of its length, sd of what stays with it."""
+WITHIN_HOUR_SD = 0.28
+"""Sd of the log of link times within a link and hour."""
+SPEED_KMH = {
+    "weekday": ((5, 7, 10, 17, 22), (20.5, 14.2, 16.9, 14.5, 23.6)),
+    "sunday": ((5, 7, 10, 17, 22), (21.6, 20.0, 18.2, 18.2, 23.6)),
+}
+"""Mean speed, dwell included, at hours of the day."""
+MEAN_SPEED_KMH = 17.2
+"""Mean link length over mean link time."""
+HOUR_SHARES = {
+    "weekday": (
+        *(6.9, 11.7, 10.2, 6.1, 3.8, 3.3, 4.0, 5.3, 4.5, 3.9),
+        *(4.6, 6.8, 9.3, 8.1, 5.1, 2.5, 2.1, 1.4, 0.3),
+    ),
+    "sunday": (3.4, 6.7, 7.2, 6.4, 6.0, 6.0, 6.5, 6.4, 5.8, 5.3, 5.0, 5.3, 6.6, 7.0, 6.4, 4.5, 3.1, 1.8, 0.5),
+}
+"""Boardings by hour from 05 h on, %."""
+DEPARTURES = {
+    "weekday": (
+        *(1420, 1749, 1562, 1410, 1284, 1199, 1120, 1079, 1101, 1091),
+        *(1214, 1399, 1467, 1523, 1340, 1017, 769, 564, 292),
+    ),
+    "sunday": (457, 620, 659, 629, 661, 652, 632, 662, 676, 653, 660, 667, 644, 636, 616, 515, 443, 348, 203),
+}
+"""Departures of the whole city by hour from 05 h on."""
+SUNDAY_FLEET = 430 / 1359
+"""Buses at once on a Sunday over those at the weekday's peak."""
+BOARDINGS_PER_TRIP = {"weekday": 47.0, "sunday": 28.0}
+"""Median boardings of a trip."""
+BOARDING_TENTHS = (0.33, 0.09, 0.10, 0.10, 0.08, 0.08, 0.07, 0.06, 0.05, 0.04)
+ALIGHTING_TENTHS = (0.03, 0.04, 0.05, 0.07, 0.07, 0.09, 0.10, 0.09, 0.11, 0.37)
+"""Shares of boardings and alightings by tenth of the pattern."""
+ATTRACTIVENESS_SD = 1.67
+"""Sd of the log of a stop's boardings."""
+
+ONE_WAY_SHARE = 93 / 383
+"""Lines of one direction only, which come back where they began."""
+SUNDAY_LINES = 253 / 383
+"""Share of the lines that run on Sundays."""
+LINE_BOARDINGS_PER_TRIP = (31.5, 0.62)
+"""A line's weekday boardings over its trips: median, and sd of the log by the quartiles 20.1 and 46.5."""

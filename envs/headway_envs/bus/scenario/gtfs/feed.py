@@ -1,0 +1,176 @@
+"""The files of a GTFS feed, a folder or a zip, as frames of text."""
+
+import csv
+import io
+import zipfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from pyarrow import csv as arrow_csv
+
+from headway.contracts import HeadwayError
+
+Floats = NDArray[np.float64]
+
+NEEDED = {
+    "stops": ("stop_id", "stop_lat", "stop_lon"),
+    "routes": ("route_id", "route_type"),
+    "trips": ("route_id", "service_id", "trip_id"),
+    "stop_times": ("trip_id", "arrival_time", "stop_id", "stop_sequence"),
+}
+"""Files, and their columns, without which there is no timetable."""
+_OPTIONAL = {
+    "stops": ("stop_name", "parent_station"),
+    "routes": ("agency_id", "route_short_name", "route_long_name"),
+    "trips": ("direction_id", "block_id"),
+    "stop_times": ("departure_time", "shape_dist_traveled"),
+    "calendar": (
+        *("service_id", "monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday"),
+        *("start_date", "end_date"),
+    ),
+    "calendar_dates": ("service_id", "date", "exception_type"),
+    "frequencies": ("trip_id", "start_time", "end_time", "headway_secs"),
+    "agency": ("agency_id", "agency_name"),
+    "feed_info": ("feed_publisher_name", "feed_version"),
+}
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Frames of text by file, blanks missing; all columns of NEEDED and those optional ones that are known
+    here. A file that is not there is a frame without rows."""
+
+    name: str
+    frames: dict[str, pd.DataFrame]
+
+    def __getitem__(self, file: str) -> pd.DataFrame:
+        return self.frames[file]
+
+
+def read_feed(path: Path) -> Feed:
+    """Raises HeadwayError naming the file, and the column, that is missing or cannot be read."""
+    if path.is_dir():
+        inside = _by_name(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
+        frames = {
+            name: _frame(name, (path / inside[name]).read_bytes() if name in inside else None)
+            for name in {**NEEDED, **_OPTIONAL}
+        }
+    elif path.is_file() and zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            inside = _by_name(path, archive.namelist())
+            frames = {
+                name: _frame(name, archive.read(inside[name]) if name in inside else None)
+                for name in {**NEEDED, **_OPTIONAL}
+            }
+    else:
+        what = "is no zip file" if path.is_file() else "does not exist"
+        raise HeadwayError(f"FEED: {path} {what}; give a GTFS feed, as a zip or a folder of .txt files")
+    for name in NEEDED:
+        if frames[name].empty:
+            raise HeadwayError(f"FEED: {name}.txt has no rows; a timetable cannot be read without it")
+    if frames["calendar"].empty and frames["calendar_dates"].empty:
+        raise HeadwayError("FEED: neither calendar.txt nor calendar_dates.txt has rows: no day has service")
+    return Feed(path.name, frames)
+
+
+def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
+    """HH:MM:SS, also past 24 h, as s after midnight; NaN for blanks. Raises HeadwayError naming the row."""
+    codes, values = pd.factorize(texts)
+    parsed = np.full(len(values) + 1, np.nan)  # the last one for code -1, a blank
+    for place, text in enumerate(values):
+        parts = str(text).split(":")
+        if len(parts) != 3 or not all(part.strip().isdigit() for part in parts):
+            row = texts.index[int(np.flatnonzero(codes == place)[0])] + 2
+            raise HeadwayError(f"FEED: {file}.txt, line {row}, {column}: '{text}' is no time HH:MM:SS")
+        hours, minutes, rest = (int(part) for part in parts)
+        parsed[place] = 3600.0 * hours + 60.0 * minutes + rest
+    return parsed[codes]
+
+
+def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
+    """Numbers, NaN for blanks. Raises HeadwayError naming the row of any other text."""
+    values = pd.to_numeric(texts, errors="coerce").to_numpy(np.float64, na_value=np.nan)
+    wrong = np.isnan(values) & texts.notna().to_numpy()
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise HeadwayError(
+            f"FEED: {file}.txt, line {texts.index[row] + 2}, {column}: '{texts.iloc[row]}' is no number"
+        )
+    return np.asarray(values, np.float64)
+
+
+def _by_name(feed: Path, files: Iterable[str]) -> dict[str, str]:
+    """Where each known file lies, in whatever folder. Raises HeadwayError if one is there twice: those of two
+    feeds name each other's stops and trips."""
+    found: dict[str, str] = {}
+    for file in sorted(files):
+        name = PurePosixPath(file).name.removesuffix(".txt")
+        if f"{name}.txt" != PurePosixPath(file).name or name not in {**NEEDED, **_OPTIONAL}:
+            continue
+        if name in found:
+            raise HeadwayError(
+                f"FEED: {feed} holds {found[name]} and {file}; leave one feed there, without others below it"
+            )
+        found[name] = file
+    return found
+
+
+def _frame(name: str, content: bytes | None) -> pd.DataFrame:
+    """The known columns of a file, stripped."""
+    needed, wanted = NEEDED.get(name, ()), (*NEEDED.get(name, ()), *_OPTIONAL.get(name, ()))
+    if content is None:
+        if needed:
+            raise HeadwayError(f"FEED: there is no {name}.txt; a timetable cannot be read without it")
+        return pd.DataFrame({column: pd.Series(dtype="str") for column in wanted})
+    encoding = _encoding(content)
+    header = content.split(b"\n", 1)[0].decode(encoding).lstrip("\ufeff")
+    columns = [column.strip() for column in next(csv.reader([header]), [])]
+    for column in needed:
+        if column not in columns:
+            raise HeadwayError(
+                f"FEED: {name}.txt has no column {column}; a timetable cannot be read without it"
+            )
+    here = [column for column in wanted if column in columns]
+    try:
+        table = arrow_csv.read_csv(
+            io.BytesIO(content),
+            read_options=arrow_csv.ReadOptions(column_names=columns, skip_rows=1, encoding=encoding),
+            parse_options=arrow_csv.ParseOptions(newlines_in_values=name != "stop_times"),
+            convert_options=arrow_csv.ConvertOptions(
+                include_columns=here,
+                column_types={column: pa.string() for column in here},
+                strings_can_be_null=True,
+                null_values=[""],
+            ),
+        )
+    except (pa.ArrowInvalid, UnicodeDecodeError) as error:
+        raise HeadwayError(f"FEED: {name}.txt is no table of comma-separated values ({error})") from error
+    frame = pd.DataFrame({column: _stripped(table[column]) for column in here})
+    return frame.assign(**{column: pd.Series(dtype="str") for column in wanted if column not in here})
+
+
+def _stripped(column: pa.ChunkedArray) -> pd.Series:
+    """Without blanks around; nothing but blanks is missing."""
+    # Few texts are repeated often: one look at each.
+    encoded = column.combine_chunks().dictionary_encode()
+    if isinstance(encoded, pa.ChunkedArray):
+        encoded = encoded.chunk(0) if encoded.num_chunks else pa.array([], pa.string()).dictionary_encode()
+    texts = pc.utf8_trim_whitespace(encoded.dictionary)
+    values = np.array([text or None for text in texts.to_pylist()] + [None], dtype=object)
+    codes = encoded.indices.fill_null(len(values) - 1).to_numpy(zero_copy_only=False)
+    return pd.Series(values[codes], dtype="str")
+
+
+def _encoding(content: bytes) -> str:
+    """UTF-8 as the standard has it; some feeds are Latin-1 all the same."""
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"

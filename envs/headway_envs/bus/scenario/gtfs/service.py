@@ -1,0 +1,86 @@
+"""Which trips of a feed run on which day."""
+
+import datetime as dt
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.scenario.gtfs.feed import Feed
+
+_DAYS = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
+_ADDED = "1"
+DAYS_OF = {"weekday": (0, 1, 2, 3, 4), "sunday": (6,)}
+"""Days of the week of each day type, 0 Monday."""
+
+
+def chosen_days(
+    feed: Feed, trips: pd.DataFrame, wanted: Mapping[str, dt.date | None]
+) -> dict[str, tuple[dt.date, set[str]]]:
+    """Of each day type with service, the date and its services: the wanted date, or the one with most trips,
+    the earliest of several.
+
+    Raises HeadwayError where a wanted date has no trip, or is of another day type, or nothing runs at all."""
+    dates, services, runs = _service(feed)
+    counts = trips["service_id"].value_counts().reindex(services).fillna(0.0).to_numpy(np.float64)
+    by_date = runs @ counts
+    weekdays = np.array([date.weekday() for date in dates])
+    found: dict[str, tuple[dt.date, set[str]]] = {}
+    for day, date in wanted.items():
+        own = np.isin(weekdays, DAYS_OF[day])
+        if date is not None:
+            own &= np.array([other == date for other in dates])
+            if date.weekday() not in DAYS_OF[day]:
+                raise HeadwayError(f"--{day}: {date} is a {_DAYS[date.weekday()]}; give a date of a {day}")
+        load = np.where(own, by_date, 0.0)
+        if not load.any():
+            if date is not None:
+                raise HeadwayError(
+                    f"--{day}: no trip runs on {date}; the feed's days are {dates[0]} to {dates[-1]}"
+                )
+            continue
+        best = int(np.argmax(load))
+        found[day] = dates[best], {services[i] for i in np.flatnonzero(runs[best])}
+    if not found:
+        raise HeadwayError(f"FEED: no trip runs on any weekday or sunday from {dates[0]} to {dates[-1]}")
+    return found
+
+
+def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
+    """Dates (D), services (V), and (D, V) which run when."""
+    calendar, exceptions = feed["calendar"], feed["calendar_dates"]
+    begin = _dates("calendar", "start_date", calendar["start_date"])
+    end = _dates("calendar", "end_date", calendar["end_date"])
+    changed = _dates("calendar_dates", "date", exceptions["date"])
+    every = [*begin, *end, *changed]
+    first, last = min(every), max(every)
+    if (last - first).days > 20_000:
+        raise HeadwayError(f"FEED: its days span {first} to {last}; mend the dates that are wrong")
+    dates = [first + dt.timedelta(days=n) for n in range((last - first).days + 1)]
+    services = sorted({*calendar["service_id"].dropna(), *exceptions["service_id"].dropna()})
+    place = {service: i for i, service in enumerate(services)}
+    runs = np.zeros((len(dates), len(services)), np.bool_)
+    weekday = np.array([date.weekday() for date in dates])
+    on = (calendar[list(_DAYS)] == "1").to_numpy(np.bool_)
+    for row, service in enumerate(calendar["service_id"]):
+        inside = slice((begin[row] - first).days, (end[row] - first).days + 1)
+        runs[inside, place[service]] |= on[row, weekday[inside]]
+    for date, service, kind in zip(
+        changed, exceptions["service_id"], exceptions["exception_type"], strict=True
+    ):
+        runs[(date - first).days, place[service]] = kind == _ADDED
+    return dates, services, runs
+
+
+def _dates(file: str, column: str, texts: "pd.Series[str]") -> list[dt.date]:
+    found = []
+    for row, text in enumerate(texts):
+        try:
+            found.append(dt.datetime.strptime(str(text), "%Y%m%d").date())
+        except ValueError as error:
+            raise HeadwayError(
+                f"FEED: {file}.txt, line {row + 2}, {column}: '{text}' is no date YYYYMMDD"
+            ) from error
+    return found

@@ -1,0 +1,137 @@
+"""Passengers where none are given: made up of the trips and the fitted numbers."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway.contracts import generator
+from headway_envs.bus.scenario.fitted import (
+    ALIGHTING_TENTHS,
+    ATTRACTIVENESS_SD,
+    BOARDING_TENTHS,
+    HOUR_SHARES,
+)
+from headway_envs.bus.scenario.network import KNOT_S
+from headway_envs.bus.scenario.timetable import smooth
+
+Floats = NDArray[np.float64]
+Columns = dict[str, NDArray[np.generic]]
+
+FIRST_SHARE_HOUR = 5
+"""The hour of the first of HOUR_SHARES; before it and after the last, shares stay as they are there."""
+_LAST_HOUR = 29
+"""Passengers of later hours are given to this one."""
+ALIGHTING_SD = 1.0
+"""Assumption: sd of the log of a stop's alightings within its tenth of the pattern."""
+
+
+def spread_by_tenth(tenths: Sequence[float], pull: Floats) -> Floats:
+    """(n,) shares, sum 1, of a pattern's n stops: each tenth's share, within it by the stops' pull (n,)."""
+    tenth = np.minimum(np.arange(len(pull)) * 10 // len(pull), 9)
+    total = np.bincount(tenth, pull, minlength=10)[tenth]
+    share = np.array(tenths)[tenth] * pull / np.maximum(total, 1e-12)
+    return np.asarray(share / share.sum(), np.float64)
+
+
+def hazards(boarding: Floats, alighting: Floats) -> Floats:
+    """(n,) the share of the load on arrival that alights at each stop, 1 at the last."""
+    alight, load = np.zeros(len(boarding)), 0.0
+    for stop in range(len(boarding)):
+        leaving = min(alighting[stop], 0.95 * load)
+        alight[stop] = leaving / load if load > 0 else 0.0
+        load += boarding[stop] - leaving
+    alight[-1] = 1.0
+    return alight
+
+
+def passengers(
+    calls: pd.DataFrame, trips: pd.DataFrame, per_trip: Mapping[str, Mapping[int, float]], seed: int
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The tables demand and alighting for the given pattern_stops and trips.
+
+    A stop draws passengers and lets them go with one pull on all patterns that call there, spread over each
+    pattern by its tenths; `per_trip` gives the mean boardings of a trip, by day type and pattern; at each
+    stop they fall to the hours in which buses serve it, by the measured shares."""
+    places, which = np.unique(calls["stop"].to_numpy(), return_inverse=True)
+    draws = generator(seed, "bus stops", 0)
+    pulls = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
+    leaves = draws.lognormal(0.0, ALIGHTING_SD, len(places))[which]
+    numbers, first = np.unique(calls["pattern"].to_numpy(), return_index=True)
+    ends = np.append(first[1:], len(calls))
+    driven = dict(list(trips.groupby(["daytype", "pattern"])))
+    demand: list[Columns] = []
+    alighting: list[Columns] = []
+    days: list[str] = []
+    for pattern, begin, end in zip(numbers.tolist(), first, ends, strict=True):
+        pull, leave = pulls[begin:end].copy(), leaves[begin:end].copy()
+        pull[-1] = leave[0] = 0.0
+        boarding = spread_by_tenth(BOARDING_TENTHS, pull)
+        alight = hazards(boarding, spread_by_tenth(ALIGHTING_TENTHS, leave))
+        alighting.append(_by_period(pattern, alight))
+        for day, means in per_trip.items():
+            if (day, pattern) in driven:
+                rows = _boardings(pattern, day, boarding, driven[day, pattern], means[pattern])
+                demand.append(rows)
+                days += [day] * len(rows["board"])
+    return _stacked(demand).assign(daytype=days), _stacked(alighting)
+
+
+def _by_period(pattern: int, alight: Floats) -> Columns:
+    count = len(alight)
+    return {
+        "pattern": np.full(4 * count, pattern, np.int32),
+        "seq0": np.repeat(np.arange(count, dtype=np.int16), 4),
+        "period": np.tile(np.arange(4, dtype=np.int8), count),
+        "p_alight": np.repeat(alight, 4),
+    }
+
+
+def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, mean: float) -> Columns:
+    """Rows of demand of one pattern and day type."""
+    departures = trips["dep_s"].to_numpy(np.float64)
+    hours, served = service_by_hour(len(boarding), trips)
+    shares = np.interp(hours, FIRST_SHARE_HOUR + np.arange(len(HOUR_SHARES[day])), HOUR_SHARES[day])
+    weights = served * shares
+    weights /= weights.sum(axis=1, keepdims=True)
+    leaving = np.bincount((departures // 3600).astype(np.int64), minlength=51)[hours]
+    count = len(boarding)
+    return {
+        "pattern": np.full(count * len(hours), pattern, np.int32),
+        "seq0": np.repeat(np.arange(count, dtype=np.int16), len(hours)),
+        "hour": np.tile(hours.astype(np.int8), count),
+        "calls": np.tile(leaving.astype(np.int32), count),
+        "board": (mean * len(departures) * boarding[:, None] * weights).ravel(),
+    }
+
+
+def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64], Floats]:
+    """Hours (H,), and (count, H) what share of each hour's passengers a bus comes for at each stop of a
+    pattern: those who are there from one headway before the first bus to the last one, as in `build`.
+
+    As there, passengers of an hour come from the middle of the hour before to that of the next one, most of
+    them in between. Stops are reached at even times; an hour of less than half the best one's share has 0."""
+    departures = np.sort(trips["dep_s"].to_numpy(np.float64))
+    headway = np.interp(departures[0], KNOT_S, smooth(departures, KNOT_S).headway)
+    lasting = float((trips["arr_s"].to_numpy(np.float64) - trips["dep_s"].to_numpy(np.float64)).mean())
+    reached = np.linspace(0.0, lasting, count)
+    opens, closes = departures[0] - headway + reached, departures[-1] + reached
+    # A service day that begins with the first bus has no passengers of the hours before it.
+    earliest = max(min(departures[0] // 3600.0, FIRST_SHARE_HOUR), opens[0] // 3600.0, 0.0)
+    hours = np.arange(int(min(earliest, _LAST_HOUR)), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
+    served = _come_by(closes[:, None], hours) - _come_by(opens[:, None], hours)
+    # Of a stop that is reached after the last hour there is.
+    served[served.max(axis=1) <= 0.0, -1] = 1.0
+    best = served.max(axis=1, keepdims=True)
+    return hours, np.where(served >= 0.5 * best, served, 0.0)
+
+
+def _come_by(moment: Floats, hours: NDArray[np.int64]) -> Floats:
+    """The share of each hour's passengers who have come by a moment, s."""
+    since = np.clip(moment / 3600.0 - hours - 0.5, -1.0, 1.0)
+    return np.asarray(0.5 + since - 0.5 * since * np.abs(since), np.float64)
+
+
+def _stacked(parts: Sequence[Columns]) -> pd.DataFrame:
+    return pd.DataFrame({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})

@@ -1,0 +1,272 @@
+"""Synthetic scenarios of many lines that share stops and links: a district and a city."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from headway.contracts import generator
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.kernel.layout import KNOTS
+from headway_envs.bus.scenario.fitted import (
+    BOARDINGS_PER_TRIP,
+    DEPARTURES,
+    LINE_BOARDINGS_PER_TRIP,
+    LINK_S_LOG,
+    MEAN_SPEED_KMH,
+    ONE_WAY_SHARE,
+    SOURCE,
+    SPEED_KMH,
+    SUNDAY_FLEET,
+    SUNDAY_LINES,
+    WITHIN_HOUR_SD,
+)
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.network import KNOT_HOURS, KNOT_S
+from headway_envs.bus.scenario.passengers import passengers
+from headway_envs.bus.scenario.streets import Ways, lay_out
+from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
+from headway_envs.bus.scenario.timetable import Trip, chain, smooth
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LINES = {"district": 40, "city": 382}
+SITES = {"district": 560, "city": 1425}
+"""Pairs of stops. Of SUNT: its 382 lines call at 2,850 stops, its 40 busiest at 1,118."""
+FLEETS = {"district": 440, "city": 1359}
+"""Buses at once at the weekday's peak, of SUNT's 40 busiest lines and of all."""
+FLEET_SD = {"district": 0.38, "city": 0.83}
+"""Sd of the log of a line's buses at once, of the same."""
+LARGEST_FLEET = 25
+"""Buses at once on SUNT's busiest line."""
+SERVICE_SD = 0.5
+"""Assumption: sd of the log of departures, between lines of one length, by which fleets are dealt out."""
+_STOPS = {"district": (8, 76), "city": (5, 90)}
+"""Stops of a pattern, the fewest and the most, of the same."""
+_LAT, _LON = -12.97, -38.50
+"""Salvador."""
+_LEAST_LINK_S = 8.0
+_ALLOWANCE = 1.05
+"""Assumption: planned over mean link times, for the dwell at busy stops that link times do not hold."""
+
+
+def generate_town(size: str, seed: int) -> Tables:
+    """The tables of `district` or `city`. The fleets of the lines are the same for all seeds."""
+    rng = generator(seed, "bus town", 0)
+    fleets = line_fleets(size)
+    one_way = [False] * len(fleets)
+    for line in rng.choice(len(fleets), round(ONE_WAY_SHARE * len(fleets)), replace=False):
+        one_way[line] = True
+    ways = _longest_first(rng, lay_out(rng, SITES[size], one_way, _STOPS[size]))
+    tables = _geometry(rng, ways)
+    names = tables["patterns"]["line"]
+    of_line = [np.flatnonzero(names == name) for name in names.unique()]
+    times = _link_seconds(tables)
+    trips = _trips(fleets, of_line, {day: _durations(tables, times[day]) for day in times})
+    middle, sd = LINE_BOARDINGS_PER_TRIP
+    level = middle * rng.lognormal(0.0, sd, len(fleets))
+    line_of = np.concatenate([np.full(len(own), line) for line, own in enumerate(of_line)])
+    per_trip = {
+        day: dict(enumerate((level[line_of] * mean / BOARDINGS_PER_TRIP["weekday"]).tolist()))
+        for day, mean in BOARDINGS_PER_TRIP.items()
+    }
+    demand, alighting = passengers(tables["pattern_stops"], trips, per_trip, seed)
+    meta = {
+        "source": f"synthetic, by numbers fitted to {SOURCE}",
+        "size": size,
+        "seed": seed,
+        "link_times_include_dwell": True,
+    }
+    return Tables(**tables, demand=demand, alighting=alighting, trips=trips, meta=meta)
+
+
+def line_fleets(size: str) -> list[int]:
+    """Buses at once on each line at the weekday's peak, most first: quantiles of the fitted lognormal, scaled
+    until they sum to the size's fleet."""
+    count, total = LINES[size], FLEETS[size]
+    shape = np.exp(FLEET_SD[size] * ndtri((np.arange(count)[::-1] + 0.5) / count))
+    low, high = 0.0, float(LARGEST_FLEET)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        fleets = np.clip(np.round(middle * shape), 1, LARGEST_FLEET)
+        low, high = (middle, high) if fleets.sum() < total else (low, middle)
+    fleets = np.clip(np.round(high * shape), 1, LARGEST_FLEET).astype(np.int64)
+    # Rounding leaves a few too many: lines of the middle give them.
+    for line in range(int(fleets.sum()) - total):
+        fleets[count // 4 + line] -= 1
+    return [int(buses) for buses in fleets]
+
+
+def _longest_first(rng: np.random.Generator, ways: Ways) -> Ways:
+    """Lines in the order of their stops times the drawn service: those that come first get the most buses."""
+    calls = np.array([sum(len(stops) for stops in line) for line in ways.lines])
+    order = np.argsort(-calls * rng.lognormal(0.0, SERVICE_SD, len(calls)))
+    return replace(ways, lines=tuple(ways.lines[line] for line in order))
+
+
+def _geometry(rng: np.random.Generator, ways: Ways) -> dict[str, pd.DataFrame]:
+    """The tables stops, patterns, pattern_stops, links and link_times."""
+    patterns = [
+        (f"line{i:03d}", "IV"[way], stops)
+        for i, line in enumerate(ways.lines)
+        for way, stops in enumerate(line)
+    ]
+    used = np.unique(np.concatenate([stops for _, _, stops in patterns]))
+    counts = np.array([len(stops) for _, _, stops in patterns])
+    calls = pd.DataFrame(
+        {
+            "pattern": np.repeat(np.arange(len(patterns)), counts),
+            "seq0": np.concatenate([np.arange(count) for count in counts]),
+            "stop": np.searchsorted(used, np.concatenate([stops for _, _, stops in patterns])),
+        }
+    )
+    stops = pd.DataFrame(
+        {
+            "stop": np.arange(len(used)),
+            "lat": _LAT + ways.y[used] / METRES_A_DEGREE,
+            "lon": _LON + ways.x[used] / (METRES_A_DEGREE * math.cos(math.radians(_LAT))),
+        }
+    )
+    inner = calls["seq0"].to_numpy() > 0
+    pairs = np.column_stack((calls["stop"].shift(fill_value=0), calls["stop"]))[inner]
+    ends, link_of = np.unique(pairs, axis=0, return_inverse=True)
+    metres = np.hypot(*(place[used[ends[:, 1]]] - place[used[ends[:, 0]]] for place in (ways.x, ways.y)))
+    metres = np.maximum(np.round(metres), 1.0)
+    calls["link"] = FIRST_LINK
+    calls.loc[inner, "link"] = link_of.ravel()
+    calls["leg_m"] = 0.0
+    calls.loc[inner, "leg_m"] = metres[link_of.ravel()]
+    return {
+        "stops": stops,
+        "patterns": pd.DataFrame(
+            {
+                "pattern": np.arange(len(patterns)),
+                "line": [line for line, _, _ in patterns],
+                "dir": [way for _, way, _ in patterns],
+                "n_stops": counts,
+                "length_m": calls.groupby("pattern")["leg_m"].sum().to_numpy(),
+            }
+        ),
+        "pattern_stops": calls,
+        "links": pd.DataFrame(
+            {"link": np.arange(len(ends)), "from_stop": ends[:, 0], "to_stop": ends[:, 1], "leg_m": metres}
+        ),
+        "link_times": _link_times(rng, metres),
+    }
+
+
+def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
+    intercept, slope, sd = LINK_S_LOG
+    base = np.exp(intercept + slope * np.log(metres) + rng.normal(0.0, sd, len(metres)))
+    hours = TIMED_HOURS
+    frames = []
+    for day, (knots, speeds) in SPEED_KMH.items():
+        seconds = np.outer(base, MEAN_SPEED_KMH / np.interp(hours, knots, speeds))
+        frames.append(
+            pd.DataFrame(
+                {
+                    "link": np.repeat(np.arange(len(metres)), len(hours)),
+                    "hour": np.tile(hours, len(metres)),
+                    "log_sigma": WITHIN_HOUR_SD,
+                    "mean_s": np.maximum(seconds, _LEAST_LINK_S).ravel(),
+                    "daytype": day,
+                }
+            )
+        )
+    return pd.concat(frames, ignore_index=True)
+
+
+def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:
+    """By day type (links, K) seconds at the knots; before 4 h and after 27 h as there."""
+    found = {}
+    for day, rows in tables["link_times"].groupby("daytype"):
+        by_hour = rows["mean_s"].to_numpy(np.float64).reshape(-1, len(TIMED_HOURS))
+        found[str(day)] = by_hour[:, np.clip(KNOT_HOURS - TIMED_HOURS[0], 0, len(TIMED_HOURS) - 1)]
+    return found
+
+
+def _durations(tables: dict[str, pd.DataFrame], seconds: Floats) -> list[Floats]:
+    """Of each pattern (K,) planned s of a bus that leaves at the knots; the hour moves on with it."""
+    calls = tables["pattern_stops"]
+    links, first = calls["link"].to_numpy(), np.flatnonzero(calls["seq0"] == 0)
+    durations = []
+    for begin, end in pairwise([*first.tolist(), len(calls)]):
+        passed = np.zeros(KNOTS)
+        for link in links[begin + 1 : end]:
+            hour = np.clip((np.arange(KNOTS) + passed / 3600.0).astype(np.int64), 0, KNOTS - 1)
+            passed = passed + _ALLOWANCE * seconds[link, hour]
+        durations.append(passed)
+    return durations
+
+
+def _trips(
+    fleets: Sequence[int], of_line: Sequence[Integers], durations: dict[str, list[Floats]]
+) -> pd.DataFrame:
+    """Departures of each line at the hours' measured shares, as many as its buses can drive. On Sundays the
+    lines with the most buses run, of all buses at once the measured share."""
+    runs_on_sundays = round(SUNDAY_LINES * len(fleets))
+    sunday_share = SUNDAY_FLEET * sum(fleets) / sum(fleets[:runs_on_sundays])
+    frames = []
+    vehicle = 0
+    for line, (buses, own) in enumerate(zip(fleets, of_line, strict=True)):
+        for day in durations:
+            wanted = float(buses)
+            if day == "sunday":
+                if line >= runs_on_sundays:
+                    continue
+                wanted = max(sunday_share * buses, 1.0)
+            trips, blocks = _timetable(round(wanted), [durations[day][p] for p in own], day)
+            number = {trip: vehicle + slot for slot, block in enumerate(blocks) for trip in block}
+            vehicle += len(blocks)
+            frames.append(
+                pd.DataFrame(
+                    {
+                        "pattern": own[[trip.pattern for trip in trips]],
+                        "vehicle": [number[i] for i in range(len(trips))],
+                        "dep_s": [round(trip.departure) for trip in trips],
+                        "arr_s": [round(trip.arrival) for trip in trips],
+                        "daytype": day,
+                    }
+                )
+            )
+    return pd.concat(frames, ignore_index=True)
+
+
+def _timetable(buses: int, durations: Sequence[Floats], day: str) -> tuple[list[Trip], list[list[int]]]:
+    """The trips of a line, as many as so many buses can drive, and the trips of each bus."""
+    round_trip = sum(float(passed.max()) for passed in durations)
+    low, high, base = 0.05, 60.0, 0.8 * buses * 3600.0 / round_trip
+    best: tuple[list[Trip], list[list[int]]] = ([], [])
+    for _ in range(14):
+        trips = _departures(base, durations, day)
+        blocks = chain(trips, np.zeros((len(durations),) * 2), 0, BusConfig().recovery_share)
+        if not best[0] or abs(len(blocks) - buses) < abs(len(best[1]) - buses):
+            best = trips, blocks
+        if len(blocks) == buses:
+            break
+        low, high = (base, high) if len(blocks) < buses else (low, base)
+        guess = base * buses / len(blocks)
+        base = guess if low * 1.02 < guess < high / 1.02 else math.sqrt(low * high)
+    return best
+
+
+def _departures(base: float, durations: Sequence[Floats], day: str) -> list[Trip]:
+    """Trips of a line with `base` departures in the peak hour in each direction; the directions leave their
+    ends half a headway apart."""
+    hourly = np.array(DEPARTURES[day]) * base / max(DEPARTURES[day])
+    flow = np.concatenate(([0.0], np.cumsum(hourly)))
+    edges = np.arange(5, 25) * 3600.0
+    trips = []
+    for way, passed in enumerate(durations):
+        count = max(int(flow[-1]), 2)
+        leaves = np.interp(np.arange(count) + 0.5 * way, flow, edges)
+        leaves = smooth(leaves, KNOT_S).times
+        arrives = leaves + np.interp(leaves, KNOT_S, passed)
+        trips += [Trip(way, float(t), float(a)) for t, a in zip(leaves, arrives, strict=True)]
+    return trips

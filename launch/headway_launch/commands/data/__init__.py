@@ -1,0 +1,13 @@
+"""`headway data`: scenarios of the bus environment, made, described and drawn."""
+
+EXAMPLES = """\
+examples:
+  headway data synthetic towns/city --size city --seed 1
+  headway data gtfs feed.zip towns/mine
+  headway data sunt ../sunt_raw towns/salvador
+  headway data describe towns/mine
+  headway data plot towns/mine --output map.png
+  headway run env=bus env.args.scenario=towns/mine algo=mappo preset=bus_tuned
+
+headway data COMMAND --help shows more.
+"""

@@ -1,0 +1,75 @@
+"""`headway data describe`: what a scenario holds."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from headway.contracts.errors import HeadwayError
+
+if TYPE_CHECKING:
+    from headway_envs.bus.scenario.tables import Tables
+    from headway_launch.tables import Cell
+
+EXAMPLES = """\
+examples:
+  headway data describe towns/city
+  headway data describe towns/city --lines 50 --day-type sunday
+  headway data describe corridor                         a built-in one
+
+Buses at once are those on a trip in the scenario's own timetable. Agents are the slots that the environment
+makes of it: with the timetable smoothed, time for recovery, and each bus kept to its line. Headways are the
+mean minutes between departures of a pattern in those hours, the median over patterns.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The scenario and how many of its lines."""
+    parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
+    parser.add_argument(
+        "--lines", type=int, default=10, help="lines to list, those of most trips (default: 10; 0: none)"
+    )
+    parser.add_argument(
+        "--day-type", choices=("weekday", "sunday"), help="of the lines listed (default: the first there is)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of a built-in scenario (default: 0)")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Read and print."""
+    if arguments.lines < 0 or arguments.seed < 0:
+        raise HeadwayError("--lines and --seed must be at least 0")
+    from headway_envs.bus.scenario.describing import by_day_type, by_line, meta_rows
+    from headway_envs.bus.scenario.source import scenario_tables
+    from headway_launch.tables import print_table
+
+    tables = scenario_tables(arguments.scenario, arguments.seed)
+    days = by_day_type(tables)
+    if not days:
+        raise HeadwayError(f"scenario '{arguments.scenario}' has trips of no weekday and no sunday")
+    print_table(("what", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)
+    print()
+    rows: list[tuple[Cell, ...]] = [
+        (label, *(getattr(day, field) for day in days)) for field, label in type(days[0]).LABELS.items()
+    ]
+    print_table(("of a day", *(day.day_type for day in days)), rows)
+    if arguments.lines:
+        chosen = arguments.day_type or days[0].day_type
+        if chosen not in {day.day_type for day in days}:
+            raise HeadwayError(f"--day-type: there is no trip on a {chosen}; leave it out")
+        lines = by_line(tables, chosen)
+        print()
+        print_table(
+            tuple(lines[0].LABELS.values()),
+            [tuple(getattr(line, field) for field in line.LABELS) for line in lines[: arguments.lines]],
+            title=f"{min(arguments.lines, len(lines))} of {len(lines)} lines, {chosen}",
+        )
+    return 0
+
+
+def _sizes(tables: "Tables") -> list[tuple["Cell", ...]]:
+    return [
+        ("lines", int(tables.patterns["line"].nunique())),
+        ("patterns", len(tables.patterns)),
+        ("stops", len(tables.stops)),
+        ("links", len(tables.links)),
+        ("links, km", float(tables.links["leg_m"].sum()) / 1000.0),
+    ]

@@ -1,0 +1,94 @@
+"""The folder that a scenario is written to, and what is said of it."""
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from headway.contracts.errors import HeadwayError
+
+if TYPE_CHECKING:
+    from headway_envs.bus.scenario.tables import Tables
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """OUT and --replace."""
+    parser.add_argument("out", metavar="OUT", help="folder to write the scenario to")
+    parser.add_argument("--replace", action="store_true", help="write over the scenario that OUT holds")
+
+
+def check_output(arguments: argparse.Namespace) -> Path:
+    """The folder to write; before any work, so that none is lost. Raises HeadwayError if it is taken."""
+    from headway_envs.bus.config import SCENARIOS
+
+    out = Path(arguments.out)
+    if str(out) in SCENARIOS:
+        raise HeadwayError(
+            f"OUT: env.args.scenario={out} is the built-in scenario; give the folder another name: my_{out}"
+        )
+    here = Path.cwd()
+    if out.resolve() in (here, *here.parents):
+        raise HeadwayError(f"OUT: {out} is the working directory or lies above it; name a folder in it")
+    if out.exists() and not out.is_dir():
+        raise HeadwayError(f"OUT: {out} is a file; name a folder")
+    _refuse_others(out)
+    if out.is_dir() and any(out.iterdir()) and not arguments.replace:
+        raise HeadwayError(f"OUT: {out} holds a scenario; --replace writes over it")
+    return out
+
+
+def _refuse_others(out: Path) -> None:
+    """Raises HeadwayError if the folder, where there is one, holds anything but a scenario."""
+    from headway_envs.bus.scenario.tables import COLUMNS
+
+    held = {entry.name: entry.is_file() for entry in out.iterdir()} if out.is_dir() else {}
+    tables = {f"{name}.parquet" for name in COLUMNS}
+    others = [name for name, is_file in held.items() if not is_file or name not in {*tables, "meta.json"}]
+    if held and not others and not tables & set(held):
+        others = ["meta.json"]  # alone it is anybody's
+    if others:
+        raise HeadwayError(f"OUT: {out} holds other files ({min(others)}); name a new folder")
+
+
+def write_scenario(tables: "Tables", out: Path) -> None:
+    """Check and write; a scenario that was there goes when the new one stands whole in its place."""
+    from headway_envs.bus.scenario.tables import check_tables, write_tables
+
+    check_tables(tables)
+    out = out.resolve()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            prefix=f".{out.name}.", dir=out.parent, ignore_cleanup_errors=True
+        ) as beside:
+            new, old = Path(beside) / "new", Path(beside) / "old"
+            write_tables(tables, new)
+            _refuse_others(out)
+            try:
+                if out.is_dir():
+                    out.rename(old)
+                new.rename(out)
+            finally:
+                if old.is_dir() and not out.exists():
+                    old.rename(out)
+    except OSError as error:
+        raise HeadwayError(f"OUT: {out} cannot be written ({error})") from error
+
+
+def tell_written(tables: "Tables", out: Path) -> None:
+    """What was written, in a line each, and what to do with it."""
+    from headway_envs.bus.scenario.describing import by_day_type
+
+    print(
+        f"{out}: {tables.patterns['line'].nunique():,} lines, {len(tables.patterns):,} patterns, "
+        f"{len(tables.stops):,} stops, {len(tables.links):,} links"
+    )
+    for day in by_day_type(tables):
+        print(
+            f"{day.day_type}: {day.trips:,} trips, {day.peak_buses:,} buses at once, "
+            f"{day.boardings:,.0f} boardings"
+        )
+    for name, count in tables.meta.get("counted", {}).items():
+        if count:
+            print(f"{name}: {count:,}")
+    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} algo=mappo")
