@@ -54,7 +54,12 @@ def tiny(board: float = 1e-9) -> Prepared:
             "board": [board],
             "daytype": ["weekday"],
         },
-        "alighting": {"pattern": [0, 0], "seq0": [1, 2], "period": [0, 0], "p_alight": [0.0, 1.0]},
+        "alighting": {
+            "pattern": [0] * 12,
+            "seq0": [0, 1, 2] * 4,
+            "period": np.repeat(range(4), 3),
+            "p_alight": [0.0, 0.0, 1.0] * 4,
+        },
         "trips": {
             "pattern": [0, 0],
             "vehicle": [0, 1],
