@@ -60,6 +60,8 @@ class PlannedJob:
             directories=tuple(str(directory) for directory in directories),
             resume=resume,
             training_prepared=self.training_prepared,
+            make_contributor=experiment.algo.contributor,
+            contributor_preload=experiment.algo.preload,
         )
 
 

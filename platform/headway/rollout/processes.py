@@ -26,6 +26,7 @@ from headway.rollout.worker import (
     Done,
     Evaluate,
     Restore,
+    Setup,
     WorkerSetup,
     parameter_arrays,
     parameter_bytes,
@@ -61,29 +62,24 @@ class ProcessCollector:
     """Worker processes that write into one shared trajectory and read one shared set of parameters."""
 
     def __init__(self, plan: RolloutPlan, workers: int, notify: Notify) -> None:
-        self.plan, self.notify = plan, notify
-        self.shards = plan.shards(workers)
-        self.pickled_plan = pickle.dumps(plan)
-        self.needs_main = b"_main__" in self.pickled_plan
+        self.plan = plan
+        shards, pickled = plan.shards(workers), pickle.dumps(plan)
         shapes = plan.policy.parameter_shapes(plan.replicas)
         self.blocks = SharedBlock.create(plan.layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
         self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
-        self.context = multiprocessing.get_context("forkserver")
-        self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
-        self.lost_cpu_seconds = 0.0
-        self.iteration = 0
-        self.workers = [self._start(shard) for shard in range(len(self.shards))]
+        setups = [WorkerSetup(pickled, first, count, *self.blocks) for first, count in shards]
+        self.crew = Crew(setups, plan.preload, b"_main__" in pickled, notify)
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self._all([Begin("env")] * len(self.workers))
+        self.crew.all([Begin("env")] * len(self.crew.workers))
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
         self._publish(parameters)
-        done = self._all([Collect(iteration)] * len(self.workers))
-        self.iteration = iteration
+        done = self.crew.all([Collect(iteration)] * len(self.crew.workers))
+        self.crew.iteration = iteration
         return in_order(episode for part in done for episode in part.episodes)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
@@ -91,20 +87,65 @@ class ProcessCollector:
         self._publish(parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
         parts: list[list[list[Row]]] = []
-        for start in range(0, len(requests), len(self.workers)):
-            round_ = requests[start : start + len(self.workers)]
-            parts += [done.evaluation for done in self._all([Evaluate(request) for request in round_])]
+        for start in range(0, len(requests), len(self.crew.workers)):
+            round_ = requests[start : start + len(self.crew.workers)]
+            parts += [done.evaluation for done in self.crew.all([Evaluate(request) for request in round_])]
         return joined(self.plan, parts)
 
     def snapshot(self) -> list[Any]:
         """One a worker, as of the end of the last iteration."""
-        return [worker.snapshot for worker in self.workers]
+        return [worker.snapshot for worker in self.crew.workers]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Go on from a checkpoint, or start afresh where it holds no snapshots."""
-        require_shards(snapshots, len(self.workers))
-        self.iteration = iteration
-        self._all([_stand(snapshot, iteration) for snapshot in snapshots])
+        require_shards(snapshots, len(self.crew.workers))
+        self.crew.iteration = iteration
+        self.crew.all([standing(snapshot, iteration) for snapshot in snapshots])
+
+    def process_ids(self) -> list[int]:
+        """Worker processes, by id."""
+        return self.crew.process_ids()
+
+    def usage(self) -> Usage:
+        """As the workers last reported."""
+        return self.crew.usage()
+
+    def close(self) -> None:
+        """End the workers, busy ones after some seconds of grace."""
+        self.crew.close()
+        for block in self.blocks:
+            block.close()
+
+    def _publish(self, parameters: Parameters) -> None:
+        for name, array in self.parameters.items():
+            array[...] = parameters[name]
+
+
+class Crew:
+    """Worker processes, each with a part of its own, that carry out commands and are replaced when they
+    die."""
+
+    def __init__(
+        self, setups: Sequence[Setup], preload: Sequence[str], needs_main: bool, notify: Notify
+    ) -> None:
+        """`preload`: modules that they share; `needs_main`: what they are given refers to the main module."""
+        self.setups, self.needs_main, self.notify = setups, needs_main, notify
+        self.context = multiprocessing.get_context("forkserver")
+        self.context.set_forkserver_preload(["headway.rollout.worker", *preload])
+        self.lost_cpu_seconds = 0.0
+        self.iteration = 0
+        """The last one that was collected whole."""
+        self.workers = [self._start(shard) for shard in range(len(setups))]
+
+    def all(self, commands: Sequence[Command]) -> list[Done]:
+        """Have workers 0, 1, ... carry out one command each, at the same time."""
+        for shard, command in enumerate(commands):
+            self.send(shard, command)
+        return [self.answer(shard, command) for shard, command in enumerate(commands)]
+
+    def send(self, shard: int, command: Command) -> None:
+        """Have one worker begin with a command."""
+        _send(self.workers[shard], command)
 
     def process_ids(self) -> list[int]:
         """Worker processes, by id."""
@@ -124,32 +165,19 @@ class ProcessCollector:
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
-        for block in self.blocks:
-            block.close()
-
-    def _publish(self, parameters: Parameters) -> None:
-        for name, array in self.parameters.items():
-            array[...] = parameters[name]
 
     def _start(self, shard: int) -> _Worker:
-        first, count = self.shards[shard]
         ours, theirs = self.context.Pipe()
-        setup = WorkerSetup(self.pickled_plan, first, count, *self.blocks)
         process = self.context.Process(
-            target=run_worker, args=(setup, theirs), name=f"headway worker {shard}", daemon=True
+            target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
         with nullcontext() if self.needs_main else _main_left_out():
             process.start()
         theirs.close()
         return _Worker(process, ours)
 
-    def _all(self, commands: Sequence[Command]) -> list[Done]:
-        """Have workers 0, 1, ... carry out one command each, at the same time."""
-        for worker, command in zip(self.workers, commands, strict=False):
-            _send(worker, command)
-        return [self._answer(shard, command) for shard, command in enumerate(commands)]
-
-    def _answer(self, shard: int, command: Command) -> Done:
+    def answer(self, shard: int, command: Command) -> Done:
+        """Of a worker that was sent this command, or of the one that replaces it."""
         answer = _receive(self.workers[shard])
         if not isinstance(answer, Done):
             if isinstance(answer, Broken) and answer.is_users:
@@ -169,8 +197,8 @@ class ProcessCollector:
         worker = self.workers[shard] = self._start(shard)
         steps: list[Command] = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
-        if isinstance(command, Collect | Evaluate) and old.begun:
-            steps.insert(0, _stand(old.snapshot, self.iteration))
+        if not isinstance(command, Begin | Restore) and old.begun:
+            steps.insert(0, standing(old.snapshot, self.iteration))
         anew = any(isinstance(step, Begin) for step in steps)
         again = "its episodes start again" if anew else "repeating its part from where it stood"
         self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
@@ -209,7 +237,7 @@ class WorkerFailedError(HeadwayError):
     """A worker failed twice in a row; the details are its own traceback."""
 
 
-def _stand(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque
+def standing(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque
     """Bring a worker to where a snapshot stands, or to new episodes where there is none."""
     return Begin(restart_purpose(iteration)) if snapshot is None else Restore(snapshot)
 

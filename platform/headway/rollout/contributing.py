@@ -1,0 +1,86 @@
+"""What a worker of the asynchronous mode does: roll out, and say what the learner is to make of it."""
+
+import mmap
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from headway.contracts import Contributor, EnvSpec, Trajectory
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.sampler import Sampler
+from headway.rollout.usage import OwnUsage
+from headway.rollout.worker import Begin, Collect, Command, Contribute, Done, Evaluate, Restore
+
+MakeContributor = Callable[[Any, EnvSpec, Sequence[int]], Contributor]
+"""An algorithm entry's `contributor`."""
+
+
+@dataclass(frozen=True)
+class AsynchronousPlan:
+    """What decides what the workers do. Picklable."""
+
+    rollout: RolloutPlan
+    """Of one seed."""
+    make_contributor: MakeContributor
+    algo_config: Any
+    preload: tuple[str, ...] = ()
+    """The algorithm entry's."""
+
+    @property
+    def shards(self) -> list[tuple[int, int]]:
+        """(first, count) copies of each worker: one block, so that every rollout is as long.
+
+        Raises HeadwayError where a block is more than the environment allows in a process.
+        """
+        return self.rollout.shards(self.rollout.copies // self.rollout.block)
+
+
+@dataclass(frozen=True)
+class ContributorSetup:
+    """All that such a worker is given when it starts."""
+
+    plan: bytes
+    """An `AsynchronousPlan`, pickled."""
+    first: int
+    count: int
+
+    def open(self) -> "Contributing":
+        """The service of a worker that contributes."""
+        plan: AsynchronousPlan = pickle.loads(self.plan)
+        return Contributing(plan, self.first, self.count)
+
+
+class Contributing:
+    """Some copies of one seed, and a contributor that learns from them."""
+
+    def __init__(self, plan: AsynchronousPlan, first: int, count: int) -> None:
+        layout = plan.rollout.layout
+        # Memory of which no more is taken than is written to: the copies of others are not.
+        trajectory = Trajectory.over(mmap.mmap(-1, max(layout.nbytes, 1)), layout)
+        self.sampler = Sampler(plan.rollout, first, count, trajectory)
+        self.trajectory = trajectory.of_copies(first, count)
+        self.contributor = plan.make_contributor(plan.algo_config, plan.rollout.spec, plan.rollout.seeds)
+        self.own_usage = OwnUsage()
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
+        """Where it stands between two contributions, or None if the environment cannot tell."""
+        sampler = self.sampler.snapshot()
+        return None if sampler is None else {"sampler": sampler, "learned": self.contributor.snapshot()}
+
+    def carry_out(self, command: Command) -> Done:
+        """Do as told."""
+        done = Done([], [], None, self.own_usage.read())
+        match command:
+            case Begin(purpose=purpose):
+                self.sampler.begin(purpose)
+            case Restore(snapshot=snapshot):
+                self.sampler.restore(snapshot["sampler"])
+                self.contributor.restore(snapshot["learned"])
+            case Contribute(number=number, iteration=iteration, published=published):
+                episodes = self.sampler.collect(number, self.contributor.adopt(published))
+                contribution = self.contributor.contribute(self.trajectory, iteration)
+                done = replace(done, episodes=episodes, contribution=contribution)
+            case Collect() | Evaluate():
+                raise TypeError(f"a worker that contributes was told to {command}")
+        return replace(done, snapshot=self.snapshot(), usage=self.own_usage.read())
