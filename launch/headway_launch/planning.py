@@ -104,7 +104,9 @@ def new_jobs(
             f"in {asked.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
             f"rollout.copies x rollout.steps) {reason}"
         )
-    config = within_processes(experiment.config, found.spec)
+    config = within_processes(asked, found.spec)
+    if experiment.algo.contributor is not None:
+        config = _with_a_worker_a_block(config, asked.backend, experiment.algo_name)
     stack = config.backend.stack
     return tuple(
         PlannedJob(
@@ -142,6 +144,27 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
         rollout=replace(rollout, block=block),
         backend=replace(backend, workers=backend.workers or workers),
     )
+
+
+def _with_a_worker_a_block(
+    config: ExperimentConfig, asked: BackendConfig, algorithm: str
+) -> ExperimentConfig:
+    """The configuration as an asynchronous algorithm trains. Raises HeadwayError where something else is
+    set."""
+    if min(asked.stack, len(config.seed)) > 1:
+        raise HeadwayError(
+            f"{algorithm} trains one seed a process: its gradients are found in workers, on CPUs, where a "
+            "stack gains nothing; set backend.stack=1"
+        )
+    if config.backend.name == "serial":
+        return config
+    workers = config.rollout.copies // config.rollout.block
+    if asked.workers not in (None, workers):
+        raise HeadwayError(
+            f"{algorithm} has a worker for each block of copies, {workers} here, as their number changes "
+            "what is learned; leave backend.workers out, and set rollout.block"
+        )
+    return replace(config, backend=replace(config.backend, workers=workers))
 
 
 def _holds(spec: EnvSpec, limit: int) -> str:

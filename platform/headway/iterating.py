@@ -29,6 +29,9 @@ class Iterated:
 class Mode(Protocol):
     """Makes one iteration after another."""
 
+    repeats: bool
+    """The same again, and what is resumed, is the same."""
+
     def iterate(self, iteration: int, progress: float) -> Iterated:
         """The iteration of that number, from 1, when `progress` of the budget is used."""
         ...
@@ -36,6 +39,8 @@ class Mode(Protocol):
 
 class InStep:
     """Workers sample, then the learner learns from all that they sampled."""
+
+    repeats = True
 
     def __init__(self, learner: Learner, collector: Collector) -> None:
         self.learner, self.collector = learner, collector
@@ -61,6 +66,7 @@ class Asynchronous:
 
     def __init__(self, learner: AsynchronousLearner, contributors: Contributors) -> None:
         self.learner, self.contributors = learner, contributors
+        self.repeats = learner.in_turns or contributors.in_turns
 
     def iterate(self, iteration: int, progress: float) -> Iterated:
         """See `Mode`. All other metrics are means over the iteration's contributions."""

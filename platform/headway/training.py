@@ -261,6 +261,9 @@ class _Training:
         self.learner.load_state_dict(state["learner"])
         if isinstance(self.learner, ReplayingLearner) and state["experience"] is not None:
             self.learner.load_experience(state["experience"])
+        if not self.mode.repeats:
+            line = "its workers' contributions are applied as they come, and never twice in the same order"
+            self.report(Notice(f"{line}: after {iteration} its curve is not that of a run never stopped"))
         self.collector.restore(state["snapshots"], iteration)
         self.episodes_restarted = any(snapshot is None for snapshot in state["snapshots"])
         if self.episodes_restarted:

@@ -30,6 +30,8 @@ def open_contributors(name: str, plan: AsynchronousPlan, notify: Notify) -> Cont
 class ProcessContributors:
     """Worker processes, one a block of copies. They go on with what they do whatever the others do."""
 
+    in_turns = False
+
     def __init__(self, plan: AsynchronousPlan, notify: Notify) -> None:
         pickled = pickle.dumps(plan)
         setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
@@ -113,6 +115,8 @@ class ProcessContributors:
 
 class SerialContributors:
     """Workers that the training process plays itself, always in turns: for debugging and tests."""
+
+    in_turns = True
 
     def __init__(self, plan: AsynchronousPlan, notify: Notify) -> None:
         self.plan = plan.rollout

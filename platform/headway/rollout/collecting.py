@@ -59,6 +59,9 @@ class Collector(Backend, Protocol):
 class Contributors(Backend, Protocol):
     """Workers that learn from rollouts of their own, each on one block of the copies."""
 
+    in_turns: bool
+    """Whatever is asked for, they contribute one after another."""
+
     @property
     def number(self) -> int:
         """Workers; an iteration is one contribution of each, on average."""

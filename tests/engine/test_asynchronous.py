@@ -1,0 +1,305 @@
+"""Workers that learn by themselves: exact where the order is fixed, as good as it can be where it is not."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import psutil
+import pytest
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parent / "rollout"))  # workers, too, must find these two
+from rehearsal import TOYS, VISITORS, Fault, FaultConfig, FaultyVisitors, RareVisitors
+from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
+
+from headway.contracts import Contribution, HeadwayError
+from headway.events import Event, Notice, Started
+from headway.iterating import Asynchronous
+from headway.rollout.asynchronous import ProcessContributors, open_contributors
+from headway.rollout.collecting import Contributors
+from headway.rollout.contributing import AsynchronousPlan
+from headway.rollout.processes import WorkerFailedError
+from headway.rollout.worker import Contribute, Done
+from headway.training import TrainingJob, train
+from headway_algos.config import ModelConfig
+from headway_algos.entries import ENTRIES
+
+MEBIBYTE = 2**20
+
+
+def _job(
+    algorithm: str,
+    folder: Path,
+    application: str = "in_turns",
+    core: Literal["none", "gru"] = "none",
+    **choices: Any,  # noqa: ANN401 - those of `job_of`
+) -> TrainingJob:
+    """As `job_of`; a3c has a worker for each block of its four copies."""
+    entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, gru_size=4, sequence_length=6)
+    more: dict[str, Any] = {"application": application} if algorithm == "a3c" else {}
+    return replace(
+        job_of(folder, **choices),
+        make_policy=entry.acting_policy,
+        make_learner=entry.learner,
+        algo_config=entry.config(model=model, epochs=1, minibatches=1, **more),
+        make_contributor=entry.contributor,
+        contributor_preload=entry.preload,
+    )
+
+
+def _log(job: TrainingJob) -> Log:
+    trained(job)
+    return logs_of(job)[0]
+
+
+def _notices(events: list[Event]) -> list[str]:
+    return [event.line for event in events if isinstance(event, Notice)]
+
+
+def _without_staleness(log: Log) -> Log:
+    curve = [{k: v for k, v in row.items() if not k.startswith("staleness/")} for row in log["curve"]]
+    return {**log, "curve": curve}
+
+
+def _staleness(log: Log) -> list[tuple[float, float]]:
+    """(mean, max) of each iteration."""
+    rows = log["curve"][1:]
+    return [tuple(float.fromhex(row[f"staleness/{of}"]) for of in ("mean", "max")) for row in rows]  # type: ignore[misc]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    """Six iterations of two workers in turns on visitors, undisturbed, on the serial backend."""
+    return _log(_job("a3c", tmp_path_factory.mktemp("whole")))
+
+
+@pytest.mark.parametrize(
+    ("toy", "core", "backend"),
+    [("visitors", "none", "process"), ("visitors", "gru", "serial"), ("tracking", "none", "serial")],
+)
+def test_one_worker_alone_is_synchronous_a2c_of_the_same_batches(
+    tmp_path: Path, toy: str, core: Literal["none", "gru"], backend: Backend
+) -> None:
+    """To the last bit: parameters, normalisers, metrics and evaluations."""
+    choices: dict[str, Any] = {"env": TOYS[toy], "core": core, "block": COPIES}
+    synchronous = _log(_job("ia2c", tmp_path / "ia2c", **choices))
+    alone = _log(_job("a3c", tmp_path / "a3c", backend=backend, **choices))
+    assert _without_staleness(alone) == synchronous
+    assert _staleness(alone) == [(0.0, 0.0)] * 6
+
+
+def test_workers_in_turns_give_the_same_on_every_backend_and_again(whole: Log, tmp_path: Path) -> None:
+    assert _log(_job("a3c", tmp_path / "again")) == whole
+    assert _log(_job("a3c", tmp_path / "process", backend="process")) == whole
+
+
+def test_gradients_of_workers_in_turns_are_as_stale_as_there_are_others(whole: Log, tmp_path: Path) -> None:
+    assert _staleness(whole) == [(0.5, 1.0)] + [(1.0, 1.0)] * 5
+    four = _log(_job("a3c", tmp_path / "four", block=1))
+    assert _staleness(four) == [(1.5, 3.0)] + [(3.0, 3.0)] * 5
+    assert _without_staleness(four) != _without_staleness(whole)
+
+
+@pytest.mark.parametrize("core", ["none", "gru"])
+@pytest.mark.parametrize("stop", [1, 4])
+def test_stopped_and_resumed_equals_never_stopped(
+    tmp_path: Path, core: Literal["none", "gru"], stop: int
+) -> None:
+    """With the rollouts under way, their old parameters, and what critics with a memory remembered."""
+    undisturbed = _log(_job("a3c", tmp_path / "whole", core=core))
+    trained(job := _job("a3c", tmp_path / "stopped", core=core), stop_after=stop)
+    assert _notices(trained(replace(job, resume=True))) == []
+    assert logs_of(job) == [undisturbed]
+
+
+def test_processes_go_on_where_the_serial_backend_stopped(whole: Log, tmp_path: Path) -> None:
+    trained(_job("a3c", tmp_path), stop_after=3)
+    assert _log(_job("a3c", tmp_path, backend="process", resume=True)) == whole
+
+
+def test_without_snapshots_a_resumed_run_says_so_and_goes_on(tmp_path: Path) -> None:
+    faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
+    trained(job := _job("a3c", tmp_path, env=faulty), stop_after=2)
+    events = trained(replace(job, resume=True))
+    assert "start anew" in _notices(events)[0]
+    started = [event for event in events if isinstance(event, Started)]
+    assert started[0].episodes_restarted
+    assert _staleness(logs_of(job)[0])[2:] == [(0.5, 1.0)] + [(1.0, 1.0)] * 3  # all begin with one version
+
+
+def _faulty(folder: Path, fault: Fault, times: int = 1) -> tuple[type[FaultyVisitors], FaultConfig]:
+    return FaultyVisitors, FaultConfig(fault, str(folder), at=41, copies=2, times=times)
+
+
+def test_a_worker_killed_in_mid_rollout_leaves_no_trace_in_the_curve(whole: Log, tmp_path: Path) -> None:
+    job = _job("a3c", tmp_path, env=_faulty(tmp_path, "kill"), backend="process")
+    (notice,) = _notices(trained(job))
+    assert "killed by signal 9" in notice
+    assert "replaced, repeating its part from where it stood" in notice
+    assert logs_of(job) == [whole]
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "line"),
+    [
+        (
+            "nan reward",
+            HeadwayError,
+            r"environment faulty gave inf as reward of agent visitor_2 in copy [13]",
+        ),
+        ("kill", WorkerFailedError, r"worker [01] failed twice \(killed by signal 9\)"),
+    ],
+)
+def test_what_cannot_go_on_ends_in_one_line_and_leaves_no_worker(
+    tmp_path: Path, fault: Fault, kind: type[HeadwayError], line: str
+) -> None:
+    events: list[Event] = []
+    env = _faulty(tmp_path, fault, times=9)
+    with pytest.raises(kind, match=line) as failure:
+        train(_job("a3c", tmp_path, "arrival", env=env, backend="process"), events.append, lambda: False)
+    assert "\n" not in str(failure.value)
+    (started,) = [event for event in events if isinstance(event, Started)]
+    assert not any(psutil.pid_exists(process_id) for process_id in started.process_ids[1:])
+
+
+def test_gradients_that_come_as_they_like_are_all_counted(tmp_path: Path) -> None:
+    """Two of an iteration; and a resumed run says that it is not the one it would have been."""
+    job = _job("a3c", tmp_path, "arrival", backend="process")
+    trained(job, stop_after=3)
+    (notice,) = _notices(trained(replace(job, resume=True)))
+    assert "after 3 its curve is not that of a run never stopped" in notice
+    (log,) = logs_of(job)
+    assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
+    assert all(0 <= mean <= most for mean, most in _staleness(log))
+    # Whoever is in flight at the end was given out before: all others have been applied.
+    assert sum(mean * 2 for mean, _ in _staleness(log)) >= 1
+
+
+def test_a_process_holds_no_more_copies_than_the_environment_allows(tmp_path: Path) -> None:
+    rare = RareVisitors, VISITORS
+    assert len(_log(_job("a3c", tmp_path, env=rare, backend="process", iterations=1))["curve"]) == 2
+    with pytest.raises(HeadwayError, match="allows 2 copies in a process, and a worker would hold 4"):
+        trained(_job("a3c", tmp_path / "serial", env=rare))
+
+
+@contextmanager
+def _opened(job: TrainingJob, notices: list[str]) -> Iterator[ProcessContributors]:
+    assert job.make_contributor is not None
+    plan = AsynchronousPlan(job.plan(), job.make_contributor, job.algo_config, job.contributor_preload)
+    with closing(open_contributors("process", plan, notices.append)) as contributors:
+        assert isinstance(contributors, ProcessContributors)
+        contributors.begin()
+        yield contributors
+
+
+def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: Path) -> None:
+    job = _job("a3c", tmp_path, "arrival")
+    learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
+    with _opened(job, []) as contributors:
+        first, second = (psutil.Process(worker.process.pid) for worker in contributors.crew.workers)
+        mode = Asynchronous(learner, contributors)
+        mode.iterate(1, 0.0)
+        first.suspend()
+        went_on = [mode.iterate(i, 0.0) for i in range(2, 5)]
+        first.resume()
+        later = (mode.iterate(i, 0.0) for i in range(5, 500))
+        assert any(done.metrics["staleness/max"][0] >= 4 for done in later)  # what hung is not lost
+        sizes = [process.memory_info().rss for process in (first, second)]
+        threads = [process.num_threads() for process in (first, second)]
+    most = [float(done.metrics["staleness/max"][0]) for done in went_on]
+    assert most[-1] == 0  # once what the other had ready is applied, all is its own
+    assert max(sizes) < 450 * MEBIBYTE
+    assert max(threads) <= 3  # its own, and the one that ends it with its parent
+
+
+@dataclass
+class _Recorder:
+    """A learner that learns nothing and writes down what it is given."""
+
+    in_turns: bool
+    applied: list[tuple[str, int, float]] = field(default_factory=list)
+
+    def published(self) -> dict[str, NDArray[Any]]:
+        return {"updates": np.array([len(self.applied)])}
+
+    def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
+        self.applied.append((str(contribution.arrays["of"]), iteration, progress))
+
+
+@dataclass
+class _Scripted:
+    """Workers that finish in a given order."""
+
+    order: list[int]
+    in_turns: bool = False
+    number: int = 3
+    tasks: dict[int, Contribute] = field(default_factory=dict)
+
+    def idle(self) -> list[int]:
+        return [worker for worker in range(self.number) if worker not in self.tasks]
+
+    def assign(self, worker: int, task: Contribute) -> None:
+        assert worker not in self.tasks
+        self.tasks[worker] = task
+
+    def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
+        worker = self.order.pop(0) if turn is None else turn
+        task = self.tasks.pop(worker)
+        metrics: Mapping[str, NDArray[np.float64]] = {"policy/entropy": np.array([float(worker)])}
+        given = {"of": np.array(f"{worker}@{task.published['updates'][0]}")}
+        return worker, task, Done([], [], None, None, Contribution(given, metrics))  # type: ignore[arg-type]
+
+
+def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> None:
+    learner: Any = _Recorder(in_turns=False)
+    scripted: Any = _Scripted([2, 2, 0, 2, 1, 1])
+    contributors: Contributors = scripted
+    mode = Asynchronous(learner, contributors)
+    assert not mode.repeats
+    one, two = mode.iterate(1, 0.0), mode.iterate(2, 0.5)
+    assert [of for of, _, _ in learner.applied] == ["2@0", "2@1", "0@0", "2@2", "1@0", "1@5"]
+    assert [(i, progress) for _, i, progress in learner.applied] == [(1, 0.0)] * 3 + [(2, 0.5)] * 3
+    # Applied as updates 0, 1, 2 and 3, 4, 5: of versions 0, 1, 0 and 2, 0, 5.
+    assert [float(one.metrics[f"staleness/{of}"][0]) for of in ("mean", "max")] == [2 / 3, 2.0]
+    assert [float(two.metrics[f"staleness/{of}"][0]) for of in ("mean", "max")] == [5 / 3, 4.0]
+    assert float(one.metrics["policy/entropy"][0]) == pytest.approx((2 + 2 + 0) / 3)
+    assert {worker: task.number for worker, task in scripted.tasks.items()} == {0: 4, 2: 5, 1: 7}
+    assert {worker: task.iteration for worker, task in scripted.tasks.items()} == {0: 2, 2: 2, 1: 3}
+
+
+_TRAIN_FOR_EVER = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[1:3]
+from headway.training import train
+from test_asynchronous import _job
+
+def told(event):
+    print(type(event).__name__, flush=True)
+
+if __name__ == "__main__":
+    train(_job("a3c", Path(sys.argv[3]), "arrival", backend="process", iterations=10**6), told, lambda: False)
+"""
+
+
+def test_a_killed_parent_leaves_no_process(tmp_path: Path) -> None:
+    here = Path(__file__).parent
+    command = [sys.executable, "-c", _TRAIN_FOR_EVER, str(here), str(here / "rollout"), str(tmp_path)]
+    with psutil.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        try:
+            while "IterationFinished" not in parent.stdout.readline():
+                pass
+            descendants = psutil.Process(parent.pid).children(recursive=True)
+            assert len(descendants) >= 2 + 1 + 1  # workers, evaluation's, the forkserver
+            time.sleep(0.2)
+        finally:
+            parent.kill()
+        parent.wait(10)
+        _, alive = psutil.wait_procs(descendants, timeout=10)
+    assert not alive
