@@ -122,3 +122,38 @@ def test_the_disk_must_have_room_for_what_is_replayed(
     with pytest.raises(HeadwayError, match=r"only 1,024 MiB are free .* 3 seeds need about 3,\d{3} MiB"):
         require_free_disk(tmp_path, large, 2)
     require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)
+
+
+def _asynchronous(*overrides: str) -> Experiment:
+    bare = ("env=tracking", "algo=a3c", "seed=0,1", "rollout.copies=8", "rollout.block=2")
+    return compose([*bare, *overrides])
+
+
+def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> None:
+    jobs = plan_jobs(_asynchronous())
+    assert [job.seeds for job in jobs] == [(0,), (1,)]
+    shares = share_cores(jobs[0].config.backend, jobs, cores=2)
+    assert (shares.parallel, workers_of(jobs[0], shares)) == (1, 4)
+    assert share_cores(jobs[0].config.backend, jobs, cores=8).parallel == 2
+    (alone, _) = plan_jobs(_asynchronous("backend=serial"))
+    assert workers_of(alone, shares) == 1
+    assert plan_jobs(_asynchronous("backend.workers=4"))[0].config.backend.workers == 4
+    assert plan_jobs(_asynchronous("backend.stack=2", "seed=7"))[0].seeds == (7,)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("backend.workers=3", "a3c has a worker for each block of copies, 4 here.*leave backend.workers out"),
+        ("backend.stack=2", "a3c trains one seed a process: .*set backend.stack=1"),
+    ],
+)
+def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(override: str, line: str) -> None:
+    with pytest.raises(HeadwayError, match=line) as refusal:
+        plan_jobs(_asynchronous(override))
+    assert "\n" not in str(refusal.value)
+
+
+def test_blocks_of_an_asynchronous_algorithm_shrink_with_what_a_process_holds() -> None:
+    (job, _) = plan_jobs(_crowded("algo=a3c", "rollout.block=8"))
+    assert (job.config.rollout.block, job.config.backend.workers) == (4, 2)
