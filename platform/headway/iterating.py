@@ -1,5 +1,6 @@
 """How an iteration comes about: in step, workers and learner by turns; or asynchronously, without a wait."""
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -64,8 +65,13 @@ class Asynchronous:
     `staleness/mean` and `staleness/max` of an iteration.
     """
 
-    def __init__(self, learner: AsynchronousLearner, contributors: Contributors) -> None:
+    def __init__(
+        self, learner: AsynchronousLearner, contributors: Contributors, iterations: int | None = None
+    ) -> None:
+        """`iterations`: of the budget, beyond which nobody is given anything to do; None: without end."""
         self.learner, self.contributors = learner, contributors
+        self.budget = math.inf if iterations is None else iterations * contributors.number
+        """Contributions in all."""
         self.repeats = learner.in_turns or contributors.in_turns
 
     def iterate(self, iteration: int, progress: float) -> Iterated:
@@ -95,6 +101,10 @@ class Asynchronous:
         return Iterated(in_order(episodes), means, time.monotonic() - began - learn_s, learn_s)
 
     def _assign(self, worker: int, updates: int) -> None:
-        """Give a worker the parameters of the moment, after so many updates."""
+        """Give a worker the parameters of the moment, after so many updates, unless all that the budget
+        takes are under way."""
+        given_out = updates + self.contributors.number - len(self.contributors.idle())
+        if given_out >= self.budget:
+            return
         iteration = updates // self.contributors.number + 1
         self.contributors.assign(worker, Contribute(updates + 1, iteration, self.learner.published()))

@@ -285,7 +285,7 @@ def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -
     assert isinstance(learner, AsynchronousLearner)
     together = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
     contributors = open_contributors(name, together, notify)
-    return contributors, Asynchronous(learner, contributors)
+    return contributors, Asynchronous(learner, contributors, job.config.iterations)
 
 
 def _means(group: str, rows: list[Row]) -> dict[str, float | int | str]:

@@ -15,7 +15,15 @@ import pytest
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parent / "rollout"))  # workers, too, must find these two
-from rehearsal import TOYS, VISITORS, Fault, FaultConfig, FaultyVisitors, RareVisitors
+from rehearsal import (
+    TOYS,
+    VISITORS,
+    Fault,
+    FaultConfig,
+    FaultyVisitors,
+    RareVisitors,
+    TediousVisitors,
+)
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 
 from headway.contracts import Contribution, HeadwayError
@@ -24,7 +32,7 @@ from headway.iterating import Asynchronous
 from headway.rollout.asynchronous import ProcessContributors, open_contributors
 from headway.rollout.collecting import Contributors
 from headway.rollout.contributing import AsynchronousPlan
-from headway.rollout.processes import WorkerFailedError
+from headway.rollout.processes import GRACE_S, WorkerFailedError
 from headway.rollout.worker import Contribute, Done
 from headway.training import TrainingJob, train
 from headway_algos.config import ModelConfig
@@ -218,6 +226,26 @@ def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: P
     assert max(threads) <= 3  # its own, and the one that ends it with its parent
 
 
+def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_end(tmp_path: Path) -> None:
+    """A whole one takes 8 CPU seconds."""
+    job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
+    learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
+    with _opened(job, []) as contributors:
+        processes = [psutil.Process(worker.process.pid) for worker in contributors.crew.workers]
+        idle = contributors.usage().cpu_seconds
+        for worker in range(2):
+            contributors.assign(worker, Contribute(1, 1, learner.published()))
+        began = [process.cpu_times().user for process in processes]
+        while min(p.cpu_times().user - b for p, b in zip(processes, began, strict=True)) < 0.3:
+            time.sleep(0.02)
+        used = contributors.usage().cpu_seconds
+        assert used >= idle + 0.6
+        assert contributors.usage().cpu_seconds >= used
+        closing_began = time.monotonic()
+    assert time.monotonic() - closing_began < GRACE_S / 2
+    assert not any(psutil.pid_exists(process.pid) for process in processes)
+
+
 @dataclass
 class _Recorder:
     """A learner that learns nothing and writes down what it is given."""
@@ -271,6 +299,18 @@ def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> No
     assert float(one.metrics["policy/entropy"][0]) == pytest.approx((2 + 2 + 0) / 3)
     assert {worker: task.number for worker, task in scripted.tasks.items()} == {0: 4, 2: 5, 1: 7}
     assert {worker: task.iteration for worker, task in scripted.tasks.items()} == {0: 2, 2: 2, 1: 3}
+
+
+@pytest.mark.parametrize(("in_turns", "order"), [(False, [2, 2, 0, 1, 0, 2]), (True, [])])
+def test_nobody_begins_with_what_the_budget_does_not_hold(in_turns: bool, order: list[int]) -> None:
+    learner: Any = _Recorder(in_turns)
+    scripted: Any = _Scripted(order)
+    mode = Asynchronous(learner, scripted, iterations=2)
+    mode.iterate(1, 0.0)
+    assert len(scripted.tasks) == 3
+    mode.iterate(2, 0.5)
+    assert not scripted.tasks
+    assert len(learner.applied) == 6
 
 
 _TRAIN_FOR_EVER = """

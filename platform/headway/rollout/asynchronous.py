@@ -102,13 +102,13 @@ class ProcessContributors:
         return self.crew.process_ids() + self.evaluating.process_ids()
 
     def usage(self) -> Usage:
-        """Of all workers."""
-        return self.crew.usage() + self.evaluating.usage()
+        """Of all workers, with what they do now: a rollout under way may never be heard of."""
+        return self.crew.usage(self.tasks) + self.evaluating.usage()
 
     def close(self) -> None:
-        """End all workers."""
+        """End all workers: at once, as nobody waits for what they are doing."""
         try:
-            self.crew.close()
+            self.crew.close(hastily=self.tasks)
         finally:
             self.evaluating.close()
 

@@ -4,9 +4,9 @@ import multiprocessing
 import pickle
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
@@ -18,6 +18,7 @@ from headway.rollout.collecting import evaluation_requests, joined, require_shar
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, in_order
+from headway.rollout.usage import cpu_seconds_of
 from headway.rollout.worker import (
     Begin,
     Broken,
@@ -53,9 +54,14 @@ class _Worker:
 
     def remember(self, command: Command, done: Done) -> None:
         """Note what it says of itself after a command."""
-        self.usage = done.usage
+        self.note_cpu_seconds(done.usage.cpu_seconds)
+        self.usage = replace(done.usage, cpu_seconds=self.usage.cpu_seconds)
         if not isinstance(command, Evaluate):
             self.begun, self.snapshot = True, done.snapshot
+
+    def note_cpu_seconds(self, cpu_seconds: float) -> None:
+        """What it has used as somebody sees it: never less than before."""
+        self.usage = replace(self.usage, cpu_seconds=max(self.usage.cpu_seconds, cpu_seconds))
 
 
 class ProcessCollector:
@@ -151,12 +157,18 @@ class Crew:
         """Worker processes, by id."""
         return [worker.process.pid for worker in self.workers if worker.process.pid is not None]
 
-    def usage(self) -> Usage:
-        """As the workers last reported."""
+    def usage(self, busy: Iterable[int] = ()) -> Usage:
+        """As the workers last reported; of busy ones, the CPU seconds of this moment."""
+        for shard in busy:
+            process_id = self.workers[shard].process.pid
+            if process_id is not None:
+                self.workers[shard].note_cpu_seconds(cpu_seconds_of(process_id))
         return sum((worker.usage for worker in self.workers), Usage(self.lost_cpu_seconds))
 
-    def close(self) -> None:
-        """End the workers, busy ones after some seconds of grace."""
+    def close(self, hastily: Iterable[int] = ()) -> None:
+        """End the workers, busy ones after some seconds of grace, or at once."""
+        for shard in hastily:
+            self.workers[shard].process.kill()
         for worker in self.workers:
             worker.pipe.close()
         deadline = time.monotonic() + GRACE_S

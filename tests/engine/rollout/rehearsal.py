@@ -149,6 +149,16 @@ class Unloadable:
         return import_module, ("nowhere",)
 
 
+class TediousVisitors(Visitors):
+    """Visitors of whom each step takes half a CPU second where there are two copies."""
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        until = time.process_time() + (0.5 if self.num_copies == 2 else 0)
+        while time.process_time() < until:
+            pass
+        return super().step(actions)
+
+
 class RareVisitors(Visitors):
     """Visitors of whom a process can hold two copies, and which are very cross about a third."""
 
