@@ -22,6 +22,7 @@ from rehearsal import (
     FaultConfig,
     FaultyVisitors,
     RareVisitors,
+    Showing,
     TediousVisitors,
 )
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
@@ -244,6 +245,25 @@ def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_en
         closing_began = time.monotonic()
     assert time.monotonic() - closing_began < GRACE_S / 2
     assert not any(psutil.pid_exists(process.pid) for process in processes)
+
+
+def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_iteration(tmp_path: Path) -> None:
+    faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
+    job = replace(_job("a3c", tmp_path, "arrival", env=faulty), make_contributor=Showing)
+    acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
+    faced = []
+    with _opened(job, notices := []) as contributors:
+        for number in (1, 2, 3):
+            process = psutil.Process(contributors.crew.workers[0].process.pid)
+            process.suspend()
+            contributors.assign(0, Contribute(number, 1, acting))
+            process.kill()
+            _, _, done = contributors.next_done(None)
+            assert done.contribution is not None
+            faced.append(done.contribution.arrays["observations"][0])
+    assert len(notices) == 3
+    assert all("its episodes start again" in notice for notice in notices)
+    assert len({first.tobytes() for first in faced}) == 3
 
 
 @dataclass

@@ -67,7 +67,8 @@ class ProcessContributors:
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
         """See `Contributors`; a worker that died is replaced, and contributes again."""
         worker = self._first_come() if turn is None else turn
-        self.crew.iteration = self.tasks[worker].iteration - 1
+        # By the contribution, as a fast worker makes, and may die in, several of one iteration.
+        self.crew.anew = f"env restart for contribution {self.tasks[worker].number}"
         done = self.crew.answer(worker, self.tasks[worker])
         return worker, self.tasks.pop(worker), done
 
@@ -91,9 +92,8 @@ class ProcessContributors:
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Have everyone begin again with what it was doing; where there are no snapshots, start anew."""
         require_shards(snapshots, self.number)
-        self.crew.iteration = iteration
         states = [None if snapshot is None else snapshot["worker"] for snapshot in snapshots]
-        self.crew.all([standing(state, iteration) for state in states])
+        self.crew.all([standing(state, restart_purpose(iteration)) for state in states])
         for worker, task in _tasks_of(snapshots).items():
             self.assign(worker, task)
 

@@ -85,7 +85,7 @@ class ProcessCollector:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
         self._publish(parameters)
         done = self.crew.all([Collect(iteration)] * len(self.crew.workers))
-        self.crew.iteration = iteration
+        self.crew.anew = restart_purpose(iteration)
         return in_order(episode for part in done for episode in part.episodes)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
@@ -105,8 +105,8 @@ class ProcessCollector:
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Go on from a checkpoint, or start afresh where it holds no snapshots."""
         require_shards(snapshots, len(self.crew.workers))
-        self.crew.iteration = iteration
-        self.crew.all([standing(snapshot, iteration) for snapshot in snapshots])
+        self.crew.anew = restart_purpose(iteration)
+        self.crew.all([standing(snapshot, self.crew.anew) for snapshot in snapshots])
 
     def process_ids(self) -> list[int]:
         """Worker processes, by id."""
@@ -139,8 +139,8 @@ class Crew:
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.worker", *preload])
         self.lost_cpu_seconds = 0.0
-        self.iteration = 0
-        """The last one that was collected whole."""
+        self.anew = restart_purpose(0)
+        """Purpose of the seeds of episodes that start anew because their worker died."""
         self.workers = [self._start(shard) for shard in range(len(setups))]
 
     def all(self, commands: Sequence[Command]) -> list[Done]:
@@ -210,7 +210,7 @@ class Crew:
         steps: list[Command] = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
         if not isinstance(command, Begin | Restore) and old.begun:
-            steps.insert(0, standing(old.snapshot, self.iteration))
+            steps.insert(0, standing(old.snapshot, self.anew))
         anew = any(isinstance(step, Begin) for step in steps)
         again = "its episodes start again" if anew else "repeating its part from where it stood"
         self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
@@ -249,9 +249,10 @@ class WorkerFailedError(HeadwayError):
     """A worker failed twice in a row; the details are its own traceback."""
 
 
-def standing(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque
-    """Bring a worker to where a snapshot stands, or to new episodes where there is none."""
-    return Begin(restart_purpose(iteration)) if snapshot is None else Restore(snapshot)
+def standing(snapshot: Any, anew: str) -> Command:  # noqa: ANN401 - opaque
+    """Bring a worker to where a snapshot stands, or to new episodes, of seeds of the purpose `anew`, where
+    there is none."""
+    return Begin(anew) if snapshot is None else Restore(snapshot)
 
 
 def _send(worker: _Worker, command: Command) -> None:

@@ -18,7 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, EnvSpec, Observed, Outcome, Trajectory, generator
+from headway.contracts import BatchedEnv, Contribution, EnvSpec, Observed, Outcome, Trajectory, generator
+from headway.contracts.acting import Parameters
 from headway.rollout.backends import open_collector
 from headway.rollout.collecting import Collector
 from headway.rollout.plan import RolloutPlan
@@ -177,6 +178,26 @@ class RareVisitors(Visitors):
 
     def close(self) -> None:
         RareVisitors.held -= self.num_copies
+
+
+class Showing:
+    """A contributor that shows the learner all that it is given."""
+
+    def __init__(self, config: object, spec: EnvSpec, seeds: Sequence[int]) -> None:
+        del config, spec, seeds
+
+    def adopt(self, published: Parameters) -> Parameters:
+        return published
+
+    def contribute(self, trajectory: Trajectory, iteration: int) -> Contribution:
+        arrays = {field.name: getattr(trajectory, field.name).copy() for field in fields(trajectory)}
+        return Contribution({**arrays, "iteration": np.array(iteration)}, {})
+
+    def snapshot(self) -> None:
+        return None
+
+    def restore(self, snapshot: None) -> None:
+        assert snapshot is None
 
 
 TOYS: dict[str, tuple[Callable[[Any, int], BatchedEnv], Any]] = {
