@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Contribution, EnvSpec, Trajectory
+from headway.contracts import Contribution, EnvSpec, HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
 from headway_algos.critics.value import ValueCritic
 from headway_algos.learner import OnPolicyLearner
@@ -77,11 +77,14 @@ class A2CContributor:
             tensor.copy_(torch.as_tensor(published[name]))
         return self.learner.acting_parameters()
 
-    def contribute(self, trajectory: Trajectory, iteration: int) -> Contribution:
+    def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
         """See `headway.contracts.Contributor`."""
         optimisers = self.shared.optimisers
         counts = {part: optimiser.counts.copy() for part, optimiser in optimisers.items()}
-        metrics = self.learner.update(trajectory, iteration, 0.0)
+        try:
+            metrics = self.learner.update(trajectory, number, 0.0)
+        except HeadwayError as error:
+            raise HeadwayError(str(error).replace("iteration", "contribution")) from error
         arrays: dict[str, NDArray[Any]] = {}
         for part, optimiser in optimisers.items():
             arrays[f"{part}.active"] = optimiser.counts > counts[part]

@@ -90,7 +90,7 @@ class Asynchronous:
             assert done.contribution is not None
             self.learner.apply(done.contribution, iteration, progress)
             self._assign(worker, before + turn + 1)
-            staleness.append(before + turn - (task.number - 1))
+            staleness.append(before + turn - task.updates)
             metrics.append(done.contribution.metrics)
             episodes += done.episodes
             learn_s += time.monotonic() - came
@@ -102,9 +102,8 @@ class Asynchronous:
 
     def _assign(self, worker: int, updates: int) -> None:
         """Give a worker the parameters of the moment, after so many updates, unless all that the budget
-        takes are under way."""
+        takes were given out."""
         given_out = updates + self.contributors.number - len(self.contributors.idle())
-        if given_out >= self.budget:
-            return
-        iteration = updates // self.contributors.number + 1
-        self.contributors.assign(worker, Contribute(updates + 1, iteration, self.learner.published()))
+        if given_out < self.budget:
+            task = Contribute(given_out + 1, updates, self.learner.published())
+            self.contributors.assign(worker, task)

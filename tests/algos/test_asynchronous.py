@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.distributions import Categorical, Independent, Normal
 
-from headway.contracts import Box, Discrete, EnvSpec, Trajectory
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway.iterating import Asynchronous
 from headway.rollout.asynchronous import SerialContributors
 from headway.rollout.contributing import AsynchronousPlan
@@ -156,6 +156,15 @@ def test_a_worker_keeps_nothing_of_what_it_learned_before(fabricate: Made) -> No
     assert one.keys() == other.keys()
     for name, array in one.items():
         np.testing.assert_array_equal(array, other[name], err_msg=name)
+
+
+def test_a_worker_whose_learning_diverges_names_the_contribution(fabricate: Made) -> None:
+    worker = A2CContributor(CONFIG, BOX, (SEED,))
+    published = AsynchronousA2CLearner(CONFIG, BOX, (SEED,), "cpu").published()
+    published["critic.network.weights.0"][:] = np.nan
+    worker.adopt(published)
+    with pytest.raises(HeadwayError, match=rf"a3c diverged: .* seed {SEED} .* at contribution 7;"):
+        worker.contribute(fabricate(BOX, 9, 2, 1), 7)
 
 
 def test_normalisers_are_of_what_all_workers_saw(fabricate: Made) -> None:

@@ -235,7 +235,7 @@ def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_en
         processes = [psutil.Process(worker.process.pid) for worker in contributors.crew.workers]
         idle = contributors.usage().cpu_seconds
         for worker in range(2):
-            contributors.assign(worker, Contribute(1, 1, learner.published()))
+            contributors.assign(worker, Contribute(worker + 1, 0, learner.published()))
         began = [process.cpu_times().user for process in processes]
         while min(p.cpu_times().user - b for p, b in zip(processes, began, strict=True)) < 0.3:
             time.sleep(0.02)
@@ -256,11 +256,12 @@ def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_itera
         for number in (1, 2, 3):
             process = psutil.Process(contributors.crew.workers[0].process.pid)
             process.suspend()
-            contributors.assign(0, Contribute(number, 1, acting))
+            contributors.assign(0, Contribute(number, 0, acting))
             process.kill()
             _, _, done = contributors.next_done(None)
             assert done.contribution is not None
             faced.append(done.contribution.arrays["observations"][0])
+            assert done.contribution.arrays["number"] == number
     assert len(notices) == 3
     assert all("its episodes start again" in notice for notice in notices)
     assert len({first.tobytes() for first in faced}) == 3
@@ -288,6 +289,7 @@ class _Scripted:
     in_turns: bool = False
     number: int = 3
     tasks: dict[int, Contribute] = field(default_factory=dict)
+    numbers: list[int] = field(default_factory=list)
 
     def idle(self) -> list[int]:
         return [worker for worker in range(self.number) if worker not in self.tasks]
@@ -295,6 +297,7 @@ class _Scripted:
     def assign(self, worker: int, task: Contribute) -> None:
         assert worker not in self.tasks
         self.tasks[worker] = task
+        self.numbers.append(task.number)
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
         worker = self.order.pop(0) if turn is None else turn
@@ -317,8 +320,8 @@ def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> No
     assert [float(one.metrics[f"staleness/{of}"][0]) for of in ("mean", "max")] == [2 / 3, 2.0]
     assert [float(two.metrics[f"staleness/{of}"][0]) for of in ("mean", "max")] == [5 / 3, 4.0]
     assert float(one.metrics["policy/entropy"][0]) == pytest.approx((2 + 2 + 0) / 3)
-    assert {worker: task.number for worker, task in scripted.tasks.items()} == {0: 4, 2: 5, 1: 7}
-    assert {worker: task.iteration for worker, task in scripted.tasks.items()} == {0: 2, 2: 2, 1: 3}
+    assert {worker: task.updates for worker, task in scripted.tasks.items()} == {0: 3, 2: 4, 1: 6}
+    assert {worker: task.number for worker, task in scripted.tasks.items()} == {0: 6, 2: 7, 1: 9}
 
 
 @pytest.mark.parametrize(("in_turns", "order"), [(False, [2, 2, 0, 1, 0, 2]), (True, [])])
@@ -331,6 +334,7 @@ def test_nobody_begins_with_what_the_budget_does_not_hold(in_turns: bool, order:
     mode.iterate(2, 0.5)
     assert not scripted.tasks
     assert len(learner.applied) == 6
+    assert scripted.numbers == [1, 2, 3, 4, 5, 6]  # no two draw the same
 
 
 _TRAIN_FOR_EVER = """

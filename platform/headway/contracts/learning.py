@@ -68,8 +68,10 @@ class Contributor(Protocol):
         `contribute`."""
         ...
 
-    def contribute(self, trajectory: Trajectory, iteration: int) -> Contribution:
-        """What this experience is to change; raises HeadwayError as `Learner.update` does."""
+    def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
+        """What this experience is to change. `number` is of the contribution: from 1, in the order in which
+        workers were given them to do, so that no two of a run have the same, also of several workers; draws
+        are named by it. Raises HeadwayError, naming seed and number, as `Learner.update` does."""
         ...
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain

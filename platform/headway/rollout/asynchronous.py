@@ -190,7 +190,7 @@ def _with_task(state: Any, task: Contribute | None) -> Any:  # noqa: ANN401 - op
     """For a checkpoint, which holds plain values; None where the environment keeps no snapshots."""
     if state is None:
         return None
-    plain = None if task is None else [task.number, task.iteration, dict(task.published)]
+    plain = None if task is None else [task.number, task.updates, dict(task.published)]
     return {"worker": state, "task": plain}
 
 

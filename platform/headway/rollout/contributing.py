@@ -77,9 +77,9 @@ class Contributing:
             case Restore(snapshot=snapshot):
                 self.sampler.restore(snapshot["sampler"])
                 self.contributor.restore(snapshot["learned"])
-            case Contribute(number=number, iteration=iteration, published=published):
+            case Contribute(number=number, published=published):
                 episodes = self.sampler.collect(number, self.contributor.adopt(published))
-                contribution = self.contributor.contribute(self.trajectory, iteration)
+                contribution = self.contributor.contribute(self.trajectory, number)
                 done = replace(done, episodes=episodes, contribution=contribution)
             case Collect() | Evaluate():
                 raise TypeError(f"a worker that contributes was told to {command}")

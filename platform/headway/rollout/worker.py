@@ -74,10 +74,9 @@ class Contribute:
     """Sample with these parameters, and say what the learner is to make of it."""
 
     number: int
-    """Of the parameters, from 1: as many updates, and one, were made when they were given out. Names the
-    draws."""
-    iteration: int
-    """In which it is applied, if nothing else is before it."""
+    """Of the contribution, from 1, in the order in which they were given out. Names the draws."""
+    updates: int
+    """Made when the parameters were given out."""
     published: Parameters
     """All that learning changes, as `AsynchronousLearner.published` tells it."""
 

@@ -189,9 +189,9 @@ class Showing:
     def adopt(self, published: Parameters) -> Parameters:
         return published
 
-    def contribute(self, trajectory: Trajectory, iteration: int) -> Contribution:
+    def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
         arrays = {field.name: getattr(trajectory, field.name).copy() for field in fields(trajectory)}
-        return Contribution({**arrays, "iteration": np.array(iteration)}, {})
+        return Contribution({**arrays, "number": np.array(number)}, {})
 
     def snapshot(self) -> None:
         return None
