@@ -191,7 +191,7 @@ class Showing:
 
     def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
         arrays = {field.name: getattr(trajectory, field.name).copy() for field in fields(trajectory)}
-        return Contribution({**arrays, "number": np.array(number)}, {})
+        return Contribution({**arrays, "number": np.array(number)}, {"policy/entropy": np.zeros(1)})
 
     def snapshot(self) -> None:
         return None
