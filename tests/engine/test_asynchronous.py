@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,16 +24,18 @@ from rehearsal import (
     RareVisitors,
     Showing,
     TediousVisitors,
+    parameters_of,
 )
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 
-from headway.contracts import Contribution, HeadwayError
+from headway.contracts import Contribution, HeadwayError, Trajectory
 from headway.events import Event, Notice, Started
 from headway.iterating import Asynchronous
-from headway.rollout.asynchronous import ProcessContributors, open_contributors
+from headway.rollout.asynchronous import ProcessContributors, SerialContributors, open_contributors
 from headway.rollout.collecting import Contributors
 from headway.rollout.contributing import AsynchronousPlan
 from headway.rollout.processes import GRACE_S, WorkerFailedError
+from headway.rollout.serial import SerialCollector
 from headway.rollout.worker import Contribute, Done
 from headway.training import TrainingJob, train
 from headway_algos.config import ModelConfig
@@ -203,6 +205,26 @@ def _opened(job: TrainingJob, notices: list[str]) -> Iterator[ProcessContributor
         assert isinstance(contributors, ProcessContributors)
         contributors.begin()
         yield contributors
+
+
+def test_workers_fill_trajectories_of_their_own_copies_with_what_these_always_do(tmp_path: Path) -> None:
+    plan = _job("a3c", tmp_path).plan()
+    acting = parameters_of(plan)
+    together = SerialCollector(plan)
+    together.begin()
+    together.collect(1, acting)
+    contributors = SerialContributors(AsynchronousPlan(plan, Showing, None), print)
+    contributors.begin()
+    for worker in range(2):
+        contributors.assign(worker, Contribute(1, 0, acting))
+        done = contributors.next_done(worker)[2].contribution
+        assert done is not None
+        for each in fields(Trajectory):
+            whole = getattr(together.trajectory, each.name)
+            if not each.name.startswith("final"):  # valid in few rows
+                np.testing.assert_array_equal(done.arrays[each.name], whole[:, 2 * worker : 2 * worker + 2])
+            # Memory of its own alone: a part of a larger one would have gaps.
+            assert getattr(contributors.workers[worker].trajectory, each.name).flags.c_contiguous
 
 
 def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """What a worker of the asynchronous mode does: roll out, and say what the learner is to make of it."""
 
-import mmap
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -55,11 +54,8 @@ class Contributing:
     """Some copies of one seed, and a contributor that learns from them."""
 
     def __init__(self, plan: AsynchronousPlan, first: int, count: int) -> None:
-        layout = plan.rollout.layout
-        # Memory of which no more is taken than is written to: the copies of others are not.
-        trajectory = Trajectory.over(mmap.mmap(-1, max(layout.nbytes, 1)), layout)
-        self.sampler = Sampler(plan.rollout, first, count, trajectory)
-        self.trajectory = trajectory.of_copies(first, count)
+        self.trajectory = Trajectory.allocate(replace(plan.rollout, copies=count).layout)
+        self.sampler = Sampler(plan.rollout, first, count, self.trajectory, place=0)
         self.contributor = plan.make_contributor(plan.algo_config, plan.rollout.spec, plan.rollout.seeds)
         self.own_usage = OwnUsage()
 
