@@ -1,4 +1,4 @@
-"""How an iteration comes about: in step, workers and learner by turns; or asynchronously, without a wait."""
+"""How an iteration comes about: in step, workers and learner by turns; or asynchronously."""
 
 import math
 import time
@@ -58,8 +58,11 @@ class InStep:
 
 class Asynchronous:
     """Workers sample and find gradients by themselves; the learner applies each as it comes and gives its
-    worker the parameters that it led to. No one waits for anyone else, also not where an iteration ends:
-    that is when as many contributions were applied as there are workers.
+    worker the parameters that it led to. No worker waits for another, also not where an iteration ends: that
+    is when as many contributions were applied as there are workers. What a worker does wait for, once it has
+    contributed, is the learner: while that applies others' contributions, evaluates (in one process beside
+    the workers), writes a checkpoint, or starts a process for a worker that died. In the last iteration those
+    that have contributed all that the budget holds are done.
 
     A contribution's staleness is the number of updates since its parameters were given out:
     `staleness/mean` and `staleness/max` of an iteration.

@@ -267,6 +267,30 @@ def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_en
     assert not any(psutil.pid_exists(process.pid) for process in processes)
 
 
+def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_path: Path) -> None:
+    """And a checkpoint of then has where it began."""
+    job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
+    acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
+    with _opened(job, []) as contributors:
+        workers, before = contributors.crew.workers, contributors.crew.workers[0].snapshot
+        dies = psutil.Process(workers[0].process.pid)
+        dies.suspend()
+        contributors.assign(0, Contribute(1, 0, acting))
+        dies.kill()
+        while workers[0].process.pid == dies.pid:
+            contributors.crew.hear(0, contributors.tasks[0])
+        replacement = psutil.Process(workers[0].process.pid)
+        replacement.suspend()
+        for number in (2, 3, 4):
+            contributors.assign(1, Contribute(number, 0, acting))
+            assert contributors.next_done(None)[0] == 1
+        assert contributors.snapshot()[0]["worker"] is before
+        replacement.resume()
+        worker, task, _ = contributors.next_done(None)
+        assert (worker, task.number) == (0, 1)
+        assert contributors.idle() == [0, 1]
+
+
 def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_iteration(tmp_path: Path) -> None:
     faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
     job = replace(_job("a3c", tmp_path, "arrival", env=faulty), make_contributor=Showing)

@@ -6,9 +6,11 @@ W workers each roll out `rollout.steps` steps and find the gradient that IA2C wo
 
 and the critic's, down E[(V(o) - R)^2], alike. They come to the learner when they are done: it applies each at
 once, to parameters that others may have changed since theta_k, and gives the worker those that it led to
-(Mnih et al. 2016, arXiv:1602.01783, section 4). No one waits for anyone; gradients are stale by about W - 1
-updates (`staleness/mean` of a curve). There is a worker for each block of copies:
-W = rollout.copies / rollout.block.
+(Mnih et al. 2016, arXiv:1602.01783, section 4). No worker waits for another; gradients are stale by about
+W - 1 updates (`staleness/mean` of a curve). There is a worker for each block of copies:
+W = rollout.copies / rollout.block. All wait for the learner where it is busy: rollouts under way go on while
+it evaluates or writes a checkpoint, but what they give is applied only after that, so that evaluation, which
+one process does, costs as much time as it takes there.
 
 What differs from the source: workers are processes that send gradients to one that applies them, instead of
 threads that write to shared memory without locks, so no update is read half done or lost. Steps are Adam's,
@@ -32,7 +34,7 @@ SOURCE = "Mnih et al. 2016, arXiv:1602.01783"
 
 @dataclass(frozen=True)
 class A3CConfig(AlgoConfig):
-    """A3C is local critic x A2C x simultaneous, in workers that do not wait for each other."""
+    """A3C is local critic x A2C x simultaneous, in workers that do not wait for one another."""
 
     name: str = "a3c"
     critic: Literal["local"] = "local"

@@ -28,7 +28,9 @@ def open_contributors(name: str, plan: AsynchronousPlan, notify: Notify) -> Cont
 
 
 class ProcessContributors:
-    """Worker processes, one a block of copies. They go on with what they do whatever the others do."""
+    """Worker processes, one a block of copies. They go on with what they do whatever the others do, also
+    where one died and its replacement repeats its rollout. Evaluation is one process's work, and whoever
+    asks for it waits."""
 
     in_turns = False
 
@@ -65,12 +67,14 @@ class ProcessContributors:
         self.crew.send(worker, task)
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """See `Contributors`; a worker that died is replaced, and contributes again."""
-        worker = self._first_come() if turn is None else turn
-        # By the contribution, as a fast worker makes, and may die in, several of one iteration.
-        self.crew.anew = f"env restart for contribution {self.tasks[worker].number}"
-        done = self.crew.answer(worker, self.tasks[worker])
-        return worker, self.tasks.pop(worker), done
+        """See `Contributors`; a worker that died is replaced, and contributes again while others go on."""
+        while True:
+            worker = self._first_come() if turn is None else turn
+            # By the contribution, as a fast worker makes, and may die in, several of one iteration.
+            self.crew.anew = f"env restart for contribution {self.tasks[worker].number}"
+            done = self.crew.hear(worker, self.tasks[worker])
+            if done is not None:
+                return worker, self.tasks.pop(worker), done
 
     def _first_come(self) -> int:
         pipes: dict[Any, int] = {

@@ -51,6 +51,8 @@ class _Worker:
     snapshot: Any = None
     """Where it stood after its last command that moved it."""
     usage: Usage = field(default_factory=Usage)
+    repeats: list[Command] = field(default_factory=list)
+    """What it has yet to carry out in place of one that failed; the first is under way."""
 
     def remember(self, command: Command, done: Done) -> None:
         """Note what it says of itself after a command."""
@@ -190,16 +192,32 @@ class Crew:
 
     def answer(self, shard: int, command: Command) -> Done:
         """Of a worker that was sent this command, or of the one that replaces it."""
-        answer = _receive(self.workers[shard])
-        if not isinstance(answer, Done):
-            if isinstance(answer, Broken) and answer.is_users:
-                raise HeadwayError(answer.line)
-            answer = self._again(shard, command, answer)
-        self.workers[shard].remember(command, answer)
-        return answer
+        while (done := self.hear(shard, command)) is None:
+            pass
+        return done
 
-    def _again(self, shard: int, command: Command, first: Broken | str) -> Done:
-        """Replace a worker that failed and repeat its command from where it stood; once."""
+    def hear(self, shard: int, command: Command) -> Done | None:
+        """The same; or None as soon as the worker is found to have failed, and again when the one that
+        replaces it has still something to do."""
+        worker = self.workers[shard]
+        answer = _receive(worker)
+        if isinstance(answer, Done):
+            worker.remember(worker.repeats.pop(0) if worker.repeats else command, answer)
+            if not worker.repeats:
+                return answer
+            _send(worker, worker.repeats[0])
+            return None
+        if isinstance(answer, Broken) and answer.is_users:
+            raise HeadwayError(answer.line)
+        if not worker.repeats:
+            self._replace(shard, command, answer)
+            return None
+        if isinstance(answer, Broken):
+            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
+        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+
+    def _replace(self, shard: int, command: Command, first: Broken | str) -> None:
+        """Replace a worker that failed, and have its command repeated from where it stood."""
         reason = first.line if isinstance(first, Broken) else first
         old = self.workers[shard]
         old.process.kill()
@@ -207,27 +225,16 @@ class Crew:
         old.pipe.close()
         self.lost_cpu_seconds += old.usage.cpu_seconds
         worker = self.workers[shard] = self._start(shard)
-        steps: list[Command] = [command]
+        # Where the repetition begins: a checkpoint may be written before it is over.
+        worker.begun, worker.snapshot = old.begun, old.snapshot
+        worker.repeats = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
         if not isinstance(command, Begin | Restore) and old.begun:
-            steps.insert(0, standing(old.snapshot, self.anew))
-        anew = any(isinstance(step, Begin) for step in steps)
+            worker.repeats.insert(0, standing(old.snapshot, self.anew))
+        anew = any(isinstance(step, Begin) for step in worker.repeats)
         again = "its episodes start again" if anew else "repeating its part from where it stood"
         self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
-        answer: Done | Broken | str = first
-        for step in steps:
-            _send(worker, step)
-            answer = _receive(worker)
-            if not isinstance(answer, Done):
-                break
-            worker.remember(step, answer)
-        if isinstance(answer, Done):
-            return answer
-        if isinstance(answer, Broken) and answer.is_users:
-            raise HeadwayError(answer.line)
-        if isinstance(answer, Broken):
-            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
-        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+        _send(worker, worker.repeats[0])
 
 
 @contextmanager
