@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.config import ExperimentConfig
-from headway.contracts import AsynchronousLearner, BatchedEnv, EnvSpec, Learner, ReplayingLearner
+from headway.contracts import (
+    AsynchronousLearner,
+    BatchedEnv,
+    EnvSpec,
+    HeadwayError,
+    Learner,
+    ReplayingLearner,
+)
 from headway.contracts.acting import ActingPolicy
 from headway.events import (
     LABELS,
@@ -282,7 +289,11 @@ def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -
     if job.make_contributor is None:
         collector = open_collector(name, plan, job.workers, notify)
         return collector, InStep(learner, collector)
-    assert isinstance(learner, AsynchronousLearner)
+    if not isinstance(learner, AsynchronousLearner):
+        raise HeadwayError(
+            f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is no "
+            "headway.contracts.AsynchronousLearner; give it what is missing, or leave the contributor out"
+        )
     together = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
     contributors = open_contributors(name, together, notify)
     return contributors, Asynchronous(learner, contributors, job.config.iterations)

@@ -197,6 +197,16 @@ def test_a_process_holds_no_more_copies_than_the_environment_allows(tmp_path: Pa
         trained(_job("a3c", tmp_path / "serial", env=rare))
 
 
+def test_a_contributor_whose_learner_applies_nothing_is_refused_by_its_entry_s_name(tmp_path: Path) -> None:
+    job = _job("a3c", tmp_path)
+    config = replace(job.config, algo={"name": "theirs"})
+    learning = ENTRIES["ippo"].learner
+    with pytest.raises(
+        HeadwayError, match="the entry of algo=theirs has a contributor, but its learner is no"
+    ):
+        trained(replace(job, config=config, make_learner=learning))
+
+
 @contextmanager
 def _opened(job: TrainingJob, notices: list[str]) -> Iterator[ProcessContributors]:
     assert job.make_contributor is not None
