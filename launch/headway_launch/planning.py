@@ -104,9 +104,10 @@ def new_jobs(
             f"in {asked.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
             f"rollout.copies x rollout.steps) {reason}"
         )
-    config = within_processes(asked, found.spec)
-    if experiment.algo.contributor is not None:
-        config = _with_a_worker_a_block(config, asked.backend, experiment.algo_name)
+    if experiment.algo.contributor is None:
+        config = within_processes(asked, found.spec)
+    else:
+        config = _with_a_worker_a_block(asked, found.spec, experiment.algo_name)
     stack = config.backend.stack
     return tuple(
         PlannedJob(
@@ -146,20 +147,19 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
     )
 
 
-def _with_a_worker_a_block(
-    config: ExperimentConfig, asked: BackendConfig, algorithm: str
-) -> ExperimentConfig:
-    """The configuration as an asynchronous algorithm trains. Raises HeadwayError where something else is
-    set."""
-    if min(asked.stack, len(config.seed)) > 1:
+def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
+    """The configuration as an asynchronous algorithm trains: as `within_processes`, but only blocks decide
+    how many workers there are. Raises HeadwayError where something else is set."""
+    if min(asked.backend.stack, len(asked.seed)) > 1:
         raise HeadwayError(
             f"{algorithm} trains one seed a process: its gradients are found in workers, on CPUs, where a "
             "stack gains nothing; set backend.stack=1"
         )
+    config = within_processes(replace(asked, backend=replace(asked.backend, workers=None)), spec)
     if config.backend.name == "serial":
-        return config
+        return replace(config, backend=asked.backend)
     workers = config.rollout.copies // config.rollout.block
-    if asked.workers not in (None, workers):
+    if asked.backend.workers not in (None, workers):
         raise HeadwayError(
             f"{algorithm} has a worker for each block of copies, {workers} here, as their number changes "
             "what is learned; leave backend.workers out, and set rollout.block"

@@ -190,11 +190,24 @@ def test_what_goes_on_as_gradients_come_says_that_it_is_not_the_run_it_would_hav
     assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
 
 
-def test_a_process_holds_no_more_copies_than_the_environment_allows(tmp_path: Path) -> None:
+def test_a_process_holds_no_more_copies_than_the_environment_allows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rare = RareVisitors, VISITORS
     assert len(_log(_job("a3c", tmp_path, env=rare, backend="process", iterations=1))["curve"]) == 2
-    with pytest.raises(HeadwayError, match="allows 2 copies in a process, and a worker would hold 4"):
+    with pytest.raises(HeadwayError, match=r"would hold 4; set backend=process, or rollout\.copies=2$"):
         trained(_job("a3c", tmp_path / "serial", env=rare))
+    monkeypatch.setattr(RareVisitors, "held", 0)
+    with pytest.raises(HeadwayError, match=r"which has a block of them, would hold 4; set rollout\.block=2$"):
+        trained(_job("a3c", tmp_path / "large", env=rare, backend="process", block=4))
+
+
+def test_a_checkpoint_of_other_workers_is_refused_and_the_block_that_it_had_is_told(tmp_path: Path) -> None:
+    trained(_job("a3c", tmp_path), stop_after=1)
+    for backend in ("serial", "process"):
+        with pytest.raises(HeadwayError, match=r"with 2 workers, not with 4, .* plan\.json be 2$") as refusal:
+            trained(_job("a3c", tmp_path, block=1, backend=backend, resume=True))
+        assert "backend.name" not in str(refusal.value)
 
 
 def test_a_contributor_whose_learner_applies_nothing_is_refused_by_its_entry_s_name(tmp_path: Path) -> None:

@@ -154,6 +154,20 @@ def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(overr
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("backend.workers=1", "a3c has a worker for each block of copies, 2 here.*leave backend.workers out"),
+        ("backend.stack=9", "a3c trains one seed a process: .*set backend.stack=1"),
+    ],
+)
+def test_advice_for_crowded_processes_is_what_an_asynchronous_algorithm_takes(
+    override: str, line: str
+) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(_crowded("algo=a3c", "rollout.block=8", "seed=0..8", override))
+
+
 def test_blocks_of_an_asynchronous_algorithm_shrink_with_what_a_process_holds() -> None:
     (job, _) = plan_jobs(_crowded("algo=a3c", "rollout.block=8"))
     assert (job.config.rollout.block, job.config.backend.workers) == (4, 2)

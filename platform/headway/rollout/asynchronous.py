@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from multiprocessing import connection
 from typing import Any
 
+from headway.contracts import HeadwayError
 from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collecting import (
     Contributors,
     evaluation_requests,
     joined,
-    require_shards,
     restart_purpose,
 )
 from headway.rollout.contributing import AsynchronousPlan, Contributing, ContributorSetup
@@ -35,7 +35,7 @@ class ProcessContributors:
     in_turns = False
 
     def __init__(self, plan: AsynchronousPlan, notify: Notify) -> None:
-        pickled = pickle.dumps(plan)
+        self.plan, pickled = plan, pickle.dumps(plan)
         setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
         preload = [*plan.rollout.preload, *plan.preload]
         self.crew = Crew(setups, preload, b"_main__" in pickled, notify)
@@ -95,7 +95,7 @@ class ProcessContributors:
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Have everyone begin again with what it was doing; where there are no snapshots, start anew."""
-        require_shards(snapshots, self.number)
+        self.plan.require_workers(snapshots)
         states = [None if snapshot is None else snapshot["worker"] for snapshot in snapshots]
         self.crew.all([standing(state, restart_purpose(iteration)) for state in states])
         for worker, task in _tasks_of(snapshots).items():
@@ -123,12 +123,17 @@ class SerialContributors:
     in_turns = True
 
     def __init__(self, plan: AsynchronousPlan, notify: Notify) -> None:
-        self.plan = plan.rollout
-        self.plan.shards(1)
+        self.asynchronous, self.plan = plan, plan.rollout
+        limit = self.plan.spec.max_copies_per_process
+        if limit is not None and self.plan.copies > limit:
+            raise HeadwayError(
+                f"{self.plan.spec.name} allows {limit} copies in a process, and this one would hold "
+                f"{self.plan.copies}; set backend=process, or rollout.copies={limit}"
+            )
         self.workers = [Contributing(plan, first, count) for first, count in plan.shards]
         self.tasks: dict[int, Contribute] = {}
-        limited = self.plan.spec.max_copies_per_process is not None
-        self.apart = ProcessCollector(self.plan.evaluating_apart, 1, notify) if limited else None
+        apart = self.plan.evaluating_apart
+        self.apart = None if limit is None else ProcessCollector(apart, 1, notify)
 
     @property
     def number(self) -> int:
@@ -168,7 +173,7 @@ class SerialContributors:
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """As for processes, which may have made the checkpoint."""
-        require_shards(snapshots, self.number)
+        self.asynchronous.require_workers(snapshots)
         for worker, snapshot in zip(self.workers, snapshots, strict=True):
             anew = snapshot is None
             worker.carry_out(Begin(restart_purpose(iteration)) if anew else Restore(snapshot["worker"]))

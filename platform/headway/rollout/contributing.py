@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from headway.contracts import Contributor, EnvSpec, Trajectory
+from headway.contracts import Contributor, EnvSpec, HeadwayError, Trajectory
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Sampler
 from headway.rollout.usage import OwnUsage
@@ -32,7 +32,24 @@ class AsynchronousPlan:
 
         Raises HeadwayError where a block is more than the environment allows in a process.
         """
-        return self.rollout.shards(self.rollout.copies // self.rollout.block)
+        rollout, limit = self.rollout, self.rollout.spec.max_copies_per_process
+        if limit is not None and rollout.block > limit:
+            block = max(size for size in range(1, limit + 1) if rollout.copies % size == 0)
+            raise HeadwayError(
+                f"{rollout.spec.name} allows {limit} copies in a process, and a worker, which has a block of "
+                f"them, would hold {rollout.block}; set rollout.block={block}"
+            )
+        return rollout.shards(rollout.copies // rollout.block)
+
+    def require_workers(self, snapshots: Sequence[Any]) -> None:
+        """Raise HeadwayError unless a checkpoint has one snapshot a worker."""
+        rollout, workers = self.rollout, len(snapshots)
+        if workers != len(self.shards):
+            raise HeadwayError(
+                f"the checkpoint was made with {workers} workers, not with {len(self.shards)}, and a worker "
+                f'has a block of the copies; let "block" of "rollout" in the run\'s plan.json be '
+                f"{rollout.copies // max(workers, 1)}"
+            )
 
 
 @dataclass(frozen=True)
