@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from headway.config import BackendConfig, ExperimentConfig
+from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
+from headway_launch.telling import tell
 
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_A_SEED = 10 * 2**20
@@ -108,6 +109,7 @@ def new_jobs(
         config = within_processes(asked, found.spec)
     else:
         config = _with_a_worker_a_block(asked, found.spec, experiment.algo_name)
+        _tell_workers(config.rollout, experiment.algo_name)
     stack = config.backend.stack
     return tuple(
         PlannedJob(
@@ -165,6 +167,17 @@ def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: st
             "what is learned; leave backend.workers out, and set rollout.block"
         )
     return replace(config, backend=replace(config.backend, workers=workers))
+
+
+def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
+    """What an asynchronous algorithm learns from, which is not what its neighbours' settings make of it."""
+    number = rollout.copies // rollout.block
+    workers = "1 worker" if number == 1 else f"{number} workers"
+    line = (
+        f"headway: {algorithm} has {workers} (rollout.copies / rollout.block), and a gradient of each "
+        f"rollout of {rollout.block} x {rollout.steps} steps"
+    )
+    tell(f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line)
 
 
 def _holds(spec: EnvSpec, limit: int) -> str:

@@ -129,6 +129,35 @@ def _asynchronous(*overrides: str) -> Experiment:
     return compose([*bare, *overrides])
 
 
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (
+            (),
+            "a3c has 4 workers (rollout.copies / rollout.block), and a gradient of each rollout of 2 x 512",
+        ),
+        (("rollout=asynchronous",), "a3c has 4 workers"),
+        (("rollout.block=8",), "a3c has 1 worker ("),
+    ],
+)
+def test_how_many_workers_an_asynchronous_algorithm_has_is_told_once(
+    capsys: pytest.CaptureFixture[str], overrides: tuple[str, ...], line: str
+) -> None:
+    plan_jobs(_asynchronous(*overrides))
+    told = "".join(capsys.readouterr())
+    assert told.count("worker") == 1
+    assert f"headway: {line}" in told
+    assert "rollout=asynchronous" not in told
+
+
+def test_with_the_default_rollout_an_asynchronous_algorithm_names_its_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plan_jobs(compose(["env=tracking", "algo=a3c", "seed=0,1"]))
+    assert "a3c has 2 workers" in (told := "".join(capsys.readouterr()))
+    assert "rollout=asynchronous has more and shorter ones" in told
+
+
 def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> None:
     jobs = plan_jobs(_asynchronous())
     assert [job.seeds for job in jobs] == [(0,), (1,)]
