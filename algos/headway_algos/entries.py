@@ -2,11 +2,21 @@
 
 from collections.abc import Sequence
 
-from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Learner, MultiDiscrete
+from headway.contracts import (
+    AlgoEntry,
+    AsynchronousLearner,
+    Box,
+    Contributor,
+    Discrete,
+    EnvSpec,
+    Learner,
+    MultiDiscrete,
+)
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import missing_groups
 from headway_algos.offpolicy.entries import OFF_POLICY
 from headway_algos.recipes import (
+    a3c,
     coma,
     custom,
     happo,
@@ -27,6 +37,20 @@ def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: st
     from headway_algos.parting import PartingLearner
 
     return (PartingLearner if config.shared_until > 0 else OnPolicyLearner)(config, spec, seeds, device)
+
+
+def _asynchronous_learner(
+    config: a3c.A3CConfig, spec: EnvSpec, seeds: Sequence[int], device: str
+) -> AsynchronousLearner:
+    from headway_algos.asynchronous import AsynchronousA2CLearner
+
+    return AsynchronousA2CLearner(config, spec, seeds, device)
+
+
+def _contributor(config: a3c.A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
+    from headway_algos.asynchronous import A2CContributor
+
+    return A2CContributor(config, spec, seeds)
 
 
 _AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
@@ -75,6 +99,16 @@ def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
 
 
 ENTRIES = {
+    "a3c": AlgoEntry(
+        a3c.SUMMARY,
+        a3c.SOURCE,
+        a3c.A3CConfig,
+        acting_policy,
+        _asynchronous_learner,
+        _refuses,
+        contributor=_contributor,
+        preload=("headway_algos.asynchronous",),
+    ),
     "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
     "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
     "happo": _entry(happo.SUMMARY, happo.SOURCE, happo.HAPPOConfig),

@@ -22,6 +22,8 @@ class RunningMoments(nn.Module):
         self.register_buffer("count", torch.zeros(stack, 1, 1, dtype=torch.float64))
         self.register_buffer("mean", torch.zeros(stack, 1, size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(stack, 1, size, dtype=torch.float64))
+        self.latest: tuple[Tensor, Tensor, Tensor] | None = None
+        """Count (P, 1, 1), mean and summed squared deviations (P, 1, size) of the rows included last."""
 
     def include(self, rows: Tensor, selected: Tensor | None = None) -> None:
         """Add rows (P, B, size) where `selected` (P, B) holds; unselected rows must be finite."""
@@ -35,6 +37,12 @@ class RunningMoments(nn.Module):
             count = weight.sum(1, keepdim=True)
             mean = (values * weight).sum(1, keepdim=True) / count.clamp(min=1)
             squares = ((values - mean) ** 2 * weight).sum(1, keepdim=True)
+        self.latest = count, mean, squares
+        self.add(count, mean, squares)
+
+    def add(self, count: Tensor, mean: Tensor, squares: Tensor) -> None:
+        """Include rows of which that is known: their number (P, 1, 1), mean and summed squared deviations
+        from it (P, 1, size)."""
         total = self.count + count
         share = count / total.clamp(min=1)
         shift = mean - self.mean

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from headway.config import BackendConfig, ExperimentConfig
+from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
+from headway_launch.telling import tell
 
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_A_SEED = 10 * 2**20
@@ -60,6 +61,8 @@ class PlannedJob:
             directories=tuple(str(directory) for directory in directories),
             resume=resume,
             training_prepared=self.training_prepared,
+            make_contributor=experiment.algo.contributor,
+            contributor_preload=experiment.algo.preload,
         )
 
 
@@ -102,7 +105,11 @@ def new_jobs(
             f"in {asked.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
             f"rollout.copies x rollout.steps) {reason}"
         )
-    config = within_processes(experiment.config, found.spec)
+    if experiment.algo.contributor is None:
+        config = within_processes(asked, found.spec)
+    else:
+        config = _with_a_worker_a_block(asked, found.spec, experiment.algo_name)
+        _tell_workers(config.rollout, experiment.algo_name)
     stack = config.backend.stack
     return tuple(
         PlannedJob(
@@ -140,6 +147,37 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
         rollout=replace(rollout, block=block),
         backend=replace(backend, workers=backend.workers or workers),
     )
+
+
+def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
+    """The configuration as an asynchronous algorithm trains: as `within_processes`, but only blocks decide
+    how many workers there are. Raises HeadwayError where something else is set."""
+    if min(asked.backend.stack, len(asked.seed)) > 1:
+        raise HeadwayError(
+            f"{algorithm} trains one seed a process: its gradients are found in workers, on CPUs, where a "
+            "stack gains nothing; set backend.stack=1"
+        )
+    config = within_processes(replace(asked, backend=replace(asked.backend, workers=None)), spec)
+    if config.backend.name == "serial":
+        return replace(config, backend=asked.backend)
+    workers = config.rollout.copies // config.rollout.block
+    if asked.backend.workers not in (None, workers):
+        raise HeadwayError(
+            f"{algorithm} has a worker for each block of copies, {workers} here, as their number changes "
+            "what is learned; leave backend.workers out, and set rollout.block"
+        )
+    return replace(config, backend=replace(config.backend, workers=workers))
+
+
+def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
+    """What an asynchronous algorithm learns from, which is not what its neighbours' settings make of it."""
+    number = rollout.copies // rollout.block
+    workers = "1 worker" if number == 1 else f"{number} workers"
+    line = (
+        f"headway: {algorithm} has {workers} (rollout.copies / rollout.block), and a gradient of each "
+        f"rollout of {rollout.block} x {rollout.steps} steps"
+    )
+    tell(f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line)
 
 
 def _holds(spec: EnvSpec, limit: int) -> str:

@@ -74,14 +74,14 @@ class RolloutConfig:
 @dataclass(frozen=True)
 class BackendConfig:
     """Where rollouts run and how many seeds train at once. On a CPU, with `stack` 1, no result depends on it:
-    curves are the same bit for bit. A larger stack, or a GPU, rounds otherwise: the first updates agree in
-    float64, and from there training goes its own way."""
+    curves are the same bit for bit, asynchronous algorithms' excepted. A larger stack, or a GPU, rounds
+    otherwise: the first updates agree in float64, and from there training goes its own way."""
 
     name: Literal["serial", "process"] = "process"
     """`serial`: in the training process itself; `process`: in worker processes."""
     workers: int | None = None
     """Worker processes of each training process; null: what the machine's cores allow, and more where a
-    process can hold only few copies of the environment."""
+    process can hold only few copies of the environment. An asynchronous algorithm has one a block."""
     parallel: int | None = None
     """Training processes at once; null: one per core, at most one per seed, and fewer where each has a fixed
     number of workers."""

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.config import ExperimentConfig
-from headway.contracts import BatchedEnv, EnvSpec, Learner, ReplayingLearner
+from headway.contracts import (
+    AsynchronousLearner,
+    BatchedEnv,
+    EnvSpec,
+    HeadwayError,
+    Learner,
+    ReplayingLearner,
+)
 from headway.contracts.acting import ActingPolicy
 from headway.events import (
     LABELS,
@@ -25,7 +32,11 @@ from headway.events import (
     Started,
     Usage,
 )
+from headway.iterating import Asynchronous, InStep, Mode
+from headway.rollout.asynchronous import open_contributors
 from headway.rollout.backends import open_collector
+from headway.rollout.collecting import Backend
+from headway.rollout.contributing import AsynchronousPlan, MakeContributor
 from headway.rollout.fitting import require_fitting
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
@@ -66,6 +77,10 @@ class TrainingJob:
     resume: bool = False
     training_prepared: Any = None
     """What `prepare` gave for the training arguments; None: the same."""
+    make_contributor: MakeContributor | None = None
+    """The algorithm entry's `contributor`; None: it learns in step."""
+    contributor_preload: tuple[str, ...] = ()
+    """The algorithm entry's `preload`."""
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
@@ -104,9 +119,7 @@ class _Training:
         self.job, self.config, self.report = job, job.config, report
         self.logs = [RunLog(Path(directory)) for directory in job.directories]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
-        self.collector = open_collector(
-            job.config.backend.name, job.plan(), job.workers, lambda line: report(Notice(line))
-        )
+        self.collector, self.mode = _opened(job, self.learner, lambda line: report(Notice(line)))
         self.iteration = 0
         self.saved_iteration = -1
         self.seconds_before = 0.0
@@ -147,18 +160,11 @@ class _Training:
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
     def _iterate(self, total: int) -> None:
-        began = time.monotonic()
-        parameters = self.learner.acting_parameters()
-        episodes = self.collector.collect(self.iteration + 1, parameters)
-        collected = time.monotonic()
-        metrics = self.learner.update(self.collector.trajectory, self.iteration + 1, self.iteration / total)
+        done = self.mode.iterate(self.iteration + 1, self.iteration / total)
         self.iteration += 1
-        seconds = {
-            "time/collect_s": collected - began,
-            "time/learn_s": time.monotonic() - collected,
-        }
-        rows = self._labelled(self._training_rows(metrics, episodes, seconds))
-        self._log_episodes(episodes)
+        seconds = {"time/collect_s": done.collect_s, "time/learn_s": done.learn_s}
+        rows = self._labelled(self._training_rows(done.metrics, done.episodes, seconds))
+        self._log_episodes(done.episodes)
         self.report(IterationFinished(self.iteration, self.env_steps, self._usage(), tuple(rows)))
         due = self.iteration == total or self._reached(self.config.evaluation.every)
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
@@ -262,6 +268,9 @@ class _Training:
         self.learner.load_state_dict(state["learner"])
         if isinstance(self.learner, ReplayingLearner) and state["experience"] is not None:
             self.learner.load_experience(state["experience"])
+        if not self.mode.repeats:
+            line = "its workers' contributions are applied as they come, and never twice in the same order"
+            self.report(Notice(f"{line}: after {iteration} its curve is not that of a run never stopped"))
         self.collector.restore(state["snapshots"], iteration)
         self.episodes_restarted = any(snapshot is None for snapshot in state["snapshots"])
         if self.episodes_restarted:
@@ -272,6 +281,22 @@ class _Training:
 
     def _usage(self) -> Usage:
         return self.own_usage.read() + self.collector.usage()
+
+
+def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -> tuple[Backend, Mode]:
+    """Workers, started, and how they and the learner go together."""
+    name, plan = job.config.backend.name, job.plan()
+    if job.make_contributor is None:
+        collector = open_collector(name, plan, job.workers, notify)
+        return collector, InStep(learner, collector)
+    if not isinstance(learner, AsynchronousLearner):
+        raise HeadwayError(
+            f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is no "
+            "headway.contracts.AsynchronousLearner; give it what is missing, or leave the contributor out"
+        )
+    together = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
+    contributors = open_contributors(name, together, notify)
+    return contributors, Asynchronous(learner, contributors, job.config.iterations)
 
 
 def _means(group: str, rows: list[Row]) -> dict[str, float | int | str]:

@@ -20,7 +20,12 @@ from headway_envs.toy.entry import ENTRIES as TOYS
 ROOT, EPISODES = 77, 20
 """Evaluation seeds, the same for learners and rules."""
 CONFIGS = {name: entry.config() for name, entry in ENTRIES.items()}
-ON_POLICY = {name: config for name, config in CONFIGS.items() if isinstance(config, AlgoConfig)}
+ON_POLICY = {
+    name: config
+    for name, config in CONFIGS.items()
+    if isinstance(config, AlgoConfig) and ENTRIES[name].contributor is None
+}
+"""Those that learn in step; of the others see `test_asynchronous`."""
 ALGORITHMS = list(ON_POLICY)
 CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
 """Those that take Box actions."""

@@ -10,8 +10,21 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.configuration import build
-from headway.contracts import AlgoEntry, Box, EnvEntry, EnvSpec, HeadwayError
+from headway.contracts import (
+    AlgoEntry,
+    AsynchronousLearner,
+    Box,
+    EnvEntry,
+    EnvSpec,
+    HeadwayError,
+    Learner,
+    Trajectory,
+)
+from headway.iterating import Asynchronous, InStep, Mode
 from headway.registry import algo_entries, algo_entry, env_entries, env_entry
+from headway.rollout.asynchronous import SerialContributors
+from headway.rollout.collecting import Backend
+from headway.rollout.contributing import AsynchronousPlan
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial import SerialCollector
 
@@ -21,6 +34,8 @@ SMALL: Mapping[str, Any] = {
     "learning_starts": 1, "batch_size": 8, "updates": 3,
 }  # fmt: skip
 """Settings of whatever algorithm has such keys."""
+OF_ONE_GRADIENT = {"epochs": 1, "minibatches": 1}
+"""Of those whose workers contribute gradients."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +86,8 @@ def prepared(task: str) -> Prepared:
 def configured(algorithm: str, policies: str, **more: Any) -> Any:  # noqa: ANN401 - the entry's record
     record = algo_entry(algorithm).config
     keys = {field.name for field in fields(record)}
-    wanted = {**SMALL, "name": algorithm, "policies": policies, **more}
+    contributing = OF_ONE_GRADIENT if algo_entry(algorithm).contributor is not None else {}
+    wanted = {**SMALL, **contributing, "name": algorithm, "policies": policies, **more}
     return build(record, {key: value for key, value in wanted.items() if key in keys})
 
 
@@ -112,21 +128,43 @@ class Trained:
         return np.any([move.reshape(len(move), -1).any(axis=1) for move in moves], axis=0)
 
 
+def opened(plan: RolloutPlan, entry: AlgoEntry, config: object) -> tuple[Learner, Backend, Mode]:
+    learner = entry.learner(config, plan.spec, plan.seeds, "cpu")
+    if entry.contributor is None:
+        collector = SerialCollector(plan)
+        return learner, collector, InStep(learner, collector)
+    assert isinstance(learner, AsynchronousLearner)
+    contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
+    return learner, contributors, Asynchronous(learner, contributors)
+
+
+def trajectories(backend: Backend) -> list[Trajectory]:
+    if isinstance(backend, SerialContributors):
+        return [worker.trajectory for worker in backend.workers]
+    assert isinstance(backend, SerialCollector)
+    return [backend.trajectory]
+
+
 def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
-    found, steps, seeds, copies = prepared(task), TASKS[task].steps, TASKS[task].seeds, TASKS[task].copies
-    policy = entry.acting_policy(config, found.spec)
-    plan = RolloutPlan(found.entry.make, (), found.shared, found.spec, policy, seeds, copies, steps, copies)
-    learner, collector = entry.learner(config, found.spec, seeds, "cpu"), SerialCollector(plan)
-    collector.begin()
+    found, steps, seeds, copies = prepared(task), TASKS[task].steps, seeds_of(task, entry), TASKS[task].copies
+    policy, block = entry.acting_policy(config, found.spec), copies if entry.contributor is None else 1
+    plan = RolloutPlan(found.entry.make, (), found.shared, found.spec, policy, seeds, copies, steps, block)
+    learner, backend, mode = opened(plan, entry, config)
+    backend.begin()
     before = {name: array.copy() for name, array in learner.acting_parameters().items()}
     acted = np.zeros((len(seeds), found.spec.num_agents), dtype=np.bool_)
     for iteration in range(ITERATIONS):
-        collector.collect(iteration + 1, learner.acting_parameters())
-        by_copy = collector.trajectory.acting.any(axis=0)
-        acted |= by_copy.reshape(len(seeds), copies, -1).any(axis=1)
-        metrics = learner.update(collector.trajectory, iteration + 1, iteration / ITERATIONS)
-    collector.close()
+        metrics = mode.iterate(iteration + 1, iteration / ITERATIONS).metrics
+        for trajectory in trajectories(backend):
+            by_copy = trajectory.acting.any(axis=0)
+            acted |= by_copy.reshape(len(seeds), -1, found.spec.num_agents).any(axis=1)
+    backend.close()
     return Trained(before, learner.acting_parameters(), metrics, acted)
+
+
+def seeds_of(task: str, entry: AlgoEntry) -> tuple[int, ...]:
+    """Asynchronous algorithms train one seed a process."""
+    return TASKS[task].seeds if entry.contributor is None else TASKS[task].seeds[:1]
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
@@ -147,7 +185,7 @@ def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> 
 def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) -> None:
     """Every policy whose agents acted moves. The trust region may keep some where they were, but not all; who
     replays learns from a decision once its agent came to the next one, which not every bus does here."""
-    spec, seeds = prepared(task).spec, TASKS[task].seeds
+    spec, seeds = prepared(task).spec, seeds_of(task, entry)
     result = trained(task, entry, config)
     assert all(np.isfinite(array).all() for array in result.after.values())
     assert all(value.shape == (len(seeds),) for value in result.metrics.values())

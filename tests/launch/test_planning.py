@@ -122,3 +122,81 @@ def test_the_disk_must_have_room_for_what_is_replayed(
     with pytest.raises(HeadwayError, match=r"only 1,024 MiB are free .* 3 seeds need about 3,\d{3} MiB"):
         require_free_disk(tmp_path, large, 2)
     require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)
+
+
+def _asynchronous(*overrides: str) -> Experiment:
+    bare = ("env=tracking", "algo=a3c", "seed=0,1", "rollout.copies=8", "rollout.block=2")
+    return compose([*bare, *overrides])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (
+            (),
+            "a3c has 4 workers (rollout.copies / rollout.block), and a gradient of each rollout of 2 x 512",
+        ),
+        (("rollout=asynchronous",), "a3c has 4 workers"),
+        (("rollout.block=8",), "a3c has 1 worker ("),
+    ],
+)
+def test_how_many_workers_an_asynchronous_algorithm_has_is_told_once(
+    capsys: pytest.CaptureFixture[str], overrides: tuple[str, ...], line: str
+) -> None:
+    plan_jobs(_asynchronous(*overrides))
+    told = "".join(capsys.readouterr())
+    assert told.count("worker") == 1
+    assert f"headway: {line}" in told
+    assert "rollout=asynchronous" not in told
+
+
+def test_with_the_default_rollout_an_asynchronous_algorithm_names_its_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plan_jobs(compose(["env=tracking", "algo=a3c", "seed=0,1"]))
+    assert "a3c has 2 workers" in (told := "".join(capsys.readouterr()))
+    assert "rollout=asynchronous has more and shorter ones" in told
+
+
+def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> None:
+    jobs = plan_jobs(_asynchronous())
+    assert [job.seeds for job in jobs] == [(0,), (1,)]
+    shares = share_cores(jobs[0].config.backend, jobs, cores=2)
+    assert (shares.parallel, workers_of(jobs[0], shares)) == (1, 4)
+    assert share_cores(jobs[0].config.backend, jobs, cores=8).parallel == 2
+    (alone, _) = plan_jobs(_asynchronous("backend=serial"))
+    assert workers_of(alone, shares) == 1
+    assert plan_jobs(_asynchronous("backend.workers=4"))[0].config.backend.workers == 4
+    assert plan_jobs(_asynchronous("backend.stack=2", "seed=7"))[0].seeds == (7,)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("backend.workers=3", "a3c has a worker for each block of copies, 4 here.*leave backend.workers out"),
+        ("backend.stack=2", "a3c trains one seed a process: .*set backend.stack=1"),
+    ],
+)
+def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(override: str, line: str) -> None:
+    with pytest.raises(HeadwayError, match=line) as refusal:
+        plan_jobs(_asynchronous(override))
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("backend.workers=1", "a3c has a worker for each block of copies, 2 here.*leave backend.workers out"),
+        ("backend.stack=9", "a3c trains one seed a process: .*set backend.stack=1"),
+    ],
+)
+def test_advice_for_crowded_processes_is_what_an_asynchronous_algorithm_takes(
+    override: str, line: str
+) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(_crowded("algo=a3c", "rollout.block=8", "seed=0..8", override))
+
+
+def test_blocks_of_an_asynchronous_algorithm_shrink_with_what_a_process_holds() -> None:
+    (job, _) = plan_jobs(_crowded("algo=a3c", "rollout.block=8"))
+    assert (job.config.rollout.block, job.config.backend.workers) == (4, 2)

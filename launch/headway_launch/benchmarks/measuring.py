@@ -96,7 +96,8 @@ def measure(tasks: Sequence[Task]) -> list[Measurement]:
     return [Measurement(**json.loads(output.splitlines()[-1])) for output in outputs]
 
 
-def _train(task: Task) -> Measurement:
+def measure_here(task: Task) -> Measurement:
+    """Run one task in this process."""
     from headway.training import TrainingJob, train
 
     entry, algo = env_entry(task.env), algo_entry(task.algo)
@@ -135,6 +136,8 @@ def _train(task: Task) -> Measurement:
             config=config,
             workers=task.workers,
             directories=(folder,),
+            make_contributor=algo.contributor,
+            contributor_preload=algo.preload,
         )
         train(job, note, lambda: False)
     counted = marks[WARM_UP:]
@@ -148,4 +151,4 @@ def _train(task: Task) -> Measurement:
 
 
 if __name__ == "__main__":
-    print(json.dumps(asdict(_train(Task(**json.loads(sys.argv[1]))))))
+    print(json.dumps(asdict(measure_here(Task(**json.loads(sys.argv[1]))))))

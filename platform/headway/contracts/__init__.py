@@ -12,7 +12,13 @@ from headway.contracts.acting import ActingPolicy, RememberingPolicy
 from headway.contracts.entries import AlgoEntry, EnvEntry, Painter, Rule
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
 from headway.contracts.errors import HeadwayError
-from headway.contracts.learning import Learner, ReplayingLearner
+from headway.contracts.learning import (
+    AsynchronousLearner,
+    Contribution,
+    Contributor,
+    Learner,
+    ReplayingLearner,
+)
 from headway.contracts.random_rule import RandomRule
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
 from headway.contracts.streams import child_seeds, generator
@@ -23,9 +29,12 @@ __all__ = [
     "ActingPolicy",
     "ActionSpace",
     "AlgoEntry",
+    "AsynchronousLearner",
     "BatchedEnv",
     "BatchedWrapper",
     "Box",
+    "Contribution",
+    "Contributor",
     "Discrete",
     "EnvEntry",
     "EnvSpec",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from headway.contracts.acting import ActingPolicy
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed
-from headway.contracts.learning import Learner
+from headway.contracts.learning import Contributor, Learner
 
 
 def _itself(config: Any) -> Any:  # noqa: ANN401 - any record
@@ -94,3 +94,8 @@ class AlgoEntry:
     refuses_budget: Callable[[Any, int], str | None] = _takes_any_budget
     """(config, iterations) -> one line why training of so many would not be what the config asks for, or
     None."""
+    contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
+    """(config, spec, seeds of the replicas) -> the part of an `AsynchronousLearner` that workers run; it may
+    import torch. None: the learner learns by itself."""
+    preload: tuple[str, ...] = ()
+    """Modules that processes with contributors import once, before forking."""

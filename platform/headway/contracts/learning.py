@@ -1,10 +1,13 @@
 """What the training loop asks of an algorithm."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.contracts.acting import Parameters
 from headway.contracts.trajectory import Trajectory
 
 
@@ -46,3 +49,52 @@ class ReplayingLearner(Learner, Protocol):
         ...
 
     def load_experience(self, experience: dict[str, Any]) -> None: ...
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What a worker's rollout is to change: gradients, and whatever else it tells the learner."""
+
+    arrays: Parameters
+    metrics: Mapping[str, NDArray[np.float64]]
+    """By `group/name`, each (R,)."""
+
+
+class Contributor(Protocol):
+    """The part of an asynchronous learner that is at work in each worker, for some copies of one seed."""
+
+    def adopt(self, published: Parameters) -> Parameters:
+        """Go on from what the learner published; what the acting policy needs, as it is until
+        `contribute`."""
+        ...
+
+    def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
+        """What this experience is to change. `number` is of the contribution: from 1, in the order in which
+        workers were given them to do, so that no two of a run have the same, also of several workers; draws
+        are named by it. Raises HeadwayError, naming seed and number, as `Learner.update` does."""
+        ...
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
+        """Whatever it carries from one trajectory to the next besides what is published."""
+        ...
+
+    def restore(self, snapshot: Any) -> None: ...  # noqa: ANN401
+
+
+@runtime_checkable
+class AsynchronousLearner(Learner, Protocol):
+    """A learner that applies what workers contribute, each from parameters that others may have changed
+    meanwhile."""
+
+    @property
+    def in_turns(self) -> bool:
+        """Workers contribute in a fixed order, so that the same again is the same; else as they come."""
+        ...
+
+    def published(self) -> dict[str, NDArray[Any]]:
+        """A copy of all that learning changes and contributors need."""
+        ...
+
+    def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
+        """Make one update; `iteration`, `progress` and what is raised as for `update`."""
+        ...

@@ -9,20 +9,14 @@ from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.rollout.sampler import Episode
+from headway.rollout.worker import Contribute, Done
 
 
-class Collector(Protocol):
-    """Rollouts and evaluations with given parameters."""
-
-    trajectory: Trajectory
-    """Where `collect` leaves the experience; overwritten by the next one."""
+class Backend(Protocol):
+    """Where environments are stepped."""
 
     def begin(self) -> None:
         """Start the first episodes."""
-        ...
-
-    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
-        """Sample one iteration; the episodes that ended in it, by replica, copy and time."""
         ...
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
@@ -49,6 +43,42 @@ class Collector(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+class Collector(Backend, Protocol):
+    """Rollouts and evaluations with given parameters."""
+
+    trajectory: Trajectory
+    """Where `collect` leaves the experience; overwritten by the next one."""
+
+    def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
+        """Sample one iteration; the episodes that ended in it, by replica, copy and time."""
+        ...
+
+
+class Contributors(Backend, Protocol):
+    """Workers that learn from rollouts of their own, each on one block of the copies."""
+
+    in_turns: bool
+    """Whatever is asked for, they contribute one after another."""
+
+    @property
+    def number(self) -> int:
+        """Workers; an iteration is one contribution of each, on average."""
+        ...
+
+    def idle(self) -> list[int]:
+        """Workers with nothing to do, in order."""
+        ...
+
+    def assign(self, worker: int, task: Contribute) -> None:
+        """Have an idle worker make a contribution."""
+        ...
+
+    def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
+        """Wait for a contribution: of the worker `turn`, or None, whichever comes first. Which worker's it
+        is, which is idle now; what it had to do, and what it did."""
+        ...
 
 
 def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:

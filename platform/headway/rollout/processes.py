@@ -4,9 +4,9 @@ import multiprocessing
 import pickle
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
@@ -18,6 +18,7 @@ from headway.rollout.collecting import evaluation_requests, joined, require_shar
 from headway.rollout.memory import SharedBlock
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, in_order
+from headway.rollout.usage import cpu_seconds_of
 from headway.rollout.worker import (
     Begin,
     Broken,
@@ -26,6 +27,7 @@ from headway.rollout.worker import (
     Done,
     Evaluate,
     Restore,
+    Setup,
     WorkerSetup,
     parameter_arrays,
     parameter_bytes,
@@ -49,41 +51,43 @@ class _Worker:
     snapshot: Any = None
     """Where it stood after its last command that moved it."""
     usage: Usage = field(default_factory=Usage)
+    repeats: list[Command] = field(default_factory=list)
+    """What it has yet to carry out in place of one that failed; the first is under way."""
 
     def remember(self, command: Command, done: Done) -> None:
         """Note what it says of itself after a command."""
-        self.usage = done.usage
+        self.note_cpu_seconds(done.usage.cpu_seconds)
+        self.usage = replace(done.usage, cpu_seconds=self.usage.cpu_seconds)
         if not isinstance(command, Evaluate):
             self.begun, self.snapshot = True, done.snapshot
+
+    def note_cpu_seconds(self, cpu_seconds: float) -> None:
+        """What it has used as somebody sees it: never less than before."""
+        self.usage = replace(self.usage, cpu_seconds=max(self.usage.cpu_seconds, cpu_seconds))
 
 
 class ProcessCollector:
     """Worker processes that write into one shared trajectory and read one shared set of parameters."""
 
     def __init__(self, plan: RolloutPlan, workers: int, notify: Notify) -> None:
-        self.plan, self.notify = plan, notify
-        self.shards = plan.shards(workers)
-        self.pickled_plan = pickle.dumps(plan)
-        self.needs_main = b"_main__" in self.pickled_plan
+        self.plan = plan
+        shards, pickled = plan.shards(workers), pickle.dumps(plan)
         shapes = plan.policy.parameter_shapes(plan.replicas)
         self.blocks = SharedBlock.create(plan.layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
         self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
-        self.context = multiprocessing.get_context("forkserver")
-        self.context.set_forkserver_preload(["headway.rollout.worker", *plan.preload])
-        self.lost_cpu_seconds = 0.0
-        self.iteration = 0
-        self.workers = [self._start(shard) for shard in range(len(self.shards))]
+        setups = [WorkerSetup(pickled, first, count, *self.blocks) for first, count in shards]
+        self.crew = Crew(setups, plan.preload, b"_main__" in pickled, notify)
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self._all([Begin("env")] * len(self.workers))
+        self.crew.all([Begin("env")] * len(self.crew.workers))
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
         self._publish(parameters)
-        done = self._all([Collect(iteration)] * len(self.workers))
-        self.iteration = iteration
+        done = self.crew.all([Collect(iteration)] * len(self.crew.workers))
+        self.crew.anew = restart_purpose(iteration)
         return in_order(episode for part in done for episode in part.episodes)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
@@ -91,31 +95,82 @@ class ProcessCollector:
         self._publish(parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
         parts: list[list[list[Row]]] = []
-        for start in range(0, len(requests), len(self.workers)):
-            round_ = requests[start : start + len(self.workers)]
-            parts += [done.evaluation for done in self._all([Evaluate(request) for request in round_])]
+        for start in range(0, len(requests), len(self.crew.workers)):
+            round_ = requests[start : start + len(self.crew.workers)]
+            parts += [done.evaluation for done in self.crew.all([Evaluate(request) for request in round_])]
         return joined(self.plan, parts)
 
     def snapshot(self) -> list[Any]:
         """One a worker, as of the end of the last iteration."""
-        return [worker.snapshot for worker in self.workers]
+        return [worker.snapshot for worker in self.crew.workers]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Go on from a checkpoint, or start afresh where it holds no snapshots."""
-        require_shards(snapshots, len(self.workers))
-        self.iteration = iteration
-        self._all([_stand(snapshot, iteration) for snapshot in snapshots])
+        require_shards(snapshots, len(self.crew.workers))
+        self.crew.anew = restart_purpose(iteration)
+        self.crew.all([standing(snapshot, self.crew.anew) for snapshot in snapshots])
+
+    def process_ids(self) -> list[int]:
+        """Worker processes, by id."""
+        return self.crew.process_ids()
+
+    def usage(self) -> Usage:
+        """As the workers last reported."""
+        return self.crew.usage()
+
+    def close(self) -> None:
+        """End the workers, busy ones after some seconds of grace."""
+        self.crew.close()
+        for block in self.blocks:
+            block.close()
+
+    def _publish(self, parameters: Parameters) -> None:
+        for name, array in self.parameters.items():
+            array[...] = parameters[name]
+
+
+class Crew:
+    """Worker processes, each with a part of its own, that carry out commands and are replaced when they
+    die."""
+
+    def __init__(
+        self, setups: Sequence[Setup], preload: Sequence[str], needs_main: bool, notify: Notify
+    ) -> None:
+        """`preload`: modules that they share; `needs_main`: what they are given refers to the main module."""
+        self.setups, self.needs_main, self.notify = setups, needs_main, notify
+        self.context = multiprocessing.get_context("forkserver")
+        self.context.set_forkserver_preload(["headway.rollout.worker", *preload])
+        self.lost_cpu_seconds = 0.0
+        self.anew = restart_purpose(0)
+        """Purpose of the seeds of episodes that start anew because their worker died."""
+        self.workers = [self._start(shard) for shard in range(len(setups))]
+
+    def all(self, commands: Sequence[Command]) -> list[Done]:
+        """Have workers 0, 1, ... carry out one command each, at the same time."""
+        for shard, command in enumerate(commands):
+            self.send(shard, command)
+        return [self.answer(shard, command) for shard, command in enumerate(commands)]
+
+    def send(self, shard: int, command: Command) -> None:
+        """Have one worker begin with a command."""
+        _send(self.workers[shard], command)
 
     def process_ids(self) -> list[int]:
         """Worker processes, by id."""
         return [worker.process.pid for worker in self.workers if worker.process.pid is not None]
 
-    def usage(self) -> Usage:
-        """As the workers last reported."""
+    def usage(self, busy: Iterable[int] = ()) -> Usage:
+        """As the workers last reported; of busy ones, the CPU seconds of this moment."""
+        for shard in busy:
+            process_id = self.workers[shard].process.pid
+            if process_id is not None:
+                self.workers[shard].note_cpu_seconds(cpu_seconds_of(process_id))
         return sum((worker.usage for worker in self.workers), Usage(self.lost_cpu_seconds))
 
-    def close(self) -> None:
-        """End the workers, busy ones after some seconds of grace."""
+    def close(self, hastily: Iterable[int] = ()) -> None:
+        """End the workers, busy ones after some seconds of grace, or at once."""
+        for shard in hastily:
+            self.workers[shard].process.kill()
         for worker in self.workers:
             worker.pipe.close()
         deadline = time.monotonic() + GRACE_S
@@ -124,42 +179,45 @@ class ProcessCollector:
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
-        for block in self.blocks:
-            block.close()
-
-    def _publish(self, parameters: Parameters) -> None:
-        for name, array in self.parameters.items():
-            array[...] = parameters[name]
 
     def _start(self, shard: int) -> _Worker:
-        first, count = self.shards[shard]
         ours, theirs = self.context.Pipe()
-        setup = WorkerSetup(self.pickled_plan, first, count, *self.blocks)
         process = self.context.Process(
-            target=run_worker, args=(setup, theirs), name=f"headway worker {shard}", daemon=True
+            target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
         with nullcontext() if self.needs_main else _main_left_out():
             process.start()
         theirs.close()
         return _Worker(process, ours)
 
-    def _all(self, commands: Sequence[Command]) -> list[Done]:
-        """Have workers 0, 1, ... carry out one command each, at the same time."""
-        for worker, command in zip(self.workers, commands, strict=False):
-            _send(worker, command)
-        return [self._answer(shard, command) for shard, command in enumerate(commands)]
+    def answer(self, shard: int, command: Command) -> Done:
+        """Of a worker that was sent this command, or of the one that replaces it."""
+        while (done := self.hear(shard, command)) is None:
+            pass
+        return done
 
-    def _answer(self, shard: int, command: Command) -> Done:
-        answer = _receive(self.workers[shard])
-        if not isinstance(answer, Done):
-            if isinstance(answer, Broken) and answer.is_users:
-                raise HeadwayError(answer.line)
-            answer = self._again(shard, command, answer)
-        self.workers[shard].remember(command, answer)
-        return answer
+    def hear(self, shard: int, command: Command) -> Done | None:
+        """The same; or None as soon as the worker is found to have failed, and again when the one that
+        replaces it has still something to do."""
+        worker = self.workers[shard]
+        answer = _receive(worker)
+        if isinstance(answer, Done):
+            worker.remember(worker.repeats.pop(0) if worker.repeats else command, answer)
+            if not worker.repeats:
+                return answer
+            _send(worker, worker.repeats[0])
+            return None
+        if isinstance(answer, Broken) and answer.is_users:
+            raise HeadwayError(answer.line)
+        if not worker.repeats:
+            self._replace(shard, command, answer)
+            return None
+        if isinstance(answer, Broken):
+            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
+        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
 
-    def _again(self, shard: int, command: Command, first: Broken | str) -> Done:
-        """Replace a worker that failed and repeat its command from where it stood; once."""
+    def _replace(self, shard: int, command: Command, first: Broken | str) -> None:
+        """Replace a worker that failed, and have its command repeated from where it stood."""
         reason = first.line if isinstance(first, Broken) else first
         old = self.workers[shard]
         old.process.kill()
@@ -167,27 +225,16 @@ class ProcessCollector:
         old.pipe.close()
         self.lost_cpu_seconds += old.usage.cpu_seconds
         worker = self.workers[shard] = self._start(shard)
-        steps: list[Command] = [command]
+        # Where the repetition begins: a checkpoint may be written before it is over.
+        worker.begun, worker.snapshot = old.begun, old.snapshot
+        worker.repeats = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
-        if isinstance(command, Collect | Evaluate) and old.begun:
-            steps.insert(0, _stand(old.snapshot, self.iteration))
-        anew = any(isinstance(step, Begin) for step in steps)
+        if not isinstance(command, Begin | Restore) and old.begun:
+            worker.repeats.insert(0, standing(old.snapshot, self.anew))
+        anew = any(isinstance(step, Begin) for step in worker.repeats)
         again = "its episodes start again" if anew else "repeating its part from where it stood"
         self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
-        answer: Done | Broken | str = first
-        for step in steps:
-            _send(worker, step)
-            answer = _receive(worker)
-            if not isinstance(answer, Done):
-                break
-            worker.remember(step, answer)
-        if isinstance(answer, Done):
-            return answer
-        if isinstance(answer, Broken) and answer.is_users:
-            raise HeadwayError(answer.line)
-        if isinstance(answer, Broken):
-            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
-        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+        _send(worker, worker.repeats[0])
 
 
 @contextmanager
@@ -209,9 +256,10 @@ class WorkerFailedError(HeadwayError):
     """A worker failed twice in a row; the details are its own traceback."""
 
 
-def _stand(snapshot: Any, iteration: int) -> Command:  # noqa: ANN401 - opaque
-    """Bring a worker to where a snapshot stands, or to new episodes where there is none."""
-    return Begin(restart_purpose(iteration)) if snapshot is None else Restore(snapshot)
+def standing(snapshot: Any, anew: str) -> Command:  # noqa: ANN401 - opaque
+    """Bring a worker to where a snapshot stands, or to new episodes, of seeds of the purpose `anew`, where
+    there is none."""
+    return Begin(anew) if snapshot is None else Restore(snapshot)
 
 
 def _send(worker: _Worker, command: Command) -> None:

@@ -60,11 +60,15 @@ class Tally:
 class Sampler:
     """Copies first to first + count - 1 of every replica, and their part of the trajectory."""
 
-    def __init__(self, plan: RolloutPlan, first: int, count: int, trajectory: Trajectory) -> None:
+    def __init__(
+        self, plan: RolloutPlan, first: int, count: int, trajectory: Trajectory, place: int | None = None
+    ) -> None:
+        """`place`: which of the trajectory's copies of a replica is its first; None: `first`, as in one of
+        all copies."""
         self.plan, self.first, self.count = plan, first, count
         self.env = plan.make_for_training(count)
         self.acting = BlockwiseActing(plan, count, plan.block)
-        self.views = _part_of(trajectory, plan, first, count)
+        self.views = _part_of(trajectory, plan.replicas, first if place is None else place, count)
         self.observed: Observed | None = None
         self.tally = Tally(plan.replicas * count, plan.spec.metrics)
 
@@ -147,11 +151,11 @@ class Sampler:
         return Episode(copy // self.count, {"copy": self.first + copy % self.count, **row})
 
 
-def _part_of(trajectory: Trajectory, plan: RolloutPlan, first: int, count: int) -> dict[str, NDArray[Any]]:
+def _part_of(trajectory: Trajectory, replicas: int, first: int, count: int) -> dict[str, NDArray[Any]]:
     """Writable views (T, R, count, ...) of a trajectory's arrays."""
     views = {}
     for field in fields(trajectory):
         array = getattr(trajectory, field.name)
-        split = array.reshape(array.shape[0], plan.replicas, plan.copies, *array.shape[2:])
+        split = array.reshape(array.shape[0], replicas, array.shape[1] // replicas, *array.shape[2:])
         views[field.name] = split[:, :, first : first + count]
     return views

@@ -28,6 +28,17 @@ def cpu_seconds() -> float:
     return time.process_time()
 
 
+def cpu_seconds_of(process_id: int) -> float:
+    """CPU seconds of another process since it started; 0 where it is gone."""
+    import psutil  # workers, which tell their own, do without
+
+    try:
+        times = psutil.Process(process_id).cpu_times()
+    except psutil.Error:
+        return 0.0
+    return float(times.user + times.system)
+
+
 def proportional_memory() -> int:
     """Bytes of this process, shared pages divided by their users (Linux's PSS); 0 where it cannot be told."""
     return _field(Path("/proc/self/smaps_rollup"), "Pss:") or 0

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import prod
 from multiprocessing import connection, parent_process, reduction
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Trajectory
+from headway.contracts import Contribution, HeadwayError, Trajectory
+from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock
@@ -26,7 +27,7 @@ from headway.rollout.usage import OwnUsage
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """All that a worker is given when it starts."""
+    """All that a worker is given that samples into a shared trajectory."""
 
     plan: bytes
     """A `RolloutPlan`, pickled."""
@@ -34,6 +35,10 @@ class WorkerSetup:
     count: int
     trajectory: SharedBlock
     parameters: SharedBlock
+
+    def open(self) -> "Service":
+        """The service of a worker that samples."""
+        return _Sampling(self)
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,19 @@ class Evaluate:
     request: EvaluationRequest
 
 
-Command = Begin | Restore | Collect | Evaluate
+@dataclass(frozen=True)
+class Contribute:
+    """Sample with these parameters, and say what the learner is to make of it."""
+
+    number: int
+    """Of the contribution, from 1, in the order in which they were given out. Names the draws."""
+    updates: int
+    """Made when the parameters were given out."""
+    published: Parameters
+    """All that learning changes, as `AsynchronousLearner.published` tells it."""
+
+
+Command = Begin | Restore | Collect | Evaluate | Contribute
 
 
 @dataclass(frozen=True)
@@ -75,6 +92,23 @@ class Done:
     evaluation: list[list[Row]]
     snapshot: Any
     usage: Usage
+    contribution: Contribution | None = None
+
+
+class Service(Protocol):
+    """What a worker does."""
+
+    def carry_out(self, command: Command) -> Done:
+        """Do as told."""
+        ...
+
+
+class Setup(Protocol):
+    """All that a worker is given when it starts."""
+
+    def open(self) -> Service:
+        """At the first command, in the worker, so that what cannot be loaded is told."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -104,18 +138,18 @@ def parameter_bytes(shapes: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]])
     return sum(-(-prod(shape) * dtype.itemsize // 64) * 64 for shape, dtype in shapes.values())
 
 
-def run_worker(setup: WorkerSetup, commands: connection.Connection) -> None:
+def run_worker(setup: Setup, commands: connection.Connection) -> None:
     """Serve commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the session's to answer
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    service: _Service | None = None
+    service: Service | None = None
     while True:
         try:
             command: Command = commands.recv()
         except (EOFError, OSError):
             return
         try:
-            service = service or _Service(setup)
+            service = service or setup.open()
             # Pickled here, so that a snapshot that cannot be is an error like any other.
             answer = reduction.ForkingPickler.dumps(service.carry_out(command))
         except Exception as error:
@@ -128,8 +162,8 @@ def run_worker(setup: WorkerSetup, commands: connection.Connection) -> None:
             return  # nobody listens any more
 
 
-class _Service:
-    """The plan at work on one shard. Made at the first command, so that what cannot be loaded is told."""
+class _Sampling:
+    """The plan at work on one shard."""
 
     def __init__(self, setup: WorkerSetup) -> None:
         plan: RolloutPlan = pickle.loads(setup.plan)

@@ -18,7 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, EnvSpec, Observed, Outcome, Trajectory, generator
+from headway.contracts import BatchedEnv, Contribution, EnvSpec, Observed, Outcome, Trajectory, generator
+from headway.contracts.acting import Parameters
 from headway.rollout.backends import open_collector
 from headway.rollout.collecting import Collector
 from headway.rollout.plan import RolloutPlan
@@ -149,6 +150,16 @@ class Unloadable:
         return import_module, ("nowhere",)
 
 
+class TediousVisitors(Visitors):
+    """Visitors of whom each step takes half a CPU second where there are two copies."""
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        until = time.process_time() + (0.5 if self.num_copies == 2 else 0)
+        while time.process_time() < until:
+            pass
+        return super().step(actions)
+
+
 class RareVisitors(Visitors):
     """Visitors of whom a process can hold two copies, and which are very cross about a third."""
 
@@ -167,6 +178,26 @@ class RareVisitors(Visitors):
 
     def close(self) -> None:
         RareVisitors.held -= self.num_copies
+
+
+class Showing:
+    """A contributor that shows the learner all that it is given."""
+
+    def __init__(self, config: object, spec: EnvSpec, seeds: Sequence[int]) -> None:
+        del config, spec, seeds
+
+    def adopt(self, published: Parameters) -> Parameters:
+        return published
+
+    def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
+        arrays = {field.name: getattr(trajectory, field.name).copy() for field in fields(trajectory)}
+        return Contribution({**arrays, "number": np.array(number)}, {"policy/entropy": np.zeros(1)})
+
+    def snapshot(self) -> None:
+        return None
+
+    def restore(self, snapshot: None) -> None:
+        assert snapshot is None
 
 
 TOYS: dict[str, tuple[Callable[[Any, int], BatchedEnv], Any]] = {

@@ -1,0 +1,142 @@
+"""A2C's gradients found in workers, and applied by a learner as they come."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import Contribution, EnvSpec, HeadwayError, Trajectory
+from headway.contracts.acting import Parameters
+from headway_algos.critics.value import ValueCritic
+from headway_algos.learner import OnPolicyLearner
+from headway_algos.normalisation import RunningMoments
+from headway_algos.optimiser import StackedAdam
+from headway_algos.recipes.a3c import A3CConfig
+from headway_algos.updates.a2c import A2C
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """What of a learner its workers have, too: it is told by these names."""
+
+    learner: OnPolicyLearner
+    actor: A2C
+    critic: ValueCritic
+
+    @classmethod
+    def of(cls, learner: OnPolicyLearner) -> "_Shared":
+        update, critic = learner.policy_update, learner.critic
+        assert isinstance(update, A2C)
+        assert isinstance(critic, ValueCritic)
+        return cls(learner, update, critic)
+
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        """All that learning changes but the optimisers, as it is now."""
+        modules = {"actor": self.learner.actor, "critic": self.critic.networks}
+        return {
+            f"{part}.{name}": tensor
+            for part, module in modules.items()
+            for name, tensor in module.state_dict().items()
+        }
+
+    @property
+    def optimisers(self) -> dict[str, StackedAdam]:
+        """Of the actor's gradients, and of the critic's."""
+        regression = self.critic.regression.optimiser
+        assert isinstance(regression, StackedAdam)
+        return {"actor": self.actor.optimiser, "critic": regression}
+
+    @property
+    def moments(self) -> dict[str, RunningMoments]:
+        """Normalisers, which batches are added to."""
+        networks = self.critic.networks
+        return {
+            "observations": self.learner.actor.moments,
+            "inputs": networks.input_moments,
+            "returns": networks.return_moments,
+        }
+
+
+class A2CContributor:
+    """Learns on a copy, which the next copy replaces: what is kept of it are the gradients, as they were
+    before any clip, and the moments of its batch (see `headway.contracts.Contributor`)."""
+
+    def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
+        torch.set_num_threads(1)
+        self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
+        self.shared = _Shared.of(self.learner)
+
+    def adopt(self, published: Parameters) -> Parameters:
+        """See `headway.contracts.Contributor`."""
+        for name, tensor in self.shared.tensors.items():
+            tensor.copy_(torch.as_tensor(published[name]))
+        return self.learner.acting_parameters()
+
+    def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
+        """See `headway.contracts.Contributor`."""
+        optimisers = self.shared.optimisers
+        counts = {part: optimiser.counts.copy() for part, optimiser in optimisers.items()}
+        try:
+            metrics = self.learner.update(trajectory, number, 0.0)
+        except HeadwayError as error:
+            raise HeadwayError(str(error).replace("iteration", "contribution")) from error
+        arrays: dict[str, NDArray[Any]] = {}
+        for part, optimiser in optimisers.items():
+            arrays[f"{part}.active"] = optimiser.counts > counts[part]
+            for i, parameter in enumerate(optimiser.parameters):
+                gradient = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+                arrays[f"{part}.gradient_{i}"] = gradient.numpy()
+        for name, moments in self.shared.moments.items():
+            if moments.latest is not None:
+                arrays[name] = np.stack(
+                    [np.broadcast_to(each, moments.mean.shape) for each in moments.latest]
+                )
+        return Contribution(arrays, metrics)
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's
+        """What the critic of policies that remember carries on."""
+        return self.shared.critic.networks.carried
+
+    def restore(self, snapshot: Any) -> None:  # noqa: ANN401 - the contract's
+        """Inverse of `snapshot`."""
+        self.shared.critic.networks.carried = snapshot
+
+
+class AsynchronousA2CLearner(OnPolicyLearner):
+    """Policies, critics and optimisers that all workers share (see `headway.contracts.AsynchronousLearner`).
+
+    By `update` it learns in step, as one worker alone does.
+    """
+
+    def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
+        super().__init__(config, spec, seeds, device)
+        self.in_turns = config.application == "in_turns"
+        self.shared = _Shared.of(self)
+
+    def published(self) -> dict[str, NDArray[Any]]:
+        """Actor, critic and normalisers."""
+        return {name: tensor.cpu().numpy().copy() for name, tensor in self.shared.tensors.items()}
+
+    def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
+        """One step along gradients, clipped, that may be of earlier parameters than those that move."""
+        share = 1 - (1 - self.config.lr_end) * progress
+        arrays = contribution.arrays
+        for part, optimiser in self.shared.optimisers.items():
+            optimiser.anneal(share)
+            for i, parameter in enumerate(optimiser.parameters):
+                # Of the parameter's own strides, which the optimiser takes for granted.
+                parameter.grad = torch.empty_like(parameter, requires_grad=False)
+                parameter.grad.copy_(torch.as_tensor(arrays[f"{part}.gradient_{i}"]))
+            optimiser.step(arrays[f"{part}.active"])
+        for name, moments in self.shared.moments.items():
+            if name in arrays:
+                count, mean, squares = torch.as_tensor(arrays[name], device=self.device)
+                moments.add(count[..., :1], mean, squares)
+        self.stack.refuse_divergence(
+            self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
+        )
