@@ -21,6 +21,7 @@ from headway_launch.commands import compare, evaluate
         (["list", "envs", "trivail"], ["did you mean trivial?"]),
         (["list", "algos", "mapo"], ["did you mean mappo?"]),
         (["list", "experiments", "bus_mapo"], ["did you mean bus_mappo?"]),
+        (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
         (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
         (["run", "experiment=bus_mapo"], ["did you mean experiment=bus_mappo?"]),

@@ -24,6 +24,7 @@ examples:
   headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
   headway list algos mappo     its hyper-parameters (algo.KEY=VALUE)
   headway list experiments     what `headway run experiment=NAME` takes
+  headway list searches        what `headway search NAME` takes
   headway list keys            every other key of an experiment
 """
 
@@ -123,5 +124,6 @@ _KINDS: Mapping[str, Callable[[str | None], None]] = {
     "rules": _list_rules,
     "experiments": _list_group("experiment"),
     "presets": _list_group("preset"),
+    "searches": _list_group("search"),
     "keys": _list_keys,
 }

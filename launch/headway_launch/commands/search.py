@@ -20,8 +20,8 @@ examples:
 
 A search is a file of configs/search: an experiment, cells (what each gets its own winner for) and
 candidates (overrides tried in every cell). Every cell has the same candidates, seeds and budget; the
-winner has the highest mean final reward. Give it seeds that no study reports: on the seeds it was chosen
-by, a winner looks better than it is.
+winner has the highest mean final reward. Given again, a search trains anew. Give it seeds that no study
+reports: on the seeds it was chosen by, a winner looks better than it is. `headway list searches` names them.
 """
 
 
