@@ -196,7 +196,7 @@ def test_bad_input_starts_nothing(tmp_path: Path, override: str) -> None:
 
 
 def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> None:
-    with headway("run", *TINY, *LONG, "rollout.steps=20000", "backend=serial", folder=tmp_path) as running:
+    with headway("run", *TINY, *LONG, "rollout.steps=200000", "backend=serial", folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
         children = running.training()
         running.process.send_signal(signal.SIGINT)
