@@ -199,6 +199,7 @@ def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> 
     with headway("run", *TINY, *LONG, "rollout.steps=200000", "backend=serial", folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
         children = running.training()
+        time.sleep(2.0)  # for the first evaluation: now the first iteration is under way, and lasts
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
         time.sleep(1.1)  # sooner it would be the same request
