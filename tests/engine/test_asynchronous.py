@@ -29,7 +29,7 @@ from rehearsal import (
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 
 from headway.contracts import Contribution, HeadwayError, Trajectory
-from headway.events import Event, Notice, Started
+from headway.events import Event, Notice, Started, Usage
 from headway.iterating import Asynchronous
 from headway.rollout.asynchronous import ProcessContributors, SerialContributors, open_contributors
 from headway.rollout.collecting import Contributors
@@ -81,7 +81,7 @@ def _without_staleness(log: Log) -> Log:
 def _staleness(log: Log) -> list[tuple[float, float]]:
     """(mean, max) of each iteration."""
     rows = log["curve"][1:]
-    return [tuple(float.fromhex(row[f"staleness/{of}"]) for of in ("mean", "max")) for row in rows]  # type: ignore[misc]
+    return [(float.fromhex(row["staleness/mean"]), float.fromhex(row["staleness/max"])) for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -419,7 +419,7 @@ class _Scripted:
         task = self.tasks.pop(worker)
         metrics: Mapping[str, NDArray[np.float64]] = {"policy/entropy": np.array([float(worker)])}
         given = {"of": np.array(f"{worker}@{task.published['updates'][0]}")}
-        return worker, task, Done([], [], None, None, Contribution(given, metrics))  # type: ignore[arg-type]
+        return worker, task, Done([], [], None, Usage(), Contribution(given, metrics))
 
 
 def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> None:

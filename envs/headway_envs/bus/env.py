@@ -66,7 +66,8 @@ class BusBatchedEnv:
         return self.observed()
 
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
-        """One control interval; actions (C, N) int64 of 0 to 2. A masked SERVICE_CENTER is ignored."""
+        """One control interval; actions (C, N) int64 of 0 to 2. A bus away or broken ignores them; where the
+        centre does not take a bus, SERVICE_CENTER is MOVE."""
         actions = np.ascontiguousarray(actions, np.int64)
         if actions.shape != self._never.shape:
             raise ValueError(f"actions must have shape {self._never.shape}, not {actions.shape}")

@@ -78,7 +78,7 @@ class Contributor(Protocol):
         """Whatever it carries from one trajectory to the next besides what is published."""
         ...
 
-    def restore(self, snapshot: Any) -> None: ...  # noqa: ANN401
+    def restore(self, snapshot: Any) -> None: ...  # noqa: ANN401 - opaque, plain
 
 
 @runtime_checkable

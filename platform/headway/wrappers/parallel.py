@@ -107,7 +107,7 @@ class _EndingSlots:
     def __call__(self, prepared: object) -> Any:  # noqa: ANN401 - PettingZoo comes without types
         from pettingzoo.utils import BaseParallelWrapper
 
-        class Ending(BaseParallelWrapper):  # type: ignore[misc]
+        class Ending(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo comes without types
             def step(self, actions: Mapping[str, Any]) -> tuple[Any, ...]:
                 *rest, infos = self.env.step(actions)
                 marked = {

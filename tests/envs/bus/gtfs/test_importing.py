@@ -5,6 +5,7 @@ import time
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,8 +23,8 @@ Files = Mapping[str, str]
 BRT = Path(__file__).parents[5] / "shared" / "data" / "sunt_raw" / "brt_gtfs"
 
 
-def imported(folder: Path, **options: object) -> Tables:
-    tables = import_gtfs(folder, GtfsOptions(**options))  # type: ignore[arg-type]
+def imported(folder: Path, **options: Any) -> Tables:  # noqa: ANN401 - any of the options
+    tables = import_gtfs(folder, GtfsOptions(**options))
     check_tables(tables)
     return tables
 

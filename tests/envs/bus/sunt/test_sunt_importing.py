@@ -2,6 +2,7 @@
 
 import datetime as dt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -65,8 +66,8 @@ def write_raw(folder: Path, days: dict[dt.date, pd.DataFrame], nodes: bool = Tru
     return folder
 
 
-def imported(raw: Path, **options: object) -> Tables:
-    tables = import_sunt(raw, SuntOptions(**options))  # type: ignore[arg-type]
+def imported(raw: Path, **options: Any) -> Tables:  # noqa: ANN401 - any of the options
+    tables = import_sunt(raw, SuntOptions(**options))
     check_tables(tables)
     return tables
 
