@@ -96,13 +96,15 @@ class Conductor:
         self._say_where(time.monotonic() - began)
         return self._exit_code(stopped)
 
-    def final_rewards(self) -> list[float]:
-        """The final reward of each finished seed."""
+    def final_rewards(self) -> list[list[float]]:
+        """The final reward of each finished seed, cell by cell."""
         return [
-            result.final_reward
+            [
+                result.final_reward
+                for result in cell.results
+                if result.status == "FINISHED" and result.final_reward is not None
+            ]
             for cell in self._cells
-            for result in cell.results
-            if result.status == "FINISHED" and result.final_reward is not None
         ]
 
     def _begin(self, index: int) -> TrainingJob:

@@ -110,10 +110,14 @@ _RANKS = {"FAILED": 0, "KILLED": 0, "RUNNING": 1, "FINISHED": 2}
 _KINDS = {"FAILED": "unfinished", "KILLED": "unfinished", "RUNNING": "elsewhere", "FINISHED": "finished"}
 
 
-def plan_cells(standings: Sequence[Standing]) -> list[CellPlan]:
-    """What is left to do for each. Raises HeadwayError for what cannot run."""
+def plan_cells(standings: Sequence[Standing], labels: Sequence[str] | None = None) -> list[CellPlan]:
+    """What is left to do for each; `labels`: what they are called, by default after what they differ in.
+
+    Raises HeadwayError for what cannot run.
+    """
     known: dict[str, PreparedEnv] = {}
-    labels = cell_labels([standing.experiment for standing in standings])
+    if labels is None:
+        labels = cell_labels([standing.experiment for standing in standings])
     return [standing.plan(known, label) for standing, label in zip(standings, labels, strict=True)]
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from itertools import product
 
-from headway.config import ExperimentConfig
 from headway.configuration import parse_seeds
 from headway.contracts.errors import HeadwayError
 from headway_launch.composing import Experiment, compose, groups
@@ -19,9 +18,7 @@ def compose_sweep(overrides: Sequence[str]) -> list[Experiment]:
     Raises HeadwayError for what cannot be used, and for a list of values of what a session has one of.
     """
     experiments = [compose(chosen) for chosen in combinations(overrides)]
-    first = experiments[0].config
-    for experiment in experiments[1:]:
-        _require_one_session(first, experiment.config)
+    require_one_session(experiments)
     return experiments
 
 
@@ -67,8 +64,9 @@ def _all_seeds(override: str, text: str) -> str:
     return override
 
 
-def _require_one_session(first: ExperimentConfig, other: ExperimentConfig) -> None:
-    another = one_of_a_session(other)
-    for name, value in one_of_a_session(first).items():
-        if value != another[name]:
+def require_one_session(experiments: Sequence[Experiment]) -> None:
+    """Raises HeadwayError where experiments differ in what a session has one of."""
+    wanted, *others = (one_of_a_session(experiment.config) for experiment in experiments)
+    for name, value in wanted.items():
+        if any(other[name] != value for other in others):
             raise HeadwayError(f"{name} has one value in a sweep; give {name} one, or sweep once for each")

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from headway.store.index import RunIndex
+
 HEADWAY = str(Path(sys.executable).with_name("headway"))
 
 
@@ -29,6 +31,18 @@ def test_a_search_names_one_winner_a_cell(searched: tuple[Path, subprocess.Compl
     assert [row[3] for row in rows].count("best") == 1
     best = max(rows, key=lambda row: float(row[2]))
     assert best[3] == "best" or float(rows[0][2]) == float(rows[1][2])
+
+
+def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
+    searched: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    root, first = searched
+    again = _headway("search", "toy_matrix", "env_steps=2048", "energy=off", f"store.root={root}")
+    assert again.returncode == 0, again.stderr
+    assert "2 have finished and are left alone" in again.stderr
+    winners = [done.stdout[done.stdout.index("cell\tcandidate") :] for done in (first, again)]
+    assert winners[0] == winners[1]
+    assert len(RunIndex(root).rows("search_toy_matrix")) == 2
 
 
 def test_a_study_is_drawn(searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
@@ -63,6 +77,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(
     [
         (("search", "bus_lin"), "there is no search 'bus_lin'; did you mean bus_line?"),
         (("search", "toy_matrix", "algo.lrr=1"), "algo.lrr"),
+        (("search", "toy_matrix", "algo.lr=1e-3"), "ippo: lr 5e-4 and ippo: lr 5e-3 are the same experiment"),
     ],
 )
 def test_a_wrong_search_is_one_line(words: tuple[str, ...], line: str) -> None:

@@ -77,9 +77,9 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
 def _cells_of_study(root: Path, study: str, named: Sequence["StoredRun"]) -> list["CellPlan"]:
     """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it."""
     from headway.store.index import RunIndex
-    from headway_launch.commands.sweep import tell_standing
     from headway_launch.stored import StoredRun
     from headway_launch.study_plan import Standing, cell_labels, kept_plans, plan_cells
+    from headway_launch.studying import tell_standing
 
     everything = RunIndex(root).rows()
     rows = [row for row in everything if row.study == study]

@@ -12,6 +12,7 @@ from headway.contracts.errors import HeadwayError
 
 if TYPE_CHECKING:
     from headway.config import ExperimentConfig
+    from headway_launch.composing import Experiment
 
 EXAMPLES = """\
 examples:
@@ -20,8 +21,9 @@ examples:
 
 A search is a file of configs/search: an experiment, cells (what each gets its own winner for) and
 candidates (overrides tried in every cell). Every cell has the same candidates, seeds and budget; the
-winner has the highest mean final reward. Given again, a search trains anew. Give it seeds that no study
-reports: on the seeds it was chosen by, a winner looks better than it is. `headway list searches` names them.
+winner has the highest mean final reward. All train side by side; the same search given again goes on
+where it stopped. Give it seeds that no study reports: on the seeds it was chosen by, a winner looks better
+than it is. `headway list searches` names them.
 """
 
 
@@ -41,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The search and overrides of its base."""
     parser.add_argument("search", metavar="SEARCH", help="a file of configs/search, without .yaml")
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of every run")
+    parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -49,33 +52,34 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.composing import compose
-    from headway_launch.conducting import EXIT_DONE, Conductor
-    from headway_launch.planning import CellPlan, plan_jobs
+    from headway_launch.conducting import EXIT_DONE
+    from headway_launch.studying import StudySession
+    from headway_launch.sweeping import require_one_session
     from headway_launch.tables import print_table
-    from headway_launch.telling import tell, to_a_reader
+    from headway_launch.telling import to_a_reader
 
     search = _read(arguments.search)
-    plans = {
+    points = {
         (cell, candidate): compose([*search.base, *in_cell, *tried, *arguments.overrides])
         for cell, in_cell in search.cells.items()
         for candidate, tried in search.candidates.items()
     }
-    results: dict[tuple[str, str], float] = {}
-    for number, (place, experiment) in enumerate(plans.items(), start=1):
-        tell(f"search {number}/{len(plans)}: {' '.join(place)}")
-        conductor = Conductor([CellPlan(experiment, plan_jobs(experiment))], arguments.debug)
-        code = conductor.conduct()
-        if code != EXIT_DONE:
-            return code
-        results[place] = mean(conductor.final_rewards())
+    require_one_session(list(points.values()))
+    _require_distinct(arguments.search, points)
+    labels = [": ".join(place) for place in points]
+    conductor = StudySession.plan(list(points.values()), labels, arguments.fresh).conductor(arguments.debug)
+    code = conductor.conduct()
+    if code != EXIT_DONE:
+        return code
+    results = {place: mean(rewards) for place, rewards in zip(points, conductor.final_rewards(), strict=True)}
     winners = {
         cell: max(search.candidates, key=lambda candidate: results[cell, candidate]) for cell in search.cells
     }
     rows = [
         (cell, candidate, results[cell, candidate], "best" if winners[cell] == candidate else "")
-        for cell, candidate in plans
+        for cell, candidate in points
     ]
-    config = next(iter(plans.values())).config
+    config = next(iter(points.values())).config
     with to_a_reader(sys.stdout):
         print_table(("cell", "candidate", "mean final reward", ""), rows, title=_title(config))
     return EXIT_DONE
@@ -84,6 +88,22 @@ def execute(arguments: argparse.Namespace) -> int:
 def _title(config: "ExperimentConfig") -> str:
     seeds = ", ".join(str(seed) for seed in config.seed)
     return f"search on {config.env.id}: seeds {seeds}, {config.env_steps:,} environment steps each"
+
+
+def _require_distinct(search: str, points: Mapping[tuple[str, str], "Experiment"]) -> None:
+    """Raises HeadwayError where two points would train the same, as where an override undoes what they differ
+    in."""
+    from headway_launch.planning import full_mapping
+    from headway_launch.stored import identity
+
+    known: dict[str, tuple[str, str]] = {}
+    for place, experiment in points.items():
+        other = known.setdefault(identity(full_mapping(experiment, ())), place)
+        if other != place:
+            raise HeadwayError(
+                f"search {search}: {': '.join(other)} and {': '.join(place)} are the same experiment; give "
+                "each its own values, and override none of them"
+            )
 
 
 def _read(name: str) -> Search:

@@ -1,12 +1,6 @@
 """`headway sweep`: train every combination of values and seeds, as far as the store does not have them."""
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from headway_launch.study_plan import Standing
 
 EXAMPLES = """\
 examples:
@@ -37,44 +31,13 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway.store.index import RunIndex
-    from headway_launch.conducting import Conductor
-    from headway_launch.study_plan import Standing, distinct, keep_plan, plan_cells
+    from headway_launch.study_plan import distinct
+    from headway_launch.studying import StudySession
     from headway_launch.sweeping import compose_sweep
-    from headway_launch.telling import tell
 
-    experiments = distinct(compose_sweep(arguments.overrides))
-    config = experiments[0].config
-    root = Path(config.store.root)
-    index = RunIndex(root)
-    rows = index.rows(config.study)
-    for notice in index.notices:
-        tell(f"headway: {notice}")
-    if arguments.fresh:
-        standings = [Standing.untouched(experiment) for experiment in experiments]
-    else:
-        standings = [Standing.of(root, experiment, rows) for experiment in experiments]
-    cells = plan_cells(standings)
+    session = StudySession.plan(distinct(compose_sweep(arguments.overrides)), fresh=arguments.fresh)
     if arguments.dry_run:
         from headway_launch.estimating import print_estimate
 
-        return print_estimate(standings, cells)
-    conductor = Conductor(cells, arguments.debug, plan_kept=True)
-    keep_plan(root, config.study, experiments)
-    tell_standing(config.study, standings)
-    return conductor.conduct()
-
-
-def tell_standing(study: str, standings: Sequence["Standing"]) -> None:
-    """A line on what the store has already; nothing where that is nothing."""
-    from headway_launch.telling import tell
-
-    counts = {
-        "have finished and are left alone": sum(len(standing.finished) for standing in standings),
-        "go on": sum(len(standing.unfinished) for standing in standings),
-        "are left to the session that trains them": sum(len(standing.elsewhere) for standing in standings),
-        "begin": sum(len(standing.new) for standing in standings),
-    }
-    if any(counts[kind] for kind in list(counts)[:3]):
-        parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
-        tell(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
+        return print_estimate(session.standings, session.cells)
+    return session.conductor(arguments.debug).conduct()
