@@ -14,7 +14,7 @@ from headway_envs.bus.kernel.layout import SETTINGS, Network
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
 
-REPLAY_RECOVERY_SHARE = 1.0
+REPLAY_RECOVERY_SHARE = 3.0
 """Of a trip's planned time, kept free after it in a replay."""
 _NEVER_S = 1e9
 """Seconds a unit of fuel, or hours the uptime, last in a replay."""
