@@ -162,7 +162,7 @@ def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepare
     Observed departures hold the delays of the trips before them and whatever failed. So nothing is added to
     them: no decision before the departure, no dispatch noise, no breakdowns and no want of fuel; and each
     slot has `REPLAY_RECOVERY_SHARE` of a trip's time before its next one, so that a late arrival moves none.
-    Slots are therefore more than the buses that ran. `tables`: the scenario, where it has been read already."""
+    Slots are therefore more than the buses that ran. `tables`: the scenario, if it has been read already."""
     from headway_envs.bus.scenario.network import build
     from headway_envs.bus.scenario.source import scenario_tables
 

@@ -274,8 +274,8 @@ class World(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What happened at each call of each trip of the day, T = trips x their calls, trip after trip; or nothing,
-    with T = 0. It is not part of a snapshot."""
+    """What happened at each call of each trip of the day, T = trips x their calls, trip after trip; or
+    nothing, with T = 0. It is not part of a snapshot."""
 
     first: NDArray[np.int64]
     """(J + 1,) first entry of each trip"""

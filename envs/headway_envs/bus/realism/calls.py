@@ -22,8 +22,8 @@ COLUMNS = (
 )
 """Of a day's calls, trip after trip. `trip`: number; `seq0`: position among the trip's `calls`; `visit`: how
 often the trip has been at that stop before; `arrived`, `left`: s after midnight, NaN where there is none;
-`time`: when the bus came (at the first call: left), s; `boarded`: passengers; `load`: those aboard on leaving,
-NaN at the last call."""
+`time`: when the bus came (at the first call: left), s; `boarded`: passengers; `load`: those aboard on
+leaving, NaN at the last call."""
 
 
 @dataclass(frozen=True)

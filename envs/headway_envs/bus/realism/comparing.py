@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import prepare_replay
+from headway_envs.bus.prepared import prepare_replay, source_of
 from headway_envs.bus.realism import figures
 from headway_envs.bus.realism.calls import recorded_day, simulated_days
 from headway_envs.bus.realism.measured import TOLERANCES, WHOLE_CITY
+from headway_envs.bus.scenario.fitted import DOI, SYNTHETIC
 from headway_envs.bus.scenario.network import trips_of_day
 from headway_envs.bus.scenario.tables import Tables
 
@@ -19,7 +21,6 @@ HOURS = (4, 26)
 """The service day of a replay: nearly all trips."""
 OWN, RECORDS, CITY = "its own tables", "records of its lines", "records of the whole city"
 """On what a figure was measured."""
-SUNT_DOI = "10.17632/85fdtx3kr5.1"
 
 
 @dataclass(frozen=True)
@@ -54,13 +55,19 @@ def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path |
     Trips and boardings are measured by the scenario's tables. Headways along the route and loads are by
     records below the folder `records` where it is given (and holds fares, for loads), else those of the whole
     city, if the tables are SUNT's; else they are left out. The hours of `config` are replaced by `HOURS`.
-    Raises HeadwayError as `prepare_replay`, `simulated_days` and `recorded_day` do."""
+    Raises HeadwayError for tables that are made up, and as `prepare_replay`, `simulated_days` and
+    `recorded_day` do."""
+    if source_of(tables.meta).startswith(SYNTHETIC):
+        raise HeadwayError(
+            "SCENARIO: its trips are made up, nothing was measured there; give a scenario of recorded trips, "
+            "as headway data sunt writes them"
+        )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
     prepared = prepare_replay(config, tables)
-    measured = {**_city(tables, config), **_tables_figures(tables, config)}
+    measured = {**_city_figures(tables, config), **_tables_figures(tables, config)}
     if records is not None:
         measured |= _record_figures(records, tables, config.day_type)
-    km = pattern_km(tables)
+    km = call_km(tables).groupby("pattern").last()
     found = []
     for calls in simulated_days(tables, prepared, days):
         day = figures.of_trips(figures.trips_of(calls, km))
@@ -77,11 +84,13 @@ def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path |
     return rows
 
 
-def pattern_km(tables: Tables) -> "pd.Series[float]":
-    """Length of each pattern by its links."""
-    inner = tables.pattern_stops[tables.pattern_stops["seq0"] > 0]
-    metres = tables.links.set_index("link")["leg_m"].reindex(inner["link"]).to_numpy(np.float64)
-    return pd.Series(metres / 1000.0, index=inner.index).groupby(inner["pattern"]).sum()
+def call_km(tables: Tables) -> "pd.Series[float]":
+    """Distance from the pattern's first call along its links, by pattern and seq0, in order."""
+    calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
+    metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
+    legs = pd.Series(metres.to_numpy() / 1000.0, index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
+    legs[calls["seq0"].to_numpy() == 0] = 0.0
+    return legs.groupby("pattern").cumsum()
 
 
 def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
@@ -98,7 +107,7 @@ def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
             "end": stops.last().reindex(trips["pattern"]).to_numpy(),
             "dep": trips["dep_s"].to_numpy(np.float64),
             "arr": trips["arr_s"].to_numpy(np.float64),
-            "km": pattern_km(tables).reindex(trips["pattern"]).to_numpy(),
+            "km": call_km(tables).groupby("pattern").last().reindex(trips["pattern"]).to_numpy(),
         }
     )
     return frame[frame["arr"] > frame["dep"]].reset_index(drop=True)
@@ -108,16 +117,11 @@ def _from(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, st
     return {name: (value, source) for name, value in values.items()}
 
 
-def _city(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+def _city_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
     """The whole city's figures, if the tables are of that city."""
-    measured = is_salvador(tables)
-    return _from(CITY, WHOLE_CITY[config.day_type]) if measured else {}
-
-
-def is_salvador(tables: Tables) -> bool:
-    """Whether the tables were made of SUNT's records."""
-    source = str(tables.meta.get("source", ""))
-    return SUNT_DOI in source and not source.startswith("synthetic")
+    if DOI not in source_of(tables.meta):
+        return {}
+    return _from(CITY, WHOLE_CITY[config.day_type])
 
 
 def _tables_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:

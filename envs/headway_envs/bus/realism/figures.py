@@ -75,7 +75,9 @@ def of_trips(trips: pd.DataFrame) -> dict[str, float]:
     found[TRIP_SPREAD] = 100.0 * float(np.sqrt((away**2).sum() / free)) if free > 0 else np.nan
     for hour in SPEED_HOURS:
         own = (trips["dep"] // 3600 == hour).to_numpy()
-        found[speed_name(hour)] = float(trips["km"][own].sum() / (minutes[own].sum() / 60.0)) if any(own) else np.nan
+        found[speed_name(hour)] = (
+            float(trips["km"][own].sum() / (minutes[own].sum() / 60.0)) if any(own) else np.nan
+        )
     for name, stop, time in ((FIRST_CV, "begin", "dep"), (LAST_CV, "end", "arr")):
         ends = trips.assign(stop=trips[stop], visit=0, time=trips[time])
         found[name] = _cv(_relative_headways(ends))
@@ -103,7 +105,9 @@ def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
         LOAD_P50: float(np.quantile(load, 0.5)) if len(load) else np.nan,
         LOAD_P95: float(np.quantile(load, 0.95)) if len(load) else np.nan,
         RIDE: float(load.sum() / boarded) if boarded > 0 else np.nan,
-        RESPONSE: float((about * (relative - 1.0)).sum() / (about * (ratio - 1.0)).sum()) if len(ratio) else np.nan,
+        RESPONSE: float((about * (relative - 1.0)).sum() / (about * (ratio - 1.0)).sum())
+        if len(ratio)
+        else np.nan,
     }
 
 
@@ -131,7 +135,9 @@ def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
     inside &= (time >= _FROM_S) & (time < _TO_S)
     rows, headway = rows[inside], headway[inside]
     windows = int(_TO_S // WINDOW_S) + 1
-    _, window = np.unique(place[inside] * windows + (time[inside] // WINDOW_S).astype(np.int64), return_inverse=True)
+    _, window = np.unique(
+        place[inside] * windows + (time[inside] // WINDOW_S).astype(np.int64), return_inverse=True
+    )
     count = np.bincount(window)[window]
     mean = np.bincount(window, headway)[window] / count
     kept = (count >= LEAST_HEADWAYS) & (mean > 0)

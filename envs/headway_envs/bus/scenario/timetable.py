@@ -1,4 +1,4 @@
-"""The timetable: departures smoothed per hour (or, in a replay, as observed), chained into blocks and given to
+"""The timetable: departures smoothed per hour (in a replay, as observed), chained into blocks and given to
 slots."""
 
 from dataclasses import dataclass, replace
