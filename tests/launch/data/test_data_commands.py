@@ -195,6 +195,6 @@ def test_realism_prints_simulated_beside_measured(tmp_path: Path, capsys: pytest
     assert first["holds"] == "yes"
     assert first["measured on"] == "its own tables"
     assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
-    assert f"of {len(rows)} figures hold" in capsys.readouterr().out
+    assert " figures hold\n" in capsys.readouterr().out
     assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
     assert "there is no file od-YYYY-MM-DD.parquet below" in capsys.readouterr().err

@@ -72,11 +72,10 @@ def draw_load_profile(
 
 def draw_headways_along(axes: "Axes", figures: Mapping[str, Mapping[str, float]]) -> None:
     """Headway CV by fifth of the route, of each of `figures` (name: figures by name)."""
-    fifths = np.arange(1, FIFTHS + 1)
+    fifths = list(range(1, FIFTHS + 1))
     for name, values in figures.items():
         cvs = [values[cv_name(fifth - 1)] for fifth in fifths]
-        style = {"color": "black", "linestyle": "--"} if name == "measured" else {}
-        axes.plot(fifths, cvs, marker="o", label=name, **style)
+        axes.plot(fifths, cvs, marker="o", label=name, color="black" if name == "measured" else None)
     axes.set_xticks(fifths)
     axes.set_ylim(bottom=0)
     axes.set_xlabel("fifth of the route")

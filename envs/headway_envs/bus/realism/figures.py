@@ -48,7 +48,7 @@ RESPONSE = "boardings' slope on the headway"
 def of_headways(calls: pd.DataFrame) -> dict[str, float]:
     """CV of the headways and bunched share by fifth of the route."""
     rows = _relative_headways(calls)
-    fifth = np.minimum(rows["seq0"] * FIFTHS // rows["calls"], FIFTHS - 1).to_numpy(np.int64)
+    fifth = (rows["seq0"] * FIFTHS // rows["calls"]).to_numpy(np.int64)
     found = {}
     for place in range(FIFTHS):
         own = rows[fifth == place]
@@ -141,7 +141,8 @@ def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
     count = np.bincount(window)[window]
     mean = np.bincount(window, headway)[window] / count
     kept = (count >= LEAST_HEADWAYS) & (mean > 0)
-    return rows[kept].assign(ratio=headway[kept] / mean[kept], window=window[kept], count=count[kept])
+    kept_rows: pd.DataFrame = rows[kept]
+    return kept_rows.assign(ratio=headway[kept] / mean[kept], window=window[kept], count=count[kept])
 
 
 def _cv(rows: pd.DataFrame) -> float:

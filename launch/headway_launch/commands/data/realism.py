@@ -54,8 +54,9 @@ def execute(arguments: argparse.Namespace) -> int:
     tables = scenario_tables(arguments.scenario, arguments.seed)
     there = set(tables.trips["daytype"])
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
+    config = replace(config, day_type="weekday" if day == "weekday" else "sunday")
     records = Path(arguments.records) if arguments.records else None
-    rows = compare_replay(tables, replace(config, day_type=day), arguments.days, records)
+    rows = compare_replay(tables, config, arguments.days, records)
     if arguments.format == "csv":
         writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(_COLUMNS)
