@@ -61,7 +61,7 @@ _COMMANDS = {
     "browse": _Command("browse the store in MLflow's pages", "browse"),
     "sync": _Command("bring MLflow up to date with the run folders", "sync"),
     "data": _Command(
-        "scenarios of the bus environment: made, described and drawn",
+        "scenarios of the bus environment: made, described, drawn and held to what was measured",
         "data",
         parts={
             "synthetic": _Command("write a scenario of a seed and fitted numbers", "data.synthetic"),
@@ -69,6 +69,7 @@ _COMMANDS = {
             "sunt": _Command("write a scenario of raw files of SUNT", "data.sunt"),
             "describe": _Command("lines, fleet, headways and demand of a scenario", "data.describe"),
             "plot": _Command("map of a scenario with load and headways", "data.plot"),
+            "realism": _Command("the simulator's days beside what was measured", "data.realism"),
         },
     ),
     "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway_envs.bus.kernel import tick
 from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES
-from headway_envs.bus.kernel.memory import allocate_outputs, allocate_world, state_size
+from headway_envs.bus.kernel.memory import allocate_outputs, allocate_trace, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
 from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
 
@@ -22,8 +22,10 @@ class BusBatchedEnv:
     influenced by what the agents did, so the return is over.
     """
 
-    def __init__(self, prepared: Prepared, copies: int) -> None:
-        """Raises HeadwayError if there is not at least one copy."""
+    def __init__(self, prepared: Prepared, copies: int, traced: bool = False) -> None:
+        """`traced`: what happens at every call is kept in `trace` until the step after the day's last.
+
+        Raises HeadwayError if there is not at least one copy."""
         if copies < 1:
             raise HeadwayError(f"copies must be at least 1, not {copies}")
         config, self.prepared = prepared.config, prepared
@@ -31,6 +33,7 @@ class BusBatchedEnv:
         self.settings = prepared.settings
         self.world = allocate_world(self.network, copies, config.capacity)
         self.outputs = allocate_outputs(self.network, copies, config.observation, prepared.full_state)
+        self.trace = allocate_trace(self.network, copies, traced)
         self._never = np.zeros((copies, len(self.network.slot_line)), np.bool_)
         self._terminated = self._never.copy()
         self._spec = EnvSpec(
@@ -72,7 +75,7 @@ class BusBatchedEnv:
         if actions.shape != self._never.shape:
             raise ValueError(f"actions must have shape {self._never.shape}, not {actions.shape}")
         outputs = self.outputs
-        if tick.step(self.network, self.settings, self.world, outputs, actions):
+        if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
             tick.turn(self.network, self.settings, self.world, outputs)
         self._terminated[...] = outputs.ended[:, None]
         outcome = Outcome(

@@ -1,14 +1,23 @@
 """What all copies of one bus environment share. Light: numpy and the kernel's records only."""
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import SETTINGS, Network
+
+if TYPE_CHECKING:
+    from headway_envs.bus.scenario.tables import Tables
+
+REPLAY_RECOVERY_SHARE = 3.0
+"""Of a trip's planned time, kept free after it in a replay."""
+_NEVER_S = 1e9
+"""Seconds a unit of fuel, or hours the uptime, last in a replay."""
 
 
 @dataclass(frozen=True)
@@ -143,4 +152,35 @@ def prepare(config: BusConfig) -> Prepared:
 
     tables = scenario_tables(config.scenario, config.scenario_seed)
     network, lines = build(tables, config)
-    return Prepared(config, network, lines, str(tables.meta.get("source", "unknown")))
+    return Prepared(config, network, lines, source_of(tables.meta))
+
+
+def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepared:
+    """As `prepare`, in replay mode: every trip of the table leaves exactly when it did, for the comparison
+    with what was measured.
+
+    Observed departures hold the delays of the trips before them and whatever failed. So nothing is added to
+    them: no decision before the departure, no dispatch noise, no breakdowns and no want of fuel; and each
+    slot has `REPLAY_RECOVERY_SHARE` of a trip's time before its next one, so that a late arrival moves none.
+    Slots are therefore more than the buses that ran. `tables`: the scenario, if it has been read already."""
+    from headway_envs.bus.scenario.network import build
+    from headway_envs.bus.scenario.source import scenario_tables
+
+    if tables is None:
+        tables = scenario_tables(config.scenario, config.scenario_seed)
+    config = replace(
+        config,
+        dispatch_window_s=0.0,
+        recovery_share=REPLAY_RECOVERY_SHARE,
+        noise=replace(config.noise, dispatch_s=0.0),
+        upkeep=replace(
+            config.upkeep, breakdowns_per_hour=0.0, seconds_per_fuel_unit=_NEVER_S, uptime_hours=_NEVER_S
+        ),
+    )
+    network, lines = build(tables, config, replay=True)
+    return Prepared(config, network, lines, source_of(tables.meta))
+
+
+def source_of(meta: Mapping[str, Any]) -> str:
+    """Where a scenario comes from, by its meta data."""
+    return str(meta.get("source", "unknown"))

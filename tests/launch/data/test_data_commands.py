@@ -1,5 +1,6 @@
 """`headway data`: what each command says, writes and refuses."""
 
+import csv
 import json
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import prepare
 from headway_launch.command_line import run
 
-PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot")
+PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
 
@@ -53,6 +54,12 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is no date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
         (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),
+        (["realism", "nowhere"], ["scenario 'nowhere' is none of"]),
+        (["realism", "line"], ["SCENARIO: its trips are made up, nothing was measured there; give"]),
+        (["realism", "line", "--days", "0"], ["--days at least 1"]),
+        (["realism", "line", "algo.lr=3"], ["algo.lr: only env.args.* of the bus environment"]),
+        (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type instead"]),
+        (["realism", "line", "env.args.boardin_s=3"], ["did you mean env.args.boarding_s?"]),
     ],
 )
 def test_errors_are_one_line_with_the_fix(
@@ -173,3 +180,21 @@ def test_a_description_counts_what_the_environment_runs(capsys: pytest.CaptureFi
     assert len(listed) == 3 + 1  # and the names of the columns
     trips = [int(row[4]) for row in listed[1:]]
     assert trips == sorted(trips, reverse=True)
+
+
+def test_realism_prints_simulated_beside_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "recorded"
+    assert run(["data", "synthetic", str(out)]) == 0
+    (out / "meta.json").write_text('{"source": "records of a test"}')
+    capsys.readouterr()
+    assert run(["data", "realism", str(out), "--days", "1", "--format", "csv"]) == 0
+    header, *rows = csv.reader(capsys.readouterr().out.splitlines())
+    assert header[0] == "figure"
+    first = dict(zip(header, next(row for row in rows if row[0] == "headway CV, first call"), strict=True))
+    assert first["simulated"] == first["measured"]
+    assert first["holds"] == "yes"
+    assert first["measured on"] == "its own tables"
+    assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
+    assert " figures hold\n" in capsys.readouterr().out
+    assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
+    assert "there is no file od-YYYY-MM-DD.parquet below" in capsys.readouterr().err

@@ -273,6 +273,22 @@ class World(NamedTuple):
     """(C, capacity + 1) departures by load"""
 
 
+class Trace(NamedTuple):
+    """What happened at each call of each trip of the day, T = trips x their calls, trip after trip; or
+    nothing, with T = 0. It is not part of a snapshot."""
+
+    first: NDArray[np.int64]
+    """(J + 1,) first entry of each trip"""
+    arrived: NDArray[np.float64]
+    """(C, T) s; NaN where the trip has not come, and at its first call"""
+    left: NDArray[np.float64]
+    """(C, T) s; NaN where it has not left, and at its last call"""
+    boarded: NDArray[np.float64]
+    """(C, T) passengers"""
+    load: NDArray[np.float64]
+    """(C, T) passengers aboard on leaving; NaN where `left` is"""
+
+
 class Outputs(NamedTuple):
     """What a step fills, in the shapes of `headway.contracts`; `acting` is also read back by the rules."""
 

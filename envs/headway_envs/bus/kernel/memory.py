@@ -15,6 +15,7 @@ from headway_envs.bus.kernel.layout import (
     WAIT_BINS,
     Network,
     Outputs,
+    Trace,
     World,
 )
 
@@ -63,3 +64,11 @@ def allocate_outputs(net: Network, copies: int, observation: str, full: bool) ->
         final_states=np.zeros((copies, state), np.float32),
         metrics=np.zeros((copies, len(METRICS))),
     )
+
+
+def allocate_trace(net: Network, copies: int, traced: bool) -> Trace:
+    """Room for what happens at every call of a day, or none."""
+    calls = np.diff(net.pattern_calls)[net.trip_pattern] if traced else np.zeros(len(net.trip_pattern), int)
+    first = np.concatenate(([0], np.cumsum(calls))).astype(np.int64)
+    arrived, left, boarded, load = (np.full((copies, first[-1]), np.nan) for _ in range(4))
+    return Trace(first, arrived, left, boarded, load)

@@ -33,6 +33,7 @@ from headway_envs.bus.kernel.layout import (
     TERMINAL,
     Network,
     Record,
+    Trace,
     World,
 )
 from headway_envs.bus.kernel.passengers import board, change_load, put_off
@@ -250,6 +251,24 @@ def process(net: Network, k: Record, world: World, c: int, n: int, time: float, 
 
 
 @compiled
+def process_traced(
+    net: Network, k: Record, world: World, c: int, n: int, time: float, action: int, trace: Trace
+) -> bool:
+    """As `process`, and write down what happened at the call."""
+    slot, day = world.slots[c, n], world.days[c]
+    came, boarded = slot.phase == DRIVING, day.boarded
+    entry = trace.first[slot.trip] + slot.call + came - net.pattern_calls[slot.pattern]
+    used = process(net, k, world, c, n, time, action)
+    trace.boarded[c, entry] += day.boarded - boarded
+    if came:
+        trace.arrived[c, entry] = time
+    elif slot.phase == DRIVING:
+        trace.left[c, entry] = time
+        trace.load[c, entry] = slot.load
+    return used
+
+
+@compiled
 def advance(
     net: Network,
     k: Record,
@@ -257,9 +276,16 @@ def advance(
     c: int,
     actions: NDArray[np.int64],
     acting: NDArray[np.bool_],
+    trace: Trace,
 ) -> None:
     """Process all events of copy c before the end of the control interval, line by line in time order."""
     day = world.days[c]
+    traced = trace.arrived.shape[1] > 0
+    if traced and day.tick == 0:
+        trace.arrived[c] = np.nan
+        trace.left[c] = np.nan
+        trace.boarded[c] = 0.0
+        trace.load[c] = np.nan
     until = day.now + k.tick_s
     for line in range(net.line_slots.shape[0] - 1):
         first, last = net.line_slots[line], net.line_slots[line + 1]
@@ -270,7 +296,10 @@ def advance(
                     soonest, time = n, world.event_time[c, n]
             if soonest < 0:
                 break
-            used = process(net, k, world, c, soonest, time, actions[soonest])
+            if traced:
+                used = process_traced(net, k, world, c, soonest, time, actions[soonest], trace)
+            else:
+                used = process(net, k, world, c, soonest, time, actions[soonest])
             acting[soonest] = acting[soonest] or used
     day.now = until
     day.tick += 1

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled, compiled_allocating
 from headway_envs.bus.kernel.day import begin_day, end_day
-from headway_envs.bus.kernel.layout import Network, Outputs, Record, World
+from headway_envs.bus.kernel.layout import Network, Outputs, Record, Trace, World
 from headway_envs.bus.kernel.motion import advance
 from headway_envs.bus.kernel.observe import observe, observe_state
 from headway_envs.bus.kernel.rewards import pay
@@ -57,14 +57,15 @@ def step(
     world: World,
     outputs: Outputs,
     actions: NDArray[np.int64],
+    trace: Trace,
 ) -> bool:
     """Advance every copy by one control interval; returns whether the day of any has ended, which `turn`
-    must then follow."""
+    must then follow. The trace keeps the day that has ended until the next interval."""
     k = settings[0]
     ended = False
     for c in range(actions.shape[0]):
         outputs.acting[c] = False
-        advance(net, k, world, c, actions[c], outputs.acting[c])
+        advance(net, k, world, c, actions[c], outputs.acting[c], trace)
         _space(net, k, world, c)
         pay(net, k, world, c, outputs.rewards[c])
         if k.foresee_upkeep:

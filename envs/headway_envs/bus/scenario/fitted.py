@@ -5,7 +5,10 @@ doi 10.17632/85fdtx3kr5.1; operations of Monday 2024-08-26 and Sunday 2024-09-15
 ten Sundays.
 """
 
-SOURCE = "SUNT (doi 10.17632/85fdtx3kr5.1, CC BY 4.0)"
+DOI = "10.17632/85fdtx3kr5.1"
+SOURCE = f"SUNT (doi {DOI}, CC BY 4.0)"
+SYNTHETIC = "synthetic"
+"""The source of scenarios that are made up of these numbers begins with it."""
 
 STOPS_GAMMA = (2.76, 11.9)
 """Stops of a pattern beyond two: gamma shape and scale."""

@@ -15,7 +15,7 @@ from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Networ
 from headway_envs.bus.prepared import arrivals_per_boarding
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
-from headway_envs.bus.scenario.timetable import Departures, Trip, chain, smooth, work_until_depot
+from headway_envs.bus.scenario.timetable import Departures, Trip, as_observed, chain, smooth, work_until_depot
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,25 +26,21 @@ _LARGEST_SD = 0.8
 """Cells of few observations have log sds up to 1.5; larger ones than this are taken for faults."""
 
 
-def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
-    """The network of the configured day type, and the names of its lines.
+def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Network, tuple[str, ...]]:
+    """The network of the configured day type, and the names of its lines; `replay`: trips leave when those of
+    the table did.
 
     Raises HeadwayError where the day type has no trips, demand or travel times."""
     day = config.day_type
-    trips = tables.trips[tables.trips["daytype"] == day]
-    begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
-    trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
-    if trips.empty:
-        raise HeadwayError(
-            f"table trips has none on day_type {day} between {config.start_hour} and {config.end_hour} h: "
-            "choose another day_type or hours"
-        )
-    lines, patterns = _order(tables, trips)
+    trips = trips_of_day(tables, config)
+    lines = patterns_by_line(tables, trips)
+    patterns = [pattern for group in lines.values() for pattern in group]
     calls = _calls(tables, patterns)
     call_counts = calls.groupby("p").size().to_numpy(np.int64)
     pattern_calls = _offsets(call_counts)
+    spread = as_observed if replay else smooth
     departures = [
-        smooth(np.asarray(trips.loc[trips["pattern"] == p, "dep_s"], np.float64), KNOT_S) for p in patterns
+        spread(np.asarray(trips.loc[trips["pattern"] == p, "dep_s"], np.float64), KNOT_S) for p in patterns
     ]
     boarding = _hourly_boarding(tables, calls, day)
     alighting = _alighting(tables, calls)
@@ -89,13 +85,26 @@ def _offsets(counts: NDArray[Any]) -> Integers:
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
 
 
-def _order(tables: Tables, trips: pd.DataFrame) -> tuple[dict[str, list[int]], list[int]]:
-    """Patterns that run, by line: {line: patterns}, and all in that order."""
+def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
+    """The trips that leave within the configured service day. Raises HeadwayError if there is none."""
+    trips = tables.trips[tables.trips["daytype"] == config.day_type]
+    begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
+    trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
+    if trips.empty:
+        raise HeadwayError(
+            f"table trips has none on day_type {config.day_type} between {config.start_hour} and "
+            f"{config.end_hour} h: choose another day_type or hours"
+        )
+    return trips
+
+
+def patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]]:
+    """Patterns that run, by line, in the network's order: {line: patterns}."""
     running = tables.patterns[tables.patterns["pattern"].isin(trips["pattern"])]
     lines: dict[str, list[int]] = {}
     for line, group in running.sort_values(["line", "dir", "pattern"]).groupby("line", sort=False):
         lines[str(line)] = [int(p) for p in group["pattern"]]
-    return lines, [p for group in lines.values() for p in group]
+    return lines
 
 
 def _calls(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:

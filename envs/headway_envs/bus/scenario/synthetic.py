@@ -23,6 +23,7 @@ from headway_envs.bus.scenario.fitted import (
     SPEED_KMH,
     STOPS_GAMMA,
     SUNDAY_FLEET,
+    SYNTHETIC,
     WITHIN_HOUR_SD,
 )
 from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
@@ -53,7 +54,7 @@ def generate(size: str, seed: int) -> Tables:
 
 
 _META: dict[str, Any] = {
-    "source": f"synthetic, by numbers fitted to {SOURCE}",
+    "source": f"{SYNTHETIC}, by numbers fitted to {SOURCE}",
     "link_times_include_dwell": True,
 }
 

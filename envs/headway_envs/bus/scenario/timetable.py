@@ -1,6 +1,7 @@
-"""The control mode's timetable: departures smoothed per hour, chained into blocks and given to slots."""
+"""The timetable: departures smoothed per hour (in a replay, as observed), chained into blocks and given to
+slots."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ class Departures:
     """One pattern's day."""
 
     times: NDArray[np.float64]
-    """(J,) s, evenly spread at the smoothed rate"""
+    """(J,) s, in order"""
     knots: NDArray[np.float64]
     """(K,) times, s"""
     headway: NDArray[np.float64]
@@ -50,6 +51,11 @@ def smooth(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
     times = np.interp(np.arange(count) * scale, total, grid)
     headway = np.clip(3600.0 / rate * scale / 3600.0, LEAST_HEADWAY_S, MOST_HEADWAY_S)
     return Departures(times, knots, headway)
+
+
+def as_observed(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
+    """A pattern's departures (s, any order) as they are; the target headway is that of `smooth`."""
+    return replace(smooth(observed, knots), times=np.sort(observed))
 
 
 @dataclass(frozen=True)

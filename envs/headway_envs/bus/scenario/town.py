@@ -24,6 +24,7 @@ from headway_envs.bus.scenario.fitted import (
     SPEED_KMH,
     SUNDAY_FLEET,
     SUNDAY_LINES,
+    SYNTHETIC,
     WITHIN_HOUR_SD,
 )
 from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
@@ -78,7 +79,7 @@ def generate_town(size: str, seed: int) -> Tables:
     }
     demand, alighting = passengers(tables["pattern_stops"], trips, per_trip, seed)
     meta = {
-        "source": f"synthetic, by numbers fitted to {SOURCE}",
+        "source": f"{SYNTHETIC}, by numbers fitted to {SOURCE}",
         "size": size,
         "seed": seed,
         "link_times_include_dwell": True,

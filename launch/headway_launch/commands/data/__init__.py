@@ -1,4 +1,4 @@
-"""`headway data`: scenarios of the bus environment, made, described and drawn."""
+"""`headway data`: scenarios of the bus environment, made, described, drawn and held to what was measured."""
 
 EXAMPLES = """\
 examples:
@@ -7,6 +7,7 @@ examples:
   headway data sunt ../sunt_raw towns/salvador
   headway data describe towns/mine
   headway data plot towns/mine --output map.png
+  headway data realism towns/mine
   headway run env=bus env.args.scenario=towns/mine algo=mappo preset=bus_tuned
 
 headway data COMMAND --help shows more.

@@ -1,0 +1,140 @@
+"""A day as one row a call: simulated, or as SUNT recorded it."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from headway.contracts import HeadwayError, Observed, Rule
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.prepared import Prepared
+from headway_envs.bus.scenario.network import patterns_by_line, trips_of_day
+from headway_envs.bus.scenario.sunt.records import find_days, read_day
+from headway_envs.bus.scenario.tables import Tables
+
+COLUMNS = (
+    *("line", "dir", "pattern", "trip", "seq0", "calls", "stop", "visit"),
+    *("arrived", "left", "time", "boarded", "load"),
+)
+"""Of a day's calls, trip after trip. `trip`: number; `seq0`: position among the trip's `calls`; `visit`: how
+often the trip has been at that stop before; `arrived`, `left`: s after midnight, NaN where there is none;
+`time`: when the bus came (at the first call: left), s; `boarded`: passengers; `load`: those aboard on
+leaving, NaN at the last call."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One recorded day of some lines."""
+
+    date: str
+    calls: pd.DataFrame
+    """As `COLUMNS`."""
+    fares: bool
+    """Whether passengers were counted; else `boarded` and `load` say nothing."""
+
+
+def simulated_days(
+    tables: Tables, prepared: Prepared, days: int, rule: Rule | None = None, seed: int = 0
+) -> Iterator[pd.DataFrame]:
+    """The calls (`COLUMNS`) of one simulated day after the other, under a rule; none: always MOVE.
+
+    `prepared` must be made of `tables`. Calls that no bus has reached at the end of the day are left out.
+    Raises HeadwayError if `days` is below 1."""
+    if days < 1:
+        raise HeadwayError(f"days must be at least 1, not {days}")
+    env = BusBatchedEnv(prepared, 1, traced=True)
+    where = _trips_calls(tables, prepared)
+    act = _always_move(len(prepared.agents)) if rule is None else _by(rule, env)
+    observed = env.reset(np.array([seed], np.uint64))
+    for _ in range(days):
+        ended = False
+        while not ended:
+            outcome, observed = env.step(act(observed))
+            ended = bool(outcome.episode_ended[0])
+        trace = env.trace
+        day = where.assign(
+            arrived=trace.arrived[0], left=trace.left[0], boarded=trace.boarded[0], load=trace.load[0]
+        )
+        day["time"] = day["arrived"].where(day["seq0"] > 0, day["left"])
+        yield day.loc[day["time"].notna(), list(COLUMNS)].reset_index(drop=True)
+
+
+def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
+    """The recorded day from which the scenario has its timetable, its lines only, of the files below `raw`.
+
+    The date is that of the meta data; without it, the only one of that day type. Raises HeadwayError where
+    there is no such file, or no trip of these lines."""
+    files = find_days(raw)
+    stated = tables.meta.get("dates", {}).get(day_type) or tables.meta.get(f"ops_{day_type}")
+    if stated is None:
+        raise HeadwayError("meta.json names no date of the timetable: add dates: {DAY_TYPE: YYYY-MM-DD}")
+    found = {str(date): (date, file) for date, file in files.items()}
+    if stated not in found:
+        raise HeadwayError(
+            f"--records: {raw} lacks od-{stated}.parquet, the day of the scenario's timetable; put it there"
+        )
+    date, file = found[stated]
+    day = read_day(file, date, Counter())
+    calls = day.calls[day.calls["line"].isin(tables.patterns["line"])]
+    if calls.empty:
+        raise HeadwayError(f"--records: {file.name} has no trip of the scenario's lines")
+    number = calls["trip"].to_numpy()
+    frame = pd.DataFrame(
+        {
+            "line": calls["line"],
+            "dir": calls["dir"],
+            "pattern": calls["line"] + " " + calls["dir"] + " " + calls["reg"],
+            "trip": number,
+            "seq0": calls.groupby("trip").cumcount(),
+            "calls": calls.groupby("trip")["seq"].transform("size"),
+            "stop": calls["stop_id"],
+            "visit": calls.groupby(["trip", "stop_id"]).cumcount(),
+            "arrived": calls["time"],
+            "left": calls["time"],
+            "time": calls["time"],
+            "boarded": calls["board"],
+            "load": calls["load_before"] + calls["board"] - calls["alight"],
+        }
+    )
+    last = frame["seq0"] == frame["calls"] - 1
+    frame.loc[last, ["left", "load"]] = np.nan
+    frame.loc[frame["seq0"] == 0, "arrived"] = np.nan
+    return Recorded(stated, frame.reset_index(drop=True), day.fares)
+
+
+def _always_move(slots: int) -> Callable[[Observed], NDArray[np.int64]]:
+    actions = np.ones((1, slots), np.int64)
+    return lambda _: actions
+
+
+def _by(rule: Rule, env: BusBatchedEnv) -> Callable[[Observed], NDArray[np.int64]]:
+    return lambda observed: np.asarray(rule.act(env, observed), np.int64)
+
+
+def _trips_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
+    """line, dir, pattern, trip, seq0, calls, stop and visit of every entry of the trace."""
+    network = prepared.network
+    lines = patterns_by_line(tables, trips_of_day(tables, prepared.config))
+    patterns = np.array([pattern for group in lines.values() for pattern in group])
+    stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"].apply(list)
+    names = tables.patterns.set_index("pattern")
+    counts = np.diff(network.pattern_calls)[network.trip_pattern]
+    pattern = patterns[network.trip_pattern]
+    trips = pd.DataFrame(
+        {
+            "line": names["line"].astype(str).reindex(pattern).to_numpy(),
+            "dir": names["dir"].astype(str).reindex(pattern).to_numpy(),
+            "pattern": pattern,
+            "trip": np.arange(len(pattern)),
+            "calls": counts,
+        }
+    )
+    calls = trips.loc[trips.index.repeat(counts)].reset_index(drop=True)
+    calls["seq0"] = calls.groupby("trip").cumcount()
+    calls["stop"] = np.concatenate([stops[p] for p in pattern])
+    calls["visit"] = calls.groupby(["trip", "stop"]).cumcount()
+    return calls

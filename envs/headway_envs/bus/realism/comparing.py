@@ -1,0 +1,140 @@
+"""Simulated beside measured figures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.prepared import prepare_replay, source_of
+from headway_envs.bus.realism import figures
+from headway_envs.bus.realism.calls import recorded_day, simulated_days
+from headway_envs.bus.realism.measured import TOLERANCES, WHOLE_CITY
+from headway_envs.bus.scenario.fitted import DOI, SYNTHETIC
+from headway_envs.bus.scenario.network import trips_of_day
+from headway_envs.bus.scenario.tables import Tables
+
+HOURS = (4, 26)
+"""The service day of a replay: nearly all trips."""
+OWN, RECORDS, CITY = "its own tables", "records of its lines", "records of the whole city"
+"""On what a figure was measured."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure."""
+
+    figure: str
+    simulated: float
+    """Mean over the simulated days."""
+    deviation: float | None
+    """Sd over the days; none of one day."""
+    measured: float
+    tolerance: float
+    """The most that the mean may be off."""
+    source: str
+    """On what it was measured."""
+
+    @property
+    def off(self) -> float:
+        """Simulated less measured."""
+        return self.simulated - self.measured
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is within the tolerance."""
+        return bool(abs(self.off) <= self.tolerance)
+
+
+def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path | None = None) -> list[Row]:
+    """The figures of `days` days replayed, always MOVE, beside the measured ones of `config.day_type`.
+
+    Trips and boardings are measured by the scenario's tables. Headways along the route and loads are by
+    records below the folder `records` where it is given (and holds fares, for loads), else those of the whole
+    city, if the tables are SUNT's; else they are left out. The hours of `config` are replaced by `HOURS`.
+    Raises HeadwayError for tables that are made up, and as `prepare_replay`, `simulated_days` and
+    `recorded_day` do."""
+    if source_of(tables.meta).startswith(SYNTHETIC):
+        raise HeadwayError(
+            "SCENARIO: its trips are made up, nothing was measured there; give a scenario of recorded trips, "
+            "as headway data sunt writes them"
+        )
+    config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
+    prepared = prepare_replay(config, tables)
+    measured = {**_city_figures(tables, config), **_tables_figures(tables, config)}
+    if records is not None:
+        measured |= _record_figures(records, tables, config.day_type)
+    km = call_km(tables).groupby("pattern").last()
+    found = []
+    for calls in simulated_days(tables, prepared, days):
+        day = figures.of_trips(figures.trips_of(calls, km))
+        found.append({**day, **figures.of_headways(calls), **figures.of_passengers(calls)})
+    simulated = pd.DataFrame(found)
+    rows = []
+    for figure, tolerance in TOLERANCES.items():
+        value, source = measured.get(figure, (np.nan, ""))
+        mean = float(simulated[figure].mean())
+        if np.isnan(value) or np.isnan(mean):
+            continue
+        deviation = float(simulated[figure].std()) if days > 1 else None
+        rows.append(Row(figure, mean, deviation, value, tolerance.of(value), source))
+    return rows
+
+
+def call_km(tables: Tables) -> "pd.Series[float]":
+    """Distance from the pattern's first call along its links, by pattern and seq0, in order."""
+    calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
+    metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
+    legs = pd.Series(metres.to_numpy() / 1000.0, index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
+    legs[calls["seq0"].to_numpy() == 0] = 0.0
+    return legs.groupby("pattern").cumsum()
+
+
+def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
+    """The trips of the table, as `figures.of_trips` takes them."""
+    trips = trips_of_day(tables, config)
+    names = tables.patterns.set_index("pattern").reindex(trips["pattern"])
+    stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"]
+    frame = pd.DataFrame(
+        {
+            "line": names["line"].astype(str).to_numpy(),
+            "dir": names["dir"].astype(str).to_numpy(),
+            "pattern": trips["pattern"].to_numpy(),
+            "begin": stops.first().reindex(trips["pattern"]).to_numpy(),
+            "end": stops.last().reindex(trips["pattern"]).to_numpy(),
+            "dep": trips["dep_s"].to_numpy(np.float64),
+            "arr": trips["arr_s"].to_numpy(np.float64),
+            "km": call_km(tables).groupby("pattern").last().reindex(trips["pattern"]).to_numpy(),
+        }
+    )
+    return frame[frame["arr"] > frame["dep"]].reset_index(drop=True)
+
+
+def _from(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, str]]:
+    return {name: (value, source) for name, value in values.items()}
+
+
+def _city_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+    """The whole city's figures, if the tables are of that city."""
+    if DOI not in source_of(tables.meta):
+        return {}
+    return _from(CITY, WHOLE_CITY[config.day_type])
+
+
+def _tables_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+    demand = tables.demand[tables.demand["daytype"] == config.day_type]
+    values = figures.of_trips(observed_trips(tables, config))
+    values[figures.BOARDINGS] = float(demand["board"].sum())
+    return _from(OWN, values)
+
+
+def _record_figures(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
+    day = recorded_day(records, tables, day_type)
+    values = figures.of_headways(day.calls)
+    if day.fares:
+        loads = figures.of_passengers(day.calls)
+        values |= {name: value for name, value in loads.items() if name != figures.BOARDINGS}
+    return _from(f"{RECORDS}, {day.date}", values)

@@ -1,0 +1,90 @@
+"""What was measured in Salvador, and how near the simulator must come.
+
+Source of every number: SUNT, Salvador Urban Network Transportation (LabIA-UFBA), CC BY 4.0,
+doi 10.17632/85fdtx3kr5.1. Headways: all lines on Monday 2024-08-26 and Sunday 2024-09-15. That Monday has no
+fares: its loads, ride length and the answer of boardings to the headway are of one operator's lines (half the
+city) on 2024-06-04 and 05, and of Sundays.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from headway_envs.bus.realism.figures import (
+    BOARDINGS,
+    FIFTHS,
+    FIRST_CV,
+    LAST_CV,
+    LOAD_P50,
+    LOAD_P95,
+    RESPONSE,
+    RIDE,
+    SPEED_HOURS,
+    TRIP_MEAN,
+    TRIP_P5,
+    TRIP_P50,
+    TRIP_P95,
+    TRIP_SPREAD,
+    bunched_name,
+    cv_name,
+    speed_name,
+)
+
+
+def _by_fifth(cv: tuple[float, ...], bunched: tuple[float, ...]) -> dict[str, float]:
+    found = {}
+    for fifth in range(FIFTHS):
+        found[cv_name(fifth)] = cv[fifth]
+        found[bunched_name(fifth)] = bunched[fifth]
+    return found
+
+
+WHOLE_CITY: Mapping[str, Mapping[str, float]] = {
+    "weekday": {
+        **_by_fifth((0.54, 0.59, 0.64, 0.68, 0.71), (0.066, 0.087, 0.107, 0.122, 0.134)),
+        LOAD_P50: 13.7,
+        LOAD_P95: 57.0,
+        RIDE: 13.0,
+        RESPONSE: 0.47,
+    },
+    "sunday": {
+        **_by_fifth((0.48, 0.51, 0.54, 0.57, 0.59), (0.052, 0.061, 0.073, 0.086, 0.101)),
+        LOAD_P50: 11.6,
+        LOAD_P95: 44.0,
+        RIDE: 13.5,
+        RESPONSE: 0.47,
+    },
+}
+"""By day type and name of the figure, as `figures` takes them, over all lines."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The most that a simulated figure may be off: absolute, or a share of the measured one."""
+
+    size: float
+    share: bool = False
+
+    def of(self, measured: float) -> float:
+        """In the figure's unit."""
+        return self.size * abs(measured) if self.share else self.size
+
+
+TOLERANCES: Mapping[str, Tolerance] = {
+    FIRST_CV: Tolerance(0.01),
+    **{cv_name(fifth): Tolerance(0.05) for fifth in range(FIFTHS)},
+    LAST_CV: Tolerance(0.05),
+    **{bunched_name(fifth): Tolerance(0.02) for fifth in range(FIFTHS)},
+    TRIP_MEAN: Tolerance(0.05, share=True),
+    TRIP_P5: Tolerance(0.10, share=True),
+    TRIP_P50: Tolerance(0.10, share=True),
+    TRIP_P95: Tolerance(0.10, share=True),
+    TRIP_SPREAD: Tolerance(0.15, share=True),
+    **{speed_name(hour): Tolerance(0.10, share=True) for hour in SPEED_HOURS},
+    BOARDINGS: Tolerance(0.05, share=True),
+    LOAD_P50: Tolerance(0.15, share=True),
+    LOAD_P95: Tolerance(0.15, share=True),
+    RIDE: Tolerance(1.0),
+    RESPONSE: Tolerance(0.10),
+}
+"""Set before the first comparison. At the first call the replay is the data, so hardly anything is allowed;
+the others are about what two measured days of the same kind differ in."""

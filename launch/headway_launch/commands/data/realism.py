@@ -1,0 +1,105 @@
+"""`headway data realism`: the simulator beside what was measured."""
+
+import argparse
+import csv
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from headway.contracts.errors import HeadwayError
+
+if TYPE_CHECKING:
+    from headway_envs.bus.config import BusConfig
+    from headway_envs.bus.realism.comparing import Row
+
+EXAMPLES = """\
+examples:
+  headway data realism towns/salvador
+  headway data realism towns/salvador --day-type sunday --records ../sunt_raw
+  headway data realism towns/salvador --days 5 --format csv > realism.csv
+  headway data realism towns/salvador env.args.boarding_s=5.9
+
+The scenario's timetable is replayed from 4 to 26 h: each trip leaves when it did, nothing is added to
+departures, buses always move. Each figure is the mean over simulated days, beside the measured one; it holds
+if it is off by no more than the tolerance. Trips and boardings are measured by the scenario's own tables;
+headways along the route and loads by SUNT's trip records (--records) of its lines, or else, of a scenario
+made of SUNT, by those of the whole city. Headways are relative to the mean of their two hours, of frequent
+service; CV is their coefficient of variation, and those under a quarter of the mean are bunched.
+"""
+_COLUMNS = ("figure", "simulated", "sd of days", "measured", "off", "tolerance", "holds", "measured on")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The scenario, the days, and what to compare with."""
+    parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
+    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="env.args.* of the simulator")
+    parser.add_argument(
+        "--day-type", choices=("weekday", "sunday"), help="(default: the weekday, if it has trips)"
+    )
+    parser.add_argument("--days", type=int, default=20, help="to simulate (default: 20)")
+    parser.add_argument("--records", metavar="RAW", help="folder below which SUNT's files od-*.parquet lie")
+    parser.add_argument("--format", choices=("text", "csv"), default="text")
+    parser.add_argument("--seed", type=int, default=0, help="of a built-in scenario (default: 0)")
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Simulate, compare and print."""
+    if arguments.seed < 0 or arguments.days < 1:
+        raise HeadwayError("--seed must be at least 0 and --days at least 1")
+    config = _config(arguments)
+    from headway_envs.bus.realism.comparing import compare_replay
+    from headway_envs.bus.scenario.source import scenario_tables
+
+    tables = scenario_tables(arguments.scenario, arguments.seed)
+    there = set(tables.trips["daytype"])
+    day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
+    config = replace(config, day_type="weekday" if day == "weekday" else "sunday")
+    records = Path(arguments.records) if arguments.records else None
+    rows = compare_replay(tables, config, arguments.days, records)
+    if arguments.format == "csv":
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        writer.writerows(_cells(row) for row in rows)
+        return 0
+    from headway_launch.tables import print_table
+
+    name = Path(arguments.scenario).name
+    print_table(
+        _COLUMNS,
+        [_cells(row) for row in rows],
+        title=f"{name}, {day}: replay, always MOVE, days simulated: {arguments.days}",
+        spare=("sd of days", "tolerance", "off"),
+    )
+    print(f"{sum(row.holds for row in rows)} of {len(rows)} figures hold")
+    return 0
+
+
+def _config(arguments: argparse.Namespace) -> "BusConfig":
+    """The environment's arguments. Raises HeadwayError for other keys and for those that options give."""
+    from headway_envs.bus.config import BusConfig
+    from headway_launch.composing import compose
+
+    options = {"scenario": "SCENARIO", "scenario_seed": "--seed", "day_type": "--day-type"}
+    for override in arguments.overrides:
+        key = override.split("=")[0]
+        if not key.startswith("env.args."):
+            raise HeadwayError(f"{key}: only env.args.* of the bus environment can be given here")
+        if key.removeprefix("env.args.") in options:
+            raise HeadwayError(f"{key}: give {options[key.removeprefix('env.args.')]} instead")
+    config = compose(["env=bus", *arguments.overrides]).env_config
+    assert isinstance(config, BusConfig)
+    return config
+
+
+def _cells(row: "Row") -> tuple[str | float | None, ...]:
+    return (
+        row.figure,
+        round(row.simulated, 4),
+        None if row.deviation is None else round(row.deviation, 4),
+        round(row.measured, 4),
+        round(row.off, 4),
+        round(row.tolerance, 4),
+        "yes" if row.holds else "no",
+        row.source,
+    )

@@ -1,0 +1,84 @@
+"""Simulated beside measured figures, on the synthetic line and, where they are, on SUNT's own."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.realism import figures
+from headway_envs.bus.realism.comparing import (
+    CITY,
+    HOURS,
+    OWN,
+    Row,
+    call_km,
+    compare_replay,
+    observed_trips,
+)
+from headway_envs.bus.realism.measured import TOLERANCES, WHOLE_CITY, Tolerance
+from headway_envs.bus.scenario.source import scenario_tables
+from headway_envs.bus.scenario.tables import Tables, read_tables
+
+SHARED = Path(__file__).resolve().parents[5] / "shared" / "data"
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Tables:
+    """The synthetic line as if it had been recorded in another city."""
+    return replace(scenario_tables("line", 0), meta={"source": "a test"})
+
+
+def test_own_figures_are_compared_and_departures_agree(recorded: Tables) -> None:
+    rows = {row.figure: row for row in compare_replay(recorded, BusConfig(), 2)}
+    assert {row.source for row in rows.values()} == {OWN}
+    assert rows[figures.FIRST_CV].off == pytest.approx(0.0, abs=1e-9)
+    assert rows[figures.FIRST_CV].holds
+    assert rows[figures.TRIP_MEAN].deviation is not None
+    assert figures.cv_name(0) not in rows, "nothing was measured along this route"
+
+
+def test_observed_trips_have_the_length_of_their_links(recorded: Tables) -> None:
+    trips = observed_trips(recorded, BusConfig(start_hour=HOURS[0], end_hour=HOURS[1]))
+    km = call_km(recorded)
+    for pattern, own in trips.groupby("pattern"):
+        assert km.loc[(pattern, 0)] == 0.0
+        assert own["km"].to_numpy() == pytest.approx(km.loc[pattern].iloc[-1])
+
+
+def test_made_up_trips_are_no_measurement() -> None:
+    with pytest.raises(HeadwayError, match="its trips are made up, nothing was measured there"):
+        compare_replay(scenario_tables("line", 0), BusConfig(), 1)
+
+
+def test_a_figure_holds_up_to_its_tolerance() -> None:
+    row = Row("x", 1.05, None, 1.0, 0.05000001, OWN)
+    assert row.holds
+    assert not replace(row, simulated=0.9).holds
+    assert Tolerance(0.1, share=True).of(40.0) == pytest.approx(4.0)
+    assert Tolerance(0.1).of(40.0) == 0.1
+
+
+def test_every_measured_figure_has_a_tolerance() -> None:
+    for values in WHOLE_CITY.values():
+        assert set(values) <= set(TOLERANCES)
+
+
+@pytest.mark.parametrize("day_type", ["weekday", "sunday"])
+def test_salvador_s_busy_lines_are_irregular_as_they_were(day_type: str) -> None:
+    folder = SHARED / "sunt" / "lines10"
+    if not folder.is_dir():
+        pytest.skip(f"SUNT's lines are not there: {folder}")
+    config = BusConfig(day_type="sunday" if day_type == "sunday" else "weekday")
+    records = SHARED / "sunt_raw"
+    rows = compare_replay(read_tables(folder), config, 2, records if records.is_dir() else None)
+    found = {row.figure: row for row in rows}
+    assert found[figures.FIRST_CV].holds
+    assert found[figures.BOARDINGS].holds
+    if records.is_dir():
+        assert found[figures.cv_name(0)].holds
+        assert CITY not in found[figures.cv_name(0)].source
+    simulated = np.array([found[figures.cv_name(fifth)].simulated for fifth in range(figures.FIFTHS)])
+    assert simulated[-1] > simulated[0], "bunching grows along the route"
