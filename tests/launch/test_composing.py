@@ -2,13 +2,13 @@ import json
 from functools import cache
 
 import pytest
-import yaml
 
 from headway.config import ExperimentConfig
 from headway.configuration import describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
-from headway_launch.composing import compose, configs_folder, groups, resolve, summary_of
+from headway_launch.commands.search import read_search
+from headway_launch.composing import compose, groups, resolve, summary_of
 from headway_launch.planning import (
     Shares,
     cell_parameters,
@@ -251,13 +251,10 @@ def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
 
 @pytest.mark.parametrize("name", groups()["search"])
 def test_every_search_composes_on_seeds_that_no_study_reports(name: str) -> None:
-    search = yaml.safe_load((configs_folder() / "search" / f"{name}.yaml").read_text())
     reported = {seed for option in groups()["experiment"] for seed in _seeds(f"experiment={option}")}
-    for cell in search["cells"].values():
-        for candidate in search["candidates"].values():
-            experiment = compose([*search["base"], *cell, *candidate])
-            assert reported.isdisjoint(experiment.config.seed)
-            assert experiment.config.study.startswith("search_")
+    for experiment in read_search(name).points().values():
+        assert reported.isdisjoint(experiment.config.seed)
+        assert experiment.config.study.startswith("search_")
 
 
 @cache

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import mean
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +37,34 @@ class Search:
     """Name -> list of overrides."""
     candidates: Mapping[str, Any]
     """Name -> list of overrides."""
+    name: str = ""
+    """Of its file."""
+
+    def points(self, overrides: Sequence[str] = ()) -> dict[tuple[str, str], "Experiment"]:
+        """Every candidate in every cell, by both names.
+
+        Raises HeadwayError for what cannot be used, and where two would train the same.
+        """
+        from headway_launch.composing import compose
+        from headway_launch.planning import full_mapping
+        from headway_launch.stored import identity
+        from headway_launch.sweeping import require_one_session
+
+        points = {
+            (cell, candidate): compose([*self.base, *in_cell, *tried, *overrides])
+            for cell, in_cell in self.cells.items()
+            for candidate, tried in self.candidates.items()
+        }
+        require_one_session(list(points.values()))
+        known: dict[str, tuple[str, str]] = {}
+        for place, experiment in points.items():
+            other = known.setdefault(identity(full_mapping(experiment, ())), place)
+            if other != place:
+                raise HeadwayError(
+                    f"search {self.name}: {': '.join(other)} and {': '.join(place)} are the same experiment; "
+                    "give each its own values, and override none of them"
+                )
+        return points
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,21 +79,13 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway_launch.composing import compose
     from headway_launch.conducting import EXIT_DONE
     from headway_launch.studying import StudySession
-    from headway_launch.sweeping import require_one_session
     from headway_launch.tables import print_table
     from headway_launch.telling import to_a_reader
 
-    search = _read(arguments.search)
-    points = {
-        (cell, candidate): compose([*search.base, *in_cell, *tried, *arguments.overrides])
-        for cell, in_cell in search.cells.items()
-        for candidate, tried in search.candidates.items()
-    }
-    require_one_session(list(points.values()))
-    _require_distinct(arguments.search, points)
+    search = read_search(arguments.search)
+    points = search.points(arguments.overrides)
     labels = [": ".join(place) for place in points]
     conductor = StudySession.plan(list(points.values()), labels, arguments.fresh).conductor(arguments.debug)
     code = conductor.conduct()
@@ -90,23 +110,11 @@ def _title(config: "ExperimentConfig") -> str:
     return f"search on {config.env.id}: seeds {seeds}, {config.env_steps:,} environment steps each"
 
 
-def _require_distinct(search: str, points: Mapping[tuple[str, str], "Experiment"]) -> None:
-    """Raises HeadwayError where two points would train the same, as where an override undoes what they differ
-    in."""
-    from headway_launch.planning import full_mapping
-    from headway_launch.stored import identity
+def read_search(name: str) -> Search:
+    """A search of configs/search.
 
-    known: dict[str, tuple[str, str]] = {}
-    for place, experiment in points.items():
-        other = known.setdefault(identity(full_mapping(experiment, ())), place)
-        if other != place:
-            raise HeadwayError(
-                f"search {search}: {': '.join(other)} and {': '.join(place)} are the same experiment; give "
-                "each its own values, and override none of them"
-            )
-
-
-def _read(name: str) -> Search:
+    Raises HeadwayError where there is none of that name, or it cannot be read.
+    """
     import yaml
 
     from headway_launch.composing import configs_folder
@@ -120,4 +128,4 @@ def _read(name: str) -> Search:
     except yaml.YAMLError as error:
         problem = " ".join(str(error).split())
         raise HeadwayError(f"configs/search/{name}.yaml is not valid YAML: {problem}") from error
-    return build(Search, content, f"search/{name}")
+    return replace(build(Search, content, f"search/{name}"), name=name)
