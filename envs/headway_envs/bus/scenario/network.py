@@ -31,15 +31,9 @@ def build(tables: Tables, config: BusConfig) -> tuple[Network, tuple[str, ...]]:
 
     Raises HeadwayError where the day type has no trips, demand or travel times."""
     day = config.day_type
-    trips = tables.trips[tables.trips["daytype"] == day]
-    begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
-    trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
-    if trips.empty:
-        raise HeadwayError(
-            f"table trips has none on day_type {day} between {config.start_hour} and {config.end_hour} h: "
-            "choose another day_type or hours"
-        )
-    lines, patterns = _order(tables, trips)
+    trips = trips_of_day(tables, config)
+    lines = patterns_by_line(tables, trips)
+    patterns = [pattern for group in lines.values() for pattern in group]
     calls = _calls(tables, patterns)
     call_counts = calls.groupby("p").size().to_numpy(np.int64)
     pattern_calls = _offsets(call_counts)
@@ -89,13 +83,26 @@ def _offsets(counts: NDArray[Any]) -> Integers:
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
 
 
-def _order(tables: Tables, trips: pd.DataFrame) -> tuple[dict[str, list[int]], list[int]]:
-    """Patterns that run, by line: {line: patterns}, and all in that order."""
+def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
+    """The trips that leave within the configured service day. Raises HeadwayError if there is none."""
+    trips = tables.trips[tables.trips["daytype"] == config.day_type]
+    begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
+    trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
+    if trips.empty:
+        raise HeadwayError(
+            f"table trips has none on day_type {config.day_type} between {config.start_hour} and "
+            f"{config.end_hour} h: choose another day_type or hours"
+        )
+    return trips
+
+
+def patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]]:
+    """Patterns that run, by line, in the network's order: {line: patterns}."""
     running = tables.patterns[tables.patterns["pattern"].isin(trips["pattern"])]
     lines: dict[str, list[int]] = {}
     for line, group in running.sort_values(["line", "dir", "pattern"]).groupby("line", sort=False):
         lines[str(line)] = [int(p) for p in group["pattern"]]
-    return lines, [p for group in lines.values() for p in group]
+    return lines
 
 
 def _calls(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
