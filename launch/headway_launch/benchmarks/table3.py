@@ -1,5 +1,4 @@
-"""What the study `bus_table3` takes: CPU seconds of iterations and evaluations of a stack of each algorithm, and
-the whole by them."""
+"""What the study `bus_table3` takes: CPU seconds of iterations and evaluations of each algorithm, and all."""
 
 import time
 from contextlib import closing
@@ -50,7 +49,7 @@ def report() -> None:
         if len(costs) == 1:
             first = costs[algorithm]
             print(
-                f"One process, stacks of {first.stack} seeds, iterations and evaluations of an untrained policy.\n"
+                f"One process, stacks of {first.stack} seeds; evaluations are of policies hardly trained.\n"
             )
             print(f"| algorithm | CPU s an iteration | CPU s an evaluation | CPU h of {first.seeds} seeds |")
             print("|---|---:|---:|---:|")
