@@ -83,8 +83,9 @@ def cost_of(experiment: Experiment) -> Cost:
         iteration = (time.process_time() - began) / (done - 1)
     began = time.process_time()
     evaluation = config.evaluation
-    for request in EvaluationRequest.split(evaluation.seed, evaluation.episodes, greedy=True):
-        evaluate_policy(plan, learner.acting_parameters(), request)
+    for mode_name in evaluation.modes:
+        for request in EvaluationRequest.split(evaluation.seed, evaluation.episodes, mode_name == "greedy"):
+            evaluate_policy(plan, learner.acting_parameters(), request)
     return Cost(
         iteration_s=iteration,
         evaluation_s=time.process_time() - began,

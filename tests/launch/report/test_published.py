@@ -1,6 +1,5 @@
 """The section beside BusEnv's published table."""
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,7 +60,9 @@ def test_figures_are_of_training_summed_over_buses_and_ranked(keep_run: Keep, ro
     assert "1 of 3 learners come within 5% of that (ippo, independent)" in said
     assert "comes to 492.5: uptime is paid for at every move" in said
     assert "not public in full" in said
-    assert re.search(r"64 cores and 5 GPUs", said)
+    assert "64 cores and 5 GPUs" in said
+    assert "While training" not in said
+    assert "+1.00 (0.33)" in table(found, "busenv_ranks").rows[0]
 
 
 def test_two_algorithms_or_two_settings_of_one_have_no_correlation(keep_run: Keep, root: Path) -> None:
@@ -79,3 +80,11 @@ def test_other_environments_and_other_algorithms_have_no_such_table(keep_run: Ke
     assert published_section(StudyData(root, "toy")) is None
     keep_run((TABLE3, "algo=madqn", "preset=none", "rollout=replay"), 0, 10.0)
     assert "None of the algorithms published was trained." in words(section(root))
+
+
+def test_who_earns_more_by_drawn_actions_is_named(keep_run: Keep, root: Path) -> None:
+    """In the fixture training earns half of a loss of 20, which is what always moving loses here."""
+    for algorithm, final in (("maa2c", -20.0), ("ippo", 30.0)):
+        keep_run((TABLE3, f"algo={algorithm}"), 0, final, rules={**RULES, "always_move": -20.0})
+    said = words(section(root))
+    assert "While training, where actions are drawn, maa2c, independent came to more than that" in said
