@@ -2,8 +2,15 @@
 
 from headway.contracts import EnvEntry
 from headway_envs.bus.entry import ENTRY as BUS
+from headway_envs.bus_published.entry import ENTRY as BUS_PUBLISHED
 from headway_envs.intersection.entry import ENTRY as INTERSECTION
 from headway_envs.merge.entry import ENTRIES as MERGES
 from headway_envs.toy.entry import ENTRIES as TOYS
 
-ENTRIES: dict[str, EnvEntry] = {"bus": BUS, "intersection": INTERSECTION, **MERGES, **TOYS}
+ENTRIES: dict[str, EnvEntry] = {
+    "bus": BUS,
+    "bus_published": BUS_PUBLISHED,
+    "intersection": INTERSECTION,
+    **MERGES,
+    **TOYS,
+}

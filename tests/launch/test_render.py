@@ -82,6 +82,10 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
     moving = tmp_path / "policy.gif"
     assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
     assert len(frames(moving)) == 6
+    words = ["render", "s0", "--store", str(tmp_path / "runs"), "--output", "end.png", "--keep"]
+    assert run(words) == 0
+    [kept] = (tmp_path / "runs").glob("**/pictures/end.png")
+    assert frames(kept) == frames(moving)[:1]
 
 
 @pytest.mark.parametrize(
@@ -90,10 +94,14 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
         (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
         (["s0"], "there is no store in 'runs'"),
         (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
-        (["trivial", "--rule", "random"], "trivial cannot be drawn; those that can are: intersection"),
+        (["trivial", "--rule", "random"], "trivial cannot be drawn; those that can are: bus, intersection"),
         (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
         (["merge", "--rule", "idle", "--step", "3"], "--step picks the moment of a picture"),
         (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
+        (
+            ["merge", "--rule", "idle", "--keep"],
+            "--keep is for the pictures of a run; leave it or --rule out",
+        ),
         (["merge", "--rule", "idle", "--fps", "0"], "--fps must lie between 0.1 and 50, not 0"),
         (["merge", "--rule", "idle", "--output", "no/where.gif"], "--output: no/where.gif cannot be written"),
         (["s0", "env.args.density=3"], "env.args.density=3: a run is played as it was trained"),
@@ -116,3 +124,10 @@ def test_what_cannot_be_drawn_is_one_line(
     assert error.startswith("headway: ")
     assert line in error
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bus_day_is_drawn_as_map_and_diagram(tmp_path: Path) -> None:
+    output = tmp_path / "day.png"
+    words = ["render", "bus", "--rule", "always_move", "env.args.end_hour=6", "--output", str(output)]
+    assert run(words) == 0
+    assert frames(output)[0][0] == 1180

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, Rule
+from headway.contracts import BatchedEnv, EnvEntry, Painter, Rule
 from headway_envs.bus.config import BusConfig
 
 if TYPE_CHECKING:
@@ -25,6 +25,12 @@ def _parallel_env(config: BusConfig) -> Any:  # noqa: ANN401 - PettingZoo comes 
     from headway_envs.bus.parallel import BusParallelEnv
 
     return BusParallelEnv(config)
+
+
+def _painter(prepared: "Prepared") -> Painter:
+    from headway_envs.bus.picture import BusPainter
+
+    return BusPainter(prepared)
 
 
 def _always_move(prepared: "Prepared") -> Rule:
@@ -77,5 +83,6 @@ ENTRY = EnvEntry(
         "even_headway": _even_headway,
         "schedule_holding": _schedule_holding,
     },
+    painter=_painter,
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),
 )

@@ -29,6 +29,9 @@ examples:
   headway render merge --rule idm_mobil            a rule on an environment
   headway render merge --rule always_left env.args.density=3 --episode 4 --output crash.gif
   headway render merge --rule idle --step 60 --output moment.png
+  headway render bus --rule even_headway --output day.png      the map, and the day as a time-space diagram
+  headway render bus --rule even_headway --fps 25              the same, hour by hour
+  headway render s0-20260101-1200 --keep                       kept with the run, in its folder
 
 A .gif moves; a .png is one step of the episode (its last, unless --step says which).
 """
@@ -47,6 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--step", type=int, help="of a .png: after so many steps")
     parser.add_argument("--output", help="file to write (default: NAME.gif)")
     parser.add_argument("--fps", type=float, default=5.0, help="steps a second of a .gif (default: 5)")
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="write into the run's folder, under pictures, where the run is kept",
+    )
     add_store_argument(parser)
 
 
@@ -54,6 +62,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """Play, draw and say where the file is."""
     output = Path(arguments.output or f"{Path(arguments.name).name}.gif")
     _check(arguments, output)
+    if arguments.keep:
+        output = _in_run(arguments, output)
     from headway_launch.threads import limit_threads
 
     limit_threads()
@@ -85,8 +95,20 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
         raise HeadwayError("--episode, --seed and --step must be at least 0")
     if not 0.1 <= arguments.fps <= 50.0:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
+    if arguments.keep and arguments.rule is not None:
+        raise HeadwayError("--keep is for the pictures of a run; leave it or --rule out")
     if arguments.overrides and arguments.rule is None:
         raise HeadwayError(f"{arguments.overrides[0]}: a run is played as it was trained; leave it out")
+
+
+def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
+    """Where a picture is kept with its run."""
+    from headway_launch.stored import StoredRun
+
+    run = StoredRun.find(existing_store(arguments.store), arguments.name)
+    folder = run.directory / "pictures"
+    folder.mkdir(exist_ok=True)
+    return folder / output.name
 
 
 def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "Heed"]:

@@ -18,8 +18,11 @@ from headway.adapters.recording import Recording
 from headway_envs.entries import ENTRIES
 
 WITH_PARALLEL_ENV = [name for name, entry in ENTRIES.items() if entry.parallel_env is not None]
-SHORT: Mapping[str, Mapping[str, Any]] = {"intersection": {"horizon": 400}}
-"""Arguments of environments whose episodes are long."""
+SHORT: Mapping[str, Mapping[str, Any]] = {
+    "intersection": {"horizon": 400},
+    "bus_published": {"scenario": "line"},
+}
+"""Arguments of environments whose episodes are long, or take long to prepare."""
 
 
 def config_of(name: str) -> Any:  # noqa: ANN401 - the entry's record

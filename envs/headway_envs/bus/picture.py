@@ -1,0 +1,363 @@
+"""A picture of a service day: above the map, with its stops, buses and loads; below the time-space diagram of
+one line, which grows as the day goes."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from headway.contracts import BatchedEnv
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, DRIVING, METRICS
+from headway_envs.bus.prepared import Prepared
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+
+if TYPE_CHECKING:
+    from headway_envs.bus.scenario.tables import Tables
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Point = tuple[float, float]
+Frame = tuple[int, int, int, int]
+"""Left, top, right and bottom, pixels."""
+
+FINER = 2
+"""Drawn so many times as large and then reduced, for smooth edges."""
+WIDTH, HEADER, EDGE = 1180, 54, 14
+MAP_HEIGHTS = (130, 420)
+"""Least and most, by the shape of the network."""
+DIAGRAM_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 330, 24, 18, 26, 46
+ASIDE = 5.0
+"""Pixels by which buses of either direction are drawn to the right of the line."""
+NUMBERED = 40
+"""Up to so many buses have their load written on them."""
+
+GROUND, PAPER, ROAD, STOP, QUEUE, GRID, TEXT, FAINT = (
+    "#eef1ea", "#ffffff", "#a9b0b6", "#54595e", "#7b4fa3", "#d9dde0", "#20242a", "#6b7177",
+)  # fmt: skip
+OUT_OF_SERVICE = "#d32f2f"
+LOADS = ((0.0, "#2e9d4f"), (0.5, "#f2b705"), (1.0, "#c2185b"))
+"""Colours of the occupancies 0, half and full; between them they are mixed."""
+
+
+@dataclass(frozen=True)
+class Geography:
+    """Where the calls of a network lie; Q calls."""
+
+    right: Floats
+    """(Q,) m along the direction in which the network is longest"""
+    up: Floats
+    """(Q,) m across it"""
+    along: Floats
+    """(Q,) m from the first call of the pattern"""
+    north: Point
+    """Which way north is, right and up"""
+
+
+def geography(tables: "Tables", prepared: Prepared) -> Geography:
+    """Of the tables that a network was built from."""
+    from headway_envs.bus.scenario.network import patterns_by_line, trips_of_day
+
+    by_line = patterns_by_line(tables, trips_of_day(tables, prepared.config))
+    stops, metres = tables.stops.set_index("stop"), tables.links.set_index("link")["leg_m"]
+    of_pattern = dict(list(tables.pattern_stops.sort_values("seq0").groupby("pattern")))
+    lat, lon, along = [], [], []
+    for patterns in by_line.values():
+        for pattern in patterns:
+            calls = of_pattern[pattern]
+            legs = metres.reindex(calls["link"].iloc[1:]).to_numpy(np.float64)
+            along.append(np.concatenate(([0.0], np.cumsum(legs))))
+            lat.append(stops.loc[calls["stop"], "lat"].to_numpy(np.float64))
+            lon.append(stops.loc[calls["stop"], "lon"].to_numpy(np.float64))
+    north = np.concatenate(lat) * METRES_A_DEGREE
+    across = math.cos(math.radians(float(np.concatenate(lat).mean()))) * METRES_A_DEGREE
+    places = np.column_stack((np.concatenate(lon) * across, north))
+    places -= places.mean(axis=0)
+    longest = np.linalg.eigh(np.cov(places.T))[1][:, -1]
+    longest = longest if longest[0] >= 0 else -longest
+    turned = places @ np.array([[longest[0], -longest[1]], [longest[1], longest[0]]])
+    turned -= turned.min(axis=0)
+    return Geography(
+        turned[:, 0], turned[:, 1], np.concatenate(along), (float(longest[1]), float(longest[0]))
+    )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The buses of a copy that are out, B of them, at one moment."""
+
+    slots: Integers
+    """(B,) which of the slots"""
+    calls: Integers
+    """(B,) the call each is at or has left"""
+    share: Floats
+    """(B,) of the way to the next call"""
+    occupancy: Floats
+    loads: Integers
+    out_of_service: NDArray[np.bool_]
+    """(B,) at the service centre, or broken down"""
+
+
+class BusPainter:
+    """Implements `headway.contracts.Painter`. It remembers what it has painted of a day: the diagram begins
+    with the first picture of it. The line shown there is the one with the most buses."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        from headway_envs.bus.scenario.source import scenario_tables
+
+        tables = scenario_tables(prepared.config.scenario, prepared.config.scenario_seed)
+        self._prepared, self._net = prepared, prepared.network
+        self._places = geography(tables, prepared)
+        self._line = int(np.argmax(np.diff(self._net.line_slots)))
+        self._font = ImageFont.load_default(11 * FINER)
+        self._small = ImageFont.load_default(9 * FINER)
+        self._large = ImageFont.load_default(15 * FINER)
+        self._map, self._diagram = self._lay_out()
+        self._size = WIDTH, self._diagram[3] + AXIS + LEGEND
+        self._pixels, self._scale = self._project()
+        self._heights = self._of_diagram()
+        self._empty = self._draw_background()
+        self._drawn, self._before = self._empty.copy(), -math.inf
+        self._last: dict[int, tuple[int, Point]] = {}
+
+    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """(height, width, 3). Raises TypeError for any other environment."""
+        if not isinstance(env, BusBatchedEnv):
+            raise TypeError(f"the picture of a bus network needs a BusBatchedEnv, not {type(env).__name__}")
+        day = env.world.days[0]
+        if at_end:
+            picture, said = self._drawn.copy(), _summary(env.outputs.metrics[0])
+            self._write(picture, "The day is over", said)
+            return _reduced(picture)
+        now = float(day["now"])
+        if now <= self._before:
+            self._drawn, self._last = self._empty.copy(), {}
+        self._before = now
+        seen = _look(env)
+        self._extend_diagram(seen, now)
+        picture = self._drawn.copy()
+        draw = ImageDraw.Draw(picture)
+        waiting = self._draw_queues(draw, env)
+        self._draw_buses(draw, seen)
+        off = int(seen.out_of_service.sum())
+        said = f"{len(seen.slots) - off} buses on their lines, {off} at a service centre or broken down"
+        said += f"    {int(seen.loads.sum())} passengers on board, {waiting} waiting"
+        said += f"    team reward so far {float(day['reward']):.1f}"
+        self._write(picture, _clock(now), said)
+        return _reduced(picture)
+
+    def _lay_out(self) -> tuple[Frame, Frame]:
+        """The frames of the map and of the diagram."""
+        shape = float(self._places.up.max()) / max(float(self._places.right.max()), 1.0)
+        height = int(np.clip(shape * WIDTH, *MAP_HEIGHTS))
+        top = HEADER + height + TITLE
+        return (
+            (EDGE, HEADER, WIDTH - EDGE, HEADER + height),
+            (EDGE + LABELS, top, WIDTH - EDGE, top + DIAGRAM_HEIGHT),
+        )
+
+    def _project(self) -> tuple[Floats, float]:
+        """Pixels of every call (Q, 2), and pixels a metre."""
+        left, top, right, bottom = (FINER * edge for edge in self._map)
+        inset, places = 22 * FINER, self._places
+        wide, high = max(float(places.right.max()), 1.0), max(float(places.up.max()), 1.0)
+        scale = min((right - left - 2 * inset) / wide, (bottom - top - 2 * inset) / high)
+        x = (left + right - scale * wide) / 2.0 + scale * places.right
+        y = (top + bottom + scale * high) / 2.0 - scale * places.up
+        return np.column_stack((x, y)), scale
+
+    def _of_diagram(self) -> Floats:
+        """(Q,) share of the way up the diagram of the calls on its line: patterns that begin nearer to the
+        last stop of the line's first pattern than to its first one come down; NaN on other lines."""
+        net, places = self._net, self._places
+        up = np.full(len(places.along), np.nan)
+        first, last = net.line_patterns[self._line], net.line_patterns[self._line + 1]
+        start, end = net.pattern_calls[first], net.pattern_calls[first + 1] - 1
+        for pattern in range(first, last):
+            calls = slice(net.pattern_calls[pattern], net.pattern_calls[pattern + 1])
+            share = places.along[calls] / max(float(places.along[calls][-1]), 1.0)
+            here = calls.start
+            back = self._apart(here, end) < self._apart(here, start)
+            up[calls] = 1.0 - share if back else share
+        return up
+
+    def _apart(self, one: int, other: int) -> float:
+        places = self._places
+        return math.hypot(places.right[one] - places.right[other], places.up[one] - places.up[other])
+
+    def _in_diagram(self, time: float, up: float) -> Point:
+        left, top, right, bottom = self._diagram
+        config = self._prepared.config
+        share = (time - config.start_hour * 3600.0) / config.day_s
+        return FINER * (left + share * (right - left)), FINER * (bottom - up * (bottom - top))
+
+    def _draw_background(self) -> Image.Image:
+        picture = Image.new("RGB", (self._size[0] * FINER, self._size[1] * FINER), GROUND)
+        draw = ImageDraw.Draw(picture)
+        draw.rectangle([FINER * edge for edge in self._map], PAPER)
+        for first, last in pairwise(self._net.pattern_calls):
+            draw.line([tuple(point) for point in self._pixels[first:last]], ROAD, 2 * FINER)
+        for x, y in self._pixels:
+            draw.ellipse([x - 2, y - 2, x + 2, y + 2], STOP)
+        self._draw_scale(draw)
+        self._draw_axes(draw)
+        self._draw_legend(draw)
+        return picture
+
+    def _draw_scale(self, draw: ImageDraw.ImageDraw) -> None:
+        """A length on the map, and where north is."""
+        metres = 10.0 ** math.floor(math.log10(120 * FINER / self._scale))
+        for more in (5.0, 2.0):
+            if metres * more * self._scale <= 120 * FINER:
+                metres *= more
+                break
+        x, y = FINER * (self._map[0] + 14), FINER * (self._map[3] - 10)
+        draw.line([(x, y), (x + metres * self._scale, y)], TEXT, FINER)
+        label = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
+        draw.text((x, y - 4 * FINER), label, TEXT, self._small, anchor="ls")
+        across, up = (10 * FINER * part for part in self._places.north)
+        x, y = FINER * (self._map[2] - 24), FINER * (self._map[1] + 24)
+        draw.line([(x - across, y + up), (x + across, y - up)], TEXT, FINER)
+        draw.text((x + 1.5 * across, y - 1.5 * up), "N", TEXT, self._small, anchor="mm")
+
+    def _draw_axes(self, draw: ImageDraw.ImageDraw) -> None:
+        left, top, right, _ = self._diagram
+        draw.rectangle([FINER * edge for edge in self._diagram], PAPER)
+        config = self._prepared.config
+        for hour in range(config.start_hour, config.end_hour + 1):
+            x, low = self._in_diagram(hour * 3600.0, 0.0)
+            draw.line([(x, FINER * top), (x, low)], GRID)
+            if (hour - config.start_hour) % 2 == 0:
+                draw.text((x, low + 4 * FINER), f"{hour} h", FAINT, self._small, anchor="mt")
+        kilometres = self._length_m() / 1000.0
+        for quarter in range(5):
+            x, y = self._in_diagram(config.start_hour * 3600.0, quarter / 4.0)
+            draw.line([(x, y), (FINER * right, y)], GRID)
+            label = f"{kilometres * quarter / 4.0:.1f} km"
+            draw.text((x - 4 * FINER, y), label, FAINT, self._small, anchor="rm")
+        name = self._prepared.lines[self._line]
+        draw.text(
+            (FINER * left, FINER * (top - 5)),
+            f"{name}: place along the line by hour of the day; each stroke is a bus, coloured by its load",
+            TEXT,
+            self._font,
+            anchor="ls",
+        )
+
+    def _length_m(self) -> float:
+        first = self._net.line_patterns[self._line]
+        return float(self._places.along[self._net.pattern_calls[first + 1] - 1])
+
+    def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
+        x, y = FINER * EDGE, FINER * (self._size[1] - LEGEND + 8)
+        for occupancy in np.linspace(0.0, 1.0, 21):
+            draw.rectangle([x, y, x + 4 * FINER, y + 9 * FINER], _colour(float(occupancy)))
+            x += 4 * FINER
+        x += 6 * FINER
+        draw.text((x, y), "bus: empty to full", TEXT, self._font)
+        x += 116 * FINER
+        draw.ellipse([x, y, x + 9 * FINER, y + 9 * FINER], QUEUE)
+        draw.text((x + 14 * FINER, y), "stop: area by those who wait", TEXT, self._font)
+        x += 186 * FINER
+        draw.rectangle([x, y, x + 9 * FINER, y + 9 * FINER], OUT_OF_SERVICE)
+        draw.text((x + 14 * FINER, y), "broken down or at a centre", TEXT, self._font)
+
+    def _draw_queues(self, draw: ImageDraw.ImageDraw, env: BusBatchedEnv) -> int:
+        """Stops as large as their queues; returns how many wait on the network."""
+        waiting = env.world.queues["waiting"][0]
+        for call in np.flatnonzero(waiting):
+            x, y = self._pixels[call]
+            radius = FINER * min(1.6 * math.sqrt(waiting[call]), 16.0)
+            draw.ellipse([x - radius, y - radius, x + radius, y + radius], QUEUE)
+        return int(waiting.sum())
+
+    def _draw_buses(self, draw: ImageDraw.ImageDraw, seen: _Seen) -> None:
+        half = FINER * (7.0 if len(seen.slots) <= NUMBERED else 4.0)
+        for n, call in enumerate(seen.calls):
+            following = min(call + 1, len(self._pixels) - 1)
+            way = self._pixels[following] - self._pixels[call]
+            x, y = self._pixels[call] + seen.share[n] * way
+            length = math.hypot(*way)
+            if length > 0:
+                x, y = x - way[1] / length * ASIDE * FINER, y + way[0] / length * ASIDE * FINER
+            colour = OUT_OF_SERVICE if seen.out_of_service[n] else _colour(float(seen.occupancy[n]))
+            draw.rounded_rectangle([x - half, y - half, x + half, y + half], 2 * FINER, colour, TEXT)
+            if len(seen.slots) <= NUMBERED:
+                draw.text((x, y), f"{seen.loads[n]}", "#ffffff", self._small, anchor="mm")
+
+    def _extend_diagram(self, seen: _Seen, now: float) -> None:
+        """Draw on from where each bus of the line was in the last picture. A stroke ends where a bus begins
+        another trip, or is out of service."""
+        draw, reached = ImageDraw.Draw(self._drawn), {}
+        for n, call in enumerate(seen.calls):
+            up, slot = self._heights[call], int(seen.slots[n])
+            if not math.isfinite(up) or seen.out_of_service[n]:
+                continue
+            pattern = int(np.searchsorted(self._net.pattern_calls, call, side="right")) - 1
+            if call + 1 < self._net.pattern_calls[pattern + 1]:
+                up += seen.share[n] * (self._heights[call + 1] - up)
+            point = self._in_diagram(now, float(up))
+            reached[slot] = (pattern, point)
+            if slot in self._last and self._last[slot][0] == pattern:
+                draw.line([self._last[slot][1], point], _colour(float(seen.occupancy[n])), FINER)
+        self._last = reached
+
+    def _write(self, picture: Image.Image, title: str, said: str) -> None:
+        draw = ImageDraw.Draw(picture)
+        draw.text((FINER * 14, FINER * 8), title, TEXT, self._large)
+        draw.text((FINER * 14, FINER * 32), said, TEXT, self._font)
+
+
+def _look(env: BusBatchedEnv) -> _Seen:
+    """The buses of the first copy that are out."""
+    slots, capacity = env.world.slots[0], env.prepared.config.capacity
+    out = np.flatnonzero(slots["phase"] != DEPOT)
+    buses, now = slots[out], float(env.world.days[0]["now"])
+    arrives = env.world.event_time[0, out]
+    lasts = np.maximum(arrives - buses["left"], 1.0)
+    share = np.where(buses["phase"] == DRIVING, (now - buses["left"]) / lasts, 0.0)
+    return _Seen(
+        slots=out,
+        calls=buses["call"].astype(np.int64),
+        share=np.clip(share, 0.0, 1.0),
+        occupancy=buses["load"] / capacity,
+        loads=buses["load"].astype(np.int64),
+        out_of_service=np.isin(buses["phase"], (AWAY, BROKEN)),
+    )
+
+
+def _summary(metrics: Floats) -> str:
+    """What the day came to."""
+    of = dict(zip(METRICS, metrics.tolist(), strict=True))
+    return (
+        f"mean wait {of['mean_wait_min']:.2f} min    headway CV {of['headway_cv']:.2f}    "
+        f"bunched {100 * of['bunched_share']:.1f}%    denied boardings {of['denied_boardings']:.0f}    "
+        f"breakdowns {of['breakdowns']:.0f}    team reward {of['team_reward']:.1f}"
+    )
+
+
+def _clock(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
+
+
+def _colour(occupancy: float) -> str:
+    """Of a bus with such a load."""
+    place = min(max(occupancy, 0.0), 1.0)
+    for (low, begin), (high, end) in pairwise(LOADS):
+        if place <= high:
+            weight = (place - low) / (high - low)
+            parts = [
+                round((1.0 - weight) * int(begin[i : i + 2], 16) + weight * int(end[i : i + 2], 16))
+                for i in (1, 3, 5)
+            ]
+            return "#" + "".join(f"{part:02x}" for part in parts)
+    return LOADS[-1][1]
+
+
+def _reduced(picture: Image.Image) -> NDArray[np.uint8]:
+    return np.asarray(picture.reduce(FINER), np.uint8)

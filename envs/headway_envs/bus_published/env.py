@@ -1,0 +1,115 @@
+"""The batched face of the published bus environment."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
+from headway_envs.bus_published.kernel import steps
+from headway_envs.bus_published.kernel.layout import (
+    ACTIONS,
+    BUS,
+    CALL,
+    DAY,
+    METRICS,
+    OBSERVATION_SIZE,
+    Outputs,
+    World,
+)
+from headway_envs.bus_published.prepared import Prepared
+from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
+
+
+class BusPublishedBatchedEnv:
+    """C days stepped together; implements `headway.contracts.BatchedEnv`.
+
+    Each step every bus takes an action, and time goes on for it alone: 0 WAIT (60 s), 1 MOVE (the mean time
+    of the link), 2 SERVICE_CENTER (0.3 of the shortest path's time; refused without fuel for it). The day
+    ends for all, terminated, when the first clock passes its end; it is truncated after `max_steps`.
+    """
+
+    def __init__(self, prepared: Prepared, copies: int) -> None:
+        """Raises HeadwayError if there is not at least one copy."""
+        if copies < 1:
+            raise HeadwayError(f"copies must be at least 1, not {copies}")
+        self.prepared, self.network, self.settings = prepared, prepared.network, prepared.settings
+        buses = len(prepared.agents)
+        self.world = World(
+            days=np.zeros(copies, DAY),
+            buses=np.zeros((copies, buses), BUS),
+            calls=np.zeros((copies, len(self.network.call_stop)), CALL),
+        )
+        self.outputs = Outputs(
+            observations=np.zeros((copies, buses, OBSERVATION_SIZE), np.float32),
+            rewards=np.zeros((copies, buses), np.float32),
+            terminated=np.zeros((copies, buses), np.bool_),
+            truncated=np.zeros((copies, buses), np.bool_),
+            ended=np.zeros(copies, np.bool_),
+            final_observations=np.zeros((copies, buses, OBSERVATION_SIZE), np.float32),
+            metrics=np.zeros((copies, len(METRICS))),
+        )
+        self._always = np.ones((copies, buses), np.bool_)
+        self._no_state = np.zeros((copies, 0), np.float32)
+        self._spec = EnvSpec(
+            name="bus_published",
+            agents=prepared.agents,
+            observation_size=OBSERVATION_SIZE,
+            action_space=Discrete(ACTIONS),
+            groups=prepared.groups,
+            shared_reward=prepared.config.reward.shared,
+            metrics=tuple(METRICS),
+            snapshots=True,
+        )
+
+    @property
+    def spec(self) -> EnvSpec:
+        return self._spec
+
+    @property
+    def num_copies(self) -> int:
+        return len(self.world.days)
+
+    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+        """Begin day 0 of every copy; seeds (C,). Raises ValueError for another shape."""
+        seeds = np.ascontiguousarray(seeds, np.uint64)
+        if seeds.shape != (self.num_copies,):
+            raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
+        for array in (*self.world, *self.outputs):
+            array[...] = np.zeros(1, array.dtype)
+        steps.begin(self.network, self.settings, self.world, self.outputs, seeds)
+        return self.observed()
+
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+        """One action of every bus; actions (C, N) int64 of 0 to 2."""
+        actions = np.ascontiguousarray(actions, np.int64)
+        if actions.shape != self._always.shape:
+            raise ValueError(f"actions must have shape {self._always.shape}, not {actions.shape}")
+        outputs = self.outputs
+        steps.step(self.network, self.settings, self.world, outputs, actions)
+        outcome = Outcome(
+            rewards=outputs.rewards,
+            terminated=outputs.terminated,
+            truncated=outputs.truncated,
+            acting=self._always,
+            episode_ended=outputs.ended,
+            final_observations=outputs.final_observations,
+            final_states=self._no_state,
+            metrics=outputs.metrics,
+        )
+        return outcome, self.observed()
+
+    def observed(self) -> Observed:
+        """What the buses face now; views of the environment's arrays."""
+        return Observed(self.outputs.observations, self._no_state, self._always)
+
+    def snapshot(self) -> Snapshot:
+        return snapshot_of(self.world, self.outputs)
+
+    def restore(self, snapshot: Snapshot) -> Observed:
+        """Continue from a snapshot of the same scenario, buses and number of copies, else HeadwayError."""
+        put_back(snapshot, self.world, self.outputs, "scenario, number of buses")
+        return self.observed()
+
+    def close(self) -> None:
+        """Nothing is held open."""

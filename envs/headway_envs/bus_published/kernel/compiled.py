@@ -1,0 +1,9 @@
+"""How every function of this kernel is compiled."""
+
+from pathlib import Path
+
+from headway_envs.compiling import compiled, compiled_apart, drop_stale_cache
+
+drop_stale_cache(Path(__file__).parent)
+
+__all__ = ["compiled", "compiled_apart"]

@@ -1,0 +1,91 @@
+"""The action of one bus."""
+
+from headway_envs.bus_published.kernel.compiled import compiled
+from headway_envs.bus_published.kernel.layout import (
+    DETOUR_SHARE,
+    FUEL_CAPACITY,
+    FUEL_UNIT_S,
+    MOVE,
+    REFUSED_REWARD,
+    SERVICE_REWARD_S,
+    UPTIME_S,
+    WAIT,
+    WAIT_REWARD,
+    WAIT_S,
+    Network,
+    Record,
+    World,
+)
+from headway_envs.bus_published.kernel.rewards import arrive, move_reward, occupancy_cost
+
+
+@compiled
+def _spend(bus: Record, seconds: float) -> None:
+    """Let time pass for a bus."""
+    bus.clock += seconds
+    bus.uptime = max(bus.uptime - seconds / UPTIME_S, 0.0)
+    bus.fuel = max(bus.fuel - seconds / FUEL_UNIT_S, 0.0)
+
+
+@compiled
+def _next_place(bus: Record, length: int) -> int:
+    """The next place on its route; at either end the bus turns, and leaves with the same action."""
+    if bus.backward == 0 and bus.place + 1 >= length:
+        bus.backward = 1
+    elif bus.backward == 1 and bus.place == 0:
+        bus.backward = 0
+    return int(bus.place + (1 - 2 * bus.backward))
+
+
+@compiled
+def _move(net: Network, k: Record, world: World, c: int, bus: Record, route: int) -> float:
+    """Drive to the next call; the occupancy comes halfway to the mean of the call that is left."""
+    first, day = net.route_first[route], world.days[c]
+    left = net.route_call[first + bus.place]
+    bus.place = _next_place(bus, net.route_first[route + 1] - first)
+    call = net.route_call[first + bus.place]
+    seconds = net.travel_s[net.call_stop[left], call]
+    bus.occupancy = min(max(0.5 * (bus.occupancy + net.occupancy[left]), 0.0), 1.0)
+    _spend(bus, seconds)
+    bus.driven += seconds
+    bus.stop = net.call_stop[call]
+    off = occupancy_cost(k, bus.occupancy)
+    regularity = arrive(k, world.calls[c, call], bus.clock)
+    efficiency = min(max(1.0 - bus.driven / net.expected_s[route], 0.0), 1.0)
+    day.moves += 1
+    day.occupancy += off
+    day.uptime += bus.uptime
+    day.regularity += regularity
+    day.efficiency += efficiency
+    return move_reward(k, off, bus.uptime, regularity, efficiency)
+
+
+@compiled
+def _serve(net: Network, world: World, c: int, bus: Record, call: int) -> float:
+    """Drive to the centre, if the fuel lasts, and be as new; the bus goes on from its place at once."""
+    day = world.days[c]
+    seconds = DETOUR_SHARE * net.detour_s[call, day.centre]
+    if bus.fuel < seconds / FUEL_UNIT_S:
+        day.refused += 1
+        return REFUSED_REWARD
+    bus.clock += seconds
+    bus.driven += seconds
+    bus.fuel, bus.uptime = FUEL_CAPACITY, 1.0
+    bus.stop = day.centre
+    day.services += 1
+    return float(-(1.0 + seconds / SERVICE_REWARD_S))
+
+
+@compiled
+def act(net: Network, k: Record, world: World, c: int, n: int, action: int) -> float:
+    """Take a bus's action and return what it is paid."""
+    bus, route = world.buses[c, n], n // k.agents_per_route
+    call = net.route_call[net.route_first[route] + bus.place]
+    bus.stop = net.call_stop[call]
+    if action == WAIT:
+        _spend(bus, WAIT_S)
+        world.days[c].waits += 1
+        return WAIT_REWARD
+    if action == MOVE:
+        return _move(net, k, world, c, bus, route)
+    return _serve(net, world, c, bus, call)

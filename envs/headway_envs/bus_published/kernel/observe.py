@@ -1,0 +1,31 @@
+"""What the buses see."""
+
+from headway_envs.bus_published.kernel.compiled import compiled
+from headway_envs.bus_published.kernel.layout import DAY_S, LONGEST_LINK_S, Network, Outputs, Record, World
+
+
+@compiled
+def look(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
+    """Time of day, occupancy, time of the next link, demand at the next stop, uptime, whether maintenance is
+    in order (always), this stop, the next. The next is that of the way out, on
+    the way back too. After service this stop is the centre."""
+    for n in range(world.buses.shape[1]):
+        bus, row = world.buses[c, n], outputs.observations[c, n]
+        route = n // k.agents_per_route
+        first, last = net.route_first[route], net.route_first[route + 1] - 1
+        place = first + bus.place
+        # At the last stop there is no next one: where the bus is seen stands for it, and the mean for a link.
+        following, ahead = net.route_call[place], bus.stop
+        seconds = net.travel_s[net.call_stop[following], following]
+        if place < last:
+            following = net.route_call[place + 1]
+            ahead = net.call_stop[following]
+            seconds = net.travel_s[bus.stop, following]
+        row[0] = min(bus.clock / DAY_S, 1.0)
+        row[1] = bus.occupancy
+        row[2] = min(seconds / LONGEST_LINK_S, 1.0)
+        row[3] = net.demand[ahead] / k.demand_unit
+        row[4] = bus.uptime
+        row[5] = 1.0
+        row[6] = bus.stop / k.stop_unit
+        row[7] = ahead / k.stop_unit

@@ -1,0 +1,62 @@
+"""What a move is paid, and the accounts of the day."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.bus_published.kernel.compiled import compiled
+from headway_envs.bus_published.kernel.layout import Record
+
+
+@compiled
+def occupancy_cost(k: Record, occupancy: float) -> float:
+    """Squared distance from the band, over that of the end of the range; 0 to 1."""
+    if occupancy < k.low_occupancy:
+        off = (k.low_occupancy - occupancy) / k.low_occupancy
+    elif occupancy > k.high_occupancy:
+        off = (occupancy - k.high_occupancy) / (1.0 - k.high_occupancy)
+    else:
+        return 0.0
+    return float(min(off * off, 1.0))
+
+
+@compiled
+def arrive(k: Record, call: Record, clock: float) -> float:
+    """Note an arrival at a call and return the regularity there, 0 to 1. Intervals of 0 or less, between
+    buses whose clocks differ, are left out."""
+    if call.arrivals > 0:
+        interval = clock - call.last
+        if interval > 0.0:
+            off = interval - k.target_headway_s
+            call.intervals += 1
+            call.squares += off * off
+    call.arrivals += 1
+    call.last = clock
+    if call.arrivals < 3 or call.intervals < 2:
+        return 0.0
+    return float(1.0 - min(math.sqrt(call.squares / call.intervals) / k.target_headway_s, 1.0))
+
+
+@compiled
+def move_reward(k: Record, occupancy: float, uptime: float, regularity: float, efficiency: float) -> float:
+    """The weighted mean of o, which counts against it, and the other three."""
+    total = k.weight_occupancy + k.weight_uptime + k.weight_regularity + k.weight_efficiency
+    paid = k.weight_uptime * uptime + k.weight_regularity * regularity + k.weight_efficiency * efficiency
+    return float(min(max((paid - k.weight_occupancy * occupancy) / total, -1.0), 1.0))
+
+
+@compiled
+def close_books(day: Record, metrics: NDArray[np.float64]) -> None:
+    """Fill the episode metrics, in the order of `layout.METRICS`."""
+    moves = max(day.moves, 1)
+    metrics[0] = day.reward
+    metrics[1] = day.step
+    metrics[2] = day.moves
+    metrics[3] = day.waits
+    metrics[4] = day.services
+    metrics[5] = day.refused
+    metrics[6] = day.occupancy / moves
+    metrics[7] = day.uptime / moves
+    metrics[8] = day.regularity / moves
+    metrics[9] = day.efficiency / moves

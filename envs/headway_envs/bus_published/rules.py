@@ -1,0 +1,35 @@
+"""Fixed ways to drive the buses, to compare with. `random` is `headway.contracts.RandomRule`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, Observed
+from headway_envs.bus_published.env import BusPublishedBatchedEnv
+from headway_envs.bus_published.kernel.layout import MOVE, SERVICE_CENTER
+
+
+@dataclass(frozen=True)
+class Always:
+    """The same action in every step."""
+
+    action: int
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        return np.full(observed.alive.shape, self.action, np.int64)
+
+
+@dataclass(frozen=True)
+class MoveWithService:
+    """MOVE, and to the centre at the first step at which the uptime is below a share and the fuel lasts."""
+
+    below: float
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        """Raises TypeError for any other environment."""
+        if not isinstance(env, BusPublishedBatchedEnv):
+            raise TypeError(f"move_with_service needs a BusPublishedBatchedEnv, not {type(env).__name__}")
+        buses = env.world.buses
+        due = (buses["uptime"] < self.below) & (buses["fuel"] > 0.0)
+        return np.where(due, SERVICE_CENTER, MOVE).astype(np.int64)

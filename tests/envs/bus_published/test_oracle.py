@@ -1,0 +1,196 @@
+"""The kernel against the released dynamics as a plain loop over dictionaries of one bus each."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway_envs.bus_published.env import BusPublishedBatchedEnv
+from headway_envs.bus_published.kernel.layout import CAPACITY, Network
+from headway_envs.bus_published.prepared import Prepared
+
+Begun = Callable[..., BusPublishedBatchedEnv]
+Bus = dict[str, Any]
+WEIGHTS = {"occupancy": 0.5, "uptime": 0.7, "regularity": 0.5, "efficiency": 0.6}
+
+
+class Plain:
+    """One copy, in stops of the scenario instead of calls."""
+
+    def __init__(self, net: Network, agents_per_route: int, agents: int, centre: int) -> None:
+        stop = net.call_stop
+        self.net, self.centre = net, centre
+        self.occupancy = {int(stop[k]): float(net.occupancy[k]) for k in range(len(stop))}
+        self.column = {int(stop[k]): k for k in range(len(stop))}
+        self.arrivals: dict[int, list[float]] = {}
+        self.buses: list[Bus] = []
+        for n in range(agents):
+            first, last = net.route_first[n // agents_per_route : n // agents_per_route + 2]
+            route = [int(stop[k]) for k in net.route_call[first:last]]
+            self.buses.append(
+                {
+                    "clock": 21600.0, "driven": 0.0, "occupancy": float(int(self.occupancy[route[0]])),
+                    "uptime": 1.0, "fuel": 100.0, "route": route, "place": 0, "stop": route[0], "way": 1,
+                    "expected": sum(self.link(a, b) for a, b in pairwise(route)),
+                }
+            )  # fmt: skip
+
+    def link(self, origin: int, target: int) -> float:
+        return float(self.net.travel_s[origin, self.column[target]])
+
+    def reward(self, bus: Bus, stop: int) -> float:
+        low, high, occupancy = 0.6, 0.9, bus["occupancy"]
+        cost = 0.0
+        if occupancy < low:
+            cost = (low - occupancy) ** 2 / low**2
+        elif occupancy > high:
+            cost = (occupancy - high) ** 2 / (1.0 - high) ** 2
+        times = self.arrivals[stop]
+        intervals = [b - a for a, b in pairwise(times) if b - a > 0]
+        regularity = 0.0
+        if len(times) >= 3 and len(intervals) >= 2:
+            mean_square = sum((gap - 600.0) ** 2 for gap in intervals) / len(intervals)
+            regularity = 1.0 - min(math.sqrt(mean_square) / 600.0, 1.0)
+        efficiency = min(max(1.0 - bus["driven"] / bus["expected"], 0.0), 1.0)
+        total = (
+            -WEIGHTS["occupancy"] * min(cost, 1.0)
+            + WEIGHTS["uptime"] * bus["uptime"]
+            + WEIGHTS["regularity"] * regularity
+            + WEIGHTS["efficiency"] * efficiency
+        )
+        return total / sum(WEIGHTS.values())
+
+    def spend(self, bus: Bus, seconds: float) -> None:
+        bus["clock"] += seconds
+        bus["uptime"] = max(bus["uptime"] - seconds / 43200.0, 0.0)
+        bus["fuel"] = max(bus["fuel"] - seconds / 300.0, 0.0)
+
+    def act(self, bus: Bus, action: int) -> float:
+        route, here = bus["route"], bus["route"][bus["place"]]
+        bus["stop"] = here
+        if action == 0:
+            self.spend(bus, 60.0)
+            return -0.1
+        if action == 2:
+            seconds = 0.3 * float(self.net.detour_s[self.column[here], self.centre])
+            if bus["fuel"] < seconds / 300.0:
+                return -20.0
+            bus["clock"] += seconds
+            bus["driven"] += seconds
+            bus["fuel"], bus["uptime"], bus["stop"] = 100.0, 1.0, self.centre
+            return -(1.0 + seconds / 600.0)
+        if not 0 <= bus["place"] + bus["way"] < len(route):
+            bus["way"] = -bus["way"]
+        bus["place"] += bus["way"]
+        there = route[bus["place"]]
+        bus["occupancy"] = min(max(0.5 * bus["occupancy"] + 0.5 * self.occupancy[here], 0.0), 1.0)
+        self.spend(bus, self.link(here, there))
+        bus["driven"] += self.link(here, there)
+        bus["stop"] = there
+        self.arrivals.setdefault(there, []).append(bus["clock"])
+        return self.reward(bus, there)
+
+    def seen(self, bus: Bus) -> list[float]:
+        ahead = bus["place"] + 1
+        following = bus["route"][ahead] if ahead < len(bus["route"]) else bus["stop"]
+        mean = float(self.net.travel_s[bus["route"][0], self.column[bus["route"][0]]])
+        seconds = self.link(bus["stop"], following) if ahead < len(bus["route"]) else mean
+        return [
+            min(bus["clock"] / 86400.0, 1.0), bus["occupancy"], min(seconds / 3250.0, 1.0),
+            float(self.net.demand[following]), bus["uptime"], 1.0, float(bus["stop"]), float(following),
+        ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "chances", [(0.3, 0.4, 0.3), (0.02, 0.96, 0.02), (0.0, 1.0, 0.0), (0.2, 0.8, 0.0), (0.0, 0.998, 0.002)]
+)
+def test_days_are_as_a_plain_loop_has_them(begun: Begun, chances: tuple[float, float, float]) -> None:
+    copies = 3
+    env = begun(copies, observation="raw")
+    observed = env.observed()
+    plain = [Plain(env.network, 3, 5, int(env.world.days[c]["centre"])) for c in range(copies)]
+    rng = np.random.default_rng(5)
+    totals, going = np.zeros(copies), np.ones(copies, bool)
+    while going.any():
+        actions = rng.choice(3, (copies, 5), p=chances)
+        outcome, observed = env.step(actions)
+        for c in np.flatnonzero(going):
+            paid = [
+                plain[c].act(bus, int(action)) for bus, action in zip(plain[c].buses, actions[c], strict=True)
+            ]
+            totals[c] += sum(paid)
+            over = any(bus["clock"] >= 86400.0 for bus in plain[c].buses)
+            shown = outcome.final_observations if over else observed.observations
+            np.testing.assert_allclose(outcome.rewards[c], paid, rtol=1e-6, atol=1e-7)
+            np.testing.assert_allclose(shown[c], [plain[c].seen(bus) for bus in plain[c].buses], rtol=1e-6)
+            assert outcome.episode_ended[c] == over
+            assert (outcome.terminated[c] == over).all()
+            if over:
+                going[c] = False
+                assert outcome.metrics[c, 0] == pytest.approx(totals[c])
+
+
+def test_service_without_fuel_is_refused_and_no_time_goes_by(begun: Begun) -> None:
+    env = begun()
+    for _ in range(600):
+        env.step(np.zeros((1, 5), np.int64))
+    assert (env.world.buses["fuel"] == 0).all()
+    clock = env.world.buses["clock"].copy()
+    outcome, _ = env.step(np.full((1, 5), 2))
+    np.testing.assert_array_equal(outcome.rewards, -20.0)
+    np.testing.assert_array_equal(env.world.buses["clock"], clock)
+
+
+def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
+    """Mean times of links over the hours, loads over 80 places, and shortest ways by another algorithm."""
+    from headway_envs.bus.scenario.source import scenario_tables
+
+    net, tables = line.network, scenario_tables("line", 0)
+    stops = sorted(tables.stops["stop"])
+    times = tables.link_times[tables.link_times["daytype"] == "weekday"].groupby("link")["mean_s"].mean()
+    seconds = {
+        (stops.index(row.from_stop), stops.index(row.to_stop)): times[row.link]
+        for row in tables.links.itertuples()
+    }
+    mean = np.mean(list(seconds.values()))
+    for route in range(2):
+        calls = net.route_call[net.route_first[route] : net.route_first[route + 1]]
+        expected = 0.0
+        for here, there in zip(net.call_stop[calls], calls[1:], strict=False):
+            assert net.travel_s[here, there] == pytest.approx(seconds[here, net.call_stop[there]])
+            expected += net.travel_s[here, there]
+        assert net.expected_s[route] == pytest.approx(expected)
+        back = net.travel_s[net.call_stop[calls[1]], calls[0]]
+        assert back == pytest.approx(mean)  # the table knows only the way out
+    assert 0.05 < net.occupancy.mean() * CAPACITY / 75 < 0.6
+    places = tables.stops.set_index("stop").loc[stops]
+    north = places["lat"].to_numpy() * 111_320.0
+    east = places["lon"].to_numpy() * 111_320.0 * np.cos(np.radians(places["lat"].mean()))
+    ways: dict[int, dict[int, float]] = {a: {} for a in range(len(stops))}
+    for a in ways:
+        for b in ways:
+            apart = math.hypot(north[a] - north[b], east[a] - east[b])
+            found = [seconds[a, b]] if (a, b) in seconds else []
+            if not found:
+                found = [mean] * ((b, a) in seconds) + [apart * 3.6 / 20.0] * (a != b and apart <= 60.0)
+            if found:
+                ways[a][b] = min(found)
+    for k in range(0, len(net.call_stop), 7):
+        np.testing.assert_allclose(net.detour_s[k], _shortest(ways, int(net.call_stop[k])), rtol=1e-9)
+    assert np.isfinite(net.detour_s).all()
+
+
+def _shortest(ways: dict[int, dict[int, float]], origin: int) -> list[float]:
+    """Least time from a stop to every stop: links are tried until none makes a way shorter."""
+    time = dict.fromkeys(ways, math.inf) | {origin: 0.0}
+    open_stops = [origin]
+    while open_stops:
+        here = open_stops.pop(0)
+        for there, seconds in ways[here].items():
+            if time[here] + seconds < time[there]:
+                time[there] = time[here] + seconds
+                open_stops.append(there)
+    return [time[stop] for stop in ways]

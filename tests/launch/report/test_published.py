@@ -1,0 +1,90 @@
+"""The section beside BusEnv's published table."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from headway_launch.report.gather import StudyData
+from headway_launch.report.parts import Section, Table
+from headway_launch.report.published import published_figures, published_section
+
+TABLE3 = "experiment=bus_table3"
+RULES = {"random": -140.0, "always_move": 14.0, "always_wait": -108.0, "move_with_service": 97.0}
+Keep = Callable[..., Path]
+
+
+def section(root: Path) -> Section:
+    found = published_section(StudyData(root, "study"))
+    assert found is not None
+    return found
+
+
+def table(found: Section, name: str) -> Table:
+    [part] = [part for part in found.body if isinstance(part, Table) and part.name == name]
+    return part
+
+
+def words(found: Section) -> str:
+    return "\n".join(part for part in found.body if isinstance(part, str))
+
+
+def test_the_nine_are_there_with_what_was_published() -> None:
+    published = published_figures()
+    assert sorted(published.index) == sorted(
+        ["coma", "happo", "hatrpo", "ia2c", "ippo", "itrpo", "maa2c", "mappo", "matrpo"]
+    )
+    assert published.loc["happo", "final_reward"] == -506.84
+    assert published.loc["mappo", "auc"] == 0.924
+    assert published["kwh"].count() == 4
+
+
+def test_figures_are_of_training_summed_over_buses_and_ranked(keep_run: Keep, root: Path) -> None:
+    """In the fixture the training curve has half of the evaluation's values."""
+    for algorithm, final, kwh in (("maa2c", 16.0, 1e-3), ("ippo", 14.0, 2e-3), ("coma", -20.0, 5e-3)):
+        for seed in range(2):
+            energy = {"kwh": kwh, "kg_co2": kwh / 10}
+            keep_run((TABLE3, f"algo={algorithm}"), seed, final + seed, rules=RULES, energy=energy)
+    found = section(root)
+    rows = table(found, "busenv_table3").data.set_index("algorithm")
+    assert rows.loc["maa2c", "final_reward"] == pytest.approx(5 * 16.5 / 2)
+    assert rows.loc["maa2c", "final_reward_published"] == 77.41
+    assert rows["final_reward_rank"].to_dict() == {"maa2c": 1.0, "ippo": 2.0, "coma": 3.0}
+    assert rows["final_reward_published_rank"].to_dict() == {"maa2c": 1.0, "ippo": 2.0, "coma": 3.0}
+    ranks = table(found, "busenv_ranks").data.set_index("figure")
+    assert ranks.loc["final_reward", ["spearman", "kendall"]].tolist() == pytest.approx([1.0, 1.0])
+    assert ranks.loc["kwh", "spearman"] == pytest.approx(1.0)
+    assert ranks.loc["auc", "algorithms"] == 3
+    said = words(found)
+    assert "A rule that always moves comes to 77.50 here" in said  # 5 buses, days of 14 to 17
+    assert "1 of 3 learners come within 5% of that (ippo, independent)" in said
+    assert "comes to 492.5: uptime is paid for at every move" in said
+    assert "not public in full" in said
+    assert "64 cores and 5 GPUs" in said
+    assert "While training" not in said
+    assert "+1.00 (0.33)" in table(found, "busenv_ranks").rows[0]
+
+
+def test_two_algorithms_or_two_settings_of_one_have_no_correlation(keep_run: Keep, root: Path) -> None:
+    for overrides in (("algo=ippo",), ("algo=ippo", "algo.lr=0.01"), ("algo=coma",)):
+        keep_run((TABLE3, *overrides), 0, 10.0)
+    found = section(root)
+    assert len(table(found, "busenv_table3").rows) == 3
+    assert table(found, "busenv_ranks").data["spearman"].isna().all()
+    assert "more than one setting of each: ippo." in words(found)
+    assert "A rule that always moves" not in words(found)  # none was played
+
+
+def test_other_environments_and_other_algorithms_have_no_such_table(keep_run: Keep, root: Path) -> None:
+    keep_run(("experiment=toy_tracking",), 0, 10.0, study="toy")
+    assert published_section(StudyData(root, "toy")) is None
+    keep_run((TABLE3, "algo=madqn", "preset=none", "rollout=replay"), 0, 10.0)
+    assert "None of the algorithms published was trained." in words(section(root))
+
+
+def test_who_earns_more_by_drawn_actions_is_named(keep_run: Keep, root: Path) -> None:
+    """In the fixture training earns half of a loss of 20, which is what always moving loses here."""
+    for algorithm, final in (("maa2c", -20.0), ("ippo", 30.0)):
+        keep_run((TABLE3, f"algo={algorithm}"), 0, final, rules={**RULES, "always_move": -20.0})
+    said = words(section(root))
+    assert "While training, where actions are drawn, maa2c, independent came to more than that" in said
