@@ -1,0 +1,138 @@
+"""The Ray cluster that this process is connected to. Ray itself is imported only when it is needed.
+
+Ray is an extra, and talks much: its log stays out of the terminal, its usage statistics are off.
+"""
+
+import logging
+import os
+import shutil
+import signal
+import socket
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+from headway.contracts import HeadwayError
+
+_REACHED_S = 5.0
+_HTTP2_SETTINGS = b"\x04"
+_HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _HTTP2_SETTINGS + b"\0\0\0\0\0"
+"""How a client of gRPC, which Ray's head speaks, begins (RFC 9113, 3.4); the answer begins with settings."""
+_QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_BACKEND_LOG_LEVEL": "error",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+}
+
+
+@dataclass
+class _Connection:
+    users: int = 0
+    ours: bool = False
+    """It was made here: what was connected before is left so."""
+    folder: str | None = None
+    """Ray's temporary files of a cluster that was started here."""
+
+
+_connection = _Connection()
+
+
+def require_ray() -> None:
+    """Raise HeadwayError where Ray is not installed."""
+    if find_spec("ray") is None:
+        raise HeadwayError('backend=ray needs Ray, which is an extra: pip install "headway[ray]"')
+
+
+def connect(address: str) -> str:
+    """Connect this process to the cluster of an address (see `BackendConfig`), unless it is connected
+    already; each call wants a `disconnect`. Returns HOST:PORT of the cluster.
+
+    Raises HeadwayError where there is no Ray, no cluster, or one of another version of Ray or Python.
+    """
+    require_ray()
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    import ray
+
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    if not ray.is_initialized():
+        _connect_anew(ray, address)
+    _connection.users += 1
+    return str(ray.get_runtime_context().gcs_address)
+
+
+def disconnect() -> None:
+    """End the connection with its last user; a cluster that `connect` has started ends with it."""
+    import ray
+
+    _connection.users -= 1
+    if _connection.users == 0 and _connection.ours:
+        _connection.ours = False
+        with _own_signals():
+            ray.shutdown()
+        if _connection.folder is not None:
+            shutil.rmtree(_connection.folder, ignore_errors=True)
+        _connection.folder = None
+
+
+def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module without types
+    settings: dict[str, Any] = {"configure_logging": False, "log_to_driver": False}
+    if address == "local":
+        _connection.folder = tempfile.mkdtemp(prefix="headway-ray-")
+        settings |= {"include_dashboard": False, "_temp_dir": _connection.folder}
+    else:
+        address = _reachable(address)
+    _connection.ours = True
+    try:
+        with _own_signals():
+            ray.init(address, **settings)
+    except Exception as error:
+        _connection.users += 1
+        disconnect()
+        where = "" if address == "local" else f" at {address}"
+        raise HeadwayError(f"the Ray cluster{where} cannot be used: {_first_lines(error)}") from error
+
+
+def _reachable(address: str) -> str:
+    """The address of a cluster that answers. Ray itself tries for minutes. Raises HeadwayError."""
+    if address == "auto":
+        named = os.environ.get("RAY_ADDRESS", "")
+        return address if ":" not in named else _reachable(named)
+    host, _, port = address.rpartition(":")
+    fix = "start one with `ray start --head`, or set backend.address=local"
+    try:
+        with socket.create_connection((host, int(port)), _REACHED_S) as channel:
+            channel.settimeout(_REACHED_S)
+            channel.sendall(_HTTP2_GREETING)
+            greeting = channel.recv(9)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise HeadwayError(
+            f"no Ray cluster answers at backend.address={address} ({reason}); {fix}"
+        ) from error
+    if greeting[3:4] != _HTTP2_SETTINGS:
+        raise HeadwayError(f"what answers at backend.address={address} is no Ray cluster; {fix}")
+    return address
+
+
+@contextmanager
+def _own_signals() -> Iterator[None]:
+    """Ray sets a handler of its own for SIGTERM; ours stays."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _first_lines(error: Exception) -> str:
+    """What Ray says, as one line of bearable length."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 300 else f"{text[:300]}..."
