@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from headway.config import ExperimentConfig
@@ -14,6 +14,7 @@ from headway.store.provenance import usable_cores
 from headway.store.session import SessionStore
 from headway.training import TrainingJob
 from headway_launch.cell_work import CellWork, Rules
+from headway_launch.clusters import SessionCluster
 from headway_launch.kernels import compile_kernels
 from headway_launch.planning import (
     CellPlan,
@@ -60,16 +61,23 @@ class Conductor:
         self._own_cpu_s = 0.0
         """What this process did from the beginning of training on, but for playing rules."""
         planned = [job for cell in cells for job in cell.jobs]
-        self._shares: Shares = share_cores(self._config.backend, planned, usable_cores())
-        require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
-        for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
-            compile_kernels(env)
-        self._store = SessionStore.open(self._config.store)
-        self._cells = [CellWork(self._store, cell) for cell in cells]
-        self._jobs = [
-            _Job(cell, job, _progress_of(cell, job)) for cell in self._cells for job in cell.plan.jobs
-        ]
-        self._meter = EnergyMeter.start(self._config.energy) if planned else None
+        self._cluster = SessionCluster.open(job.config.backend for job in planned)
+        try:
+            self._shares: Shares = share_cores(
+                self._config.backend, planned, usable_cores(), self._cluster.cpus
+            )
+            require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
+            for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
+                compile_kernels(env)
+            self._store = SessionStore.open(self._config.store)
+            self._cells = [CellWork(self._store, cell) for cell in cells]
+            self._jobs = [
+                _Job(cell, job, _progress_of(cell, job)) for cell in self._cells for job in cell.plan.jobs
+            ]
+            self._meter = EnergyMeter.start(self._config.energy) if planned else None
+        except BaseException:
+            self._cluster.close()
+            raise
         self._sampled = time.monotonic()
 
     def conduct(self) -> int:
@@ -90,6 +98,7 @@ class Conductor:
             self._end_cells()
             for line in (*(self._meter.notices() if self._meter else ()), *self._store.close()):
                 tell(f"headway: {line}")
+            self._cluster.close()
         self._own_cpu_s += time.process_time()
         with to_a_reader(sys.stdout):
             self._print()
@@ -111,7 +120,9 @@ class Conductor:
         runs = job.cell.runs(job.planned, self._shares)
         before = [run.energy_so_far for run in runs] if job.planned.resumed else []
         job.recording = JobRecording(runs, uses_gpu=uses_gpu(job.planned), before=before)
-        return job.cell.training_job(job.planned, runs, self._shares)
+        training = job.cell.training_job(job.planned, runs, self._shares)
+        backend = self._cluster.backend(training.config.backend)
+        return replace(training, config=replace(training.config, backend=backend))
 
     def _take(self, index: int, event: Event) -> None:
         job = self._jobs[index]

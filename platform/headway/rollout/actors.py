@@ -6,9 +6,10 @@ Experience comes back through it, and is copied once, to its place in the trajec
 
 import os
 import pickle
+import re
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,10 @@ PATIENCE_S = 10.0
 """How long a worker may wait for a place in the cluster before the user is told."""
 _SAME_EVERYWHERE = ("headway", "numpy", "numba")
 """Packages whose versions decide what a worker gives."""
+
+_BECAUSE = re.compile(r"because (.+?)\.(?= |$)")
+_EXIT_CODE = re.compile(r"exits with an exit code (\d+)")
+_REASON_LENGTH = 200
 
 Experience = Mapping[str, NDArray[Any]]
 
@@ -64,8 +69,6 @@ class ShardSetup:
 
     def open(self) -> Sampling:
         """The service of an actor that samples, into a trajectory of its own."""
-        from dataclasses import replace
-
         plan: RolloutPlan = pickle.loads(self.plan)
         trajectory = Trajectory.allocate(replace(plan, copies=self.count).layout)
         return Sampling(plan, (self.first, self.count), trajectory, self.parameters, place=0)
@@ -91,7 +94,7 @@ class Place:
 
 
 def _versions() -> list[tuple[str, str]]:
-    installed = {name: "" for name in _SAME_EVERYWHERE}
+    installed = dict.fromkeys(_SAME_EVERYWHERE, "")
     for name in installed:
         try:
             installed[name] = metadata.version(name)
@@ -183,13 +186,17 @@ class Actors:
 
     def say_it_waits(self, shard: int) -> None:
         """Tell the user that a worker has no place yet."""
-        there, free = (
-            resources.get("CPU", 0) for resources in (ray.cluster_resources(), ray.available_resources())
-        )
+        there, free = cpus_of(ray.cluster_resources()), cpus_of(ray.available_resources())
         self.notify(
-            f"worker {shard} waits for a place: it asks for {self.cpus:g} CPUs, and of the cluster's {there:g} "
-            f"{free:g} are free; it starts as soon as there is room (backend.workers, backend.worker_cpus)"
+            f"worker {shard} waits for a place: it asks for {self.cpus:g} CPUs, and of the cluster's "
+            f"{there:g} {free:g} are free; it starts as soon as there is room, and fewer backend.workers or "
+            "backend.worker_cpus need less"
         )
+
+
+def cpus_of(resources: Mapping[str, float]) -> float:
+    """CPUs among a cluster's resources."""
+    return resources.get("CPU", 0.0)
 
 
 class Broadcast(Actors):
@@ -253,7 +260,7 @@ class ActorLink:
         if experience is not None:
             self.workplace.take(self.shard, experience)
         # Energy and memory are measured on this machine, and shared out by what was used here.
-        return answer if self.process_id is not None else _without_usage(answer)
+        return answer if self.process_id is not None else replace(answer, usage=Usage())
 
     def kill(self) -> None:
         """See `Link`."""
@@ -269,16 +276,16 @@ class ActorLink:
         self.place = place
 
 
-def _without_usage(done: Done) -> Done:
-    from dataclasses import replace
-
-    return replace(done, usage=Usage())
-
-
 def reason_of(error: Exception) -> str:
     """How an actor was lost, as a part of a line."""
-    text = " ".join(str(error).split())
-    return text[:200]
+    lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith("\t")]
+    if "in its creation task" in lines[0]:
+        return lines[-1].strip()
+    text = " ".join(" ".join(lines).split())
+    because, code = _BECAUSE.search(text), _EXIT_CODE.search(text)
+    if because is None:
+        return f"{type(error).__name__}: {text[:_REASON_LENGTH]}"
+    return f"{because[1]}, exit code {code[1]}" if code else because[1]
 
 
 def experience_of(trajectory: Trajectory) -> Experience:

@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import socket
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -19,14 +20,16 @@ from typing import Any
 from headway.contracts import HeadwayError
 
 _REACHED_S = 5.0
+_FIX = "start one with `ray start --head`, or set backend.address=HOST:PORT or local"
 _HTTP2_SETTINGS = b"\x04"
 _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _HTTP2_SETTINGS + b"\0\0\0\0\0"
 """How a client of gRPC, which Ray's head speaks, begins (RFC 9113, 3.4); the answer begins with settings."""
-_QUIET = {
+_SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_BACKEND_LOG_LEVEL": "error",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
+"""Of Ray, by environment variables, where the user has not set them: no statistics of use are sent; and
+actors without a GPU see the machine as it is."""
 
 
 @dataclass
@@ -36,6 +39,8 @@ class _Connection:
     """It was made here: what was connected before is left so."""
     folder: str | None = None
     """Ray's temporary files of a cluster that was started here."""
+    printing: Any = None
+    """Ray's function that prints to stdout, put aside while connected."""
 
 
 _connection = _Connection()
@@ -54,7 +59,7 @@ def connect(address: str) -> str:
     Raises HeadwayError where there is no Ray, no cluster, or one of another version of Ray or Python.
     """
     require_ray()
-    for name, value in _QUIET.items():
+    for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     import ray
 
@@ -74,27 +79,40 @@ def disconnect() -> None:
         _connection.ours = False
         with _own_signals():
             ray.shutdown()
+        ray._private.worker.print_to_stdstream = _connection.printing
         if _connection.folder is not None:
             shutil.rmtree(_connection.folder, ignore_errors=True)
         _connection.folder = None
 
 
 def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module without types
-    settings: dict[str, Any] = {"configure_logging": False, "log_to_driver": False}
+    settings: dict[str, Any] = {
+        "configure_logging": False,
+        "log_to_driver": False,
+        # Workers find the modules that are found here, as processes do.
+        "job_config": ray.job_config.JobConfig(_py_driver_sys_path=[path for path in sys.path if path]),
+    }
     if address == "local":
         _connection.folder = tempfile.mkdtemp(prefix="headway-ray-")
         settings |= {"include_dashboard": False, "_temp_dir": _connection.folder}
     else:
         address = _reachable(address)
     _connection.ours = True
+    # Whatever `log_to_driver` says, Ray prints to stdout, where tables go, that a worker died: we say so.
+    _connection.printing = ray._private.worker.print_to_stdstream
+    ray._private.worker.print_to_stdstream = lambda *_, **__: None
     try:
         with _own_signals():
             ray.init(address, **settings)
     except Exception as error:
         _connection.users += 1
         disconnect()
+        if address == "auto" and isinstance(error, ConnectionError):
+            raise HeadwayError(
+                f"backend.address=auto finds no Ray cluster on this machine; {_FIX}"
+            ) from error
         where = "" if address == "local" else f" at {address}"
-        raise HeadwayError(f"the Ray cluster{where} cannot be used: {_first_lines(error)}") from error
+        raise HeadwayError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error
 
 
 def _reachable(address: str) -> str:
@@ -103,7 +121,6 @@ def _reachable(address: str) -> str:
         named = os.environ.get("RAY_ADDRESS", "")
         return address if ":" not in named else _reachable(named)
     host, _, port = address.rpartition(":")
-    fix = "start one with `ray start --head`, or set backend.address=local"
     try:
         with socket.create_connection((host, int(port)), _REACHED_S) as channel:
             channel.settimeout(_REACHED_S)
@@ -112,10 +129,10 @@ def _reachable(address: str) -> str:
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
         raise HeadwayError(
-            f"no Ray cluster answers at backend.address={address} ({reason}); {fix}"
+            f"no Ray cluster answers at backend.address={address} ({reason}); {_FIX}"
         ) from error
     if greeting[3:4] != _HTTP2_SETTINGS:
-        raise HeadwayError(f"what answers at backend.address={address} is no Ray cluster; {fix}")
+        raise HeadwayError(f"what answers at backend.address={address} is no Ray cluster; {_FIX}")
     return address
 
 
@@ -132,7 +149,7 @@ def _own_signals() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _first_lines(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     """What Ray says, as one line of bearable length."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 300 else f"{text[:300]}..."

@@ -24,8 +24,8 @@ from headway.contracts import BatchedEnv, Contribution, EnvSpec, Observed, Outco
 from headway.contracts.acting import Parameters
 from headway.rollout.backends import open_collector
 from headway.rollout.collecting import Collector
-from headway.rollout.plan import RolloutPlan
 from headway.rollout.crew import Notify
+from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
 from headway_algos.config import ModelConfig
 from headway_algos.recipes.ippo import IPPOConfig
@@ -45,6 +45,7 @@ Fault = Literal[
     "bad snapshot",
     "exit",
     "hang up",
+    "kill parent",
 ]
 
 VISITORS = VisitorsConfig(agents=3, steps=12)
@@ -120,6 +121,9 @@ class FaultyVisitors:
         match self._config.fault:
             case "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
+            case "kill parent":  # of an actor, the daemon of its node
+                os.kill(os.getppid(), signal.SIGKILL)
+                time.sleep(60)
             case "exit":
                 sys.exit(3)
             case "hang up":
