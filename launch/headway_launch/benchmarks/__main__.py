@@ -3,7 +3,7 @@
 import platform
 import sys
 
-from headway_launch.benchmarks import crossing, kernel, lightness, merge, store, training
+from headway_launch.benchmarks import actors, crossing, kernel, lightness, merge, store, training
 
 REPORTS = {
     "training": training.report,
@@ -12,6 +12,7 @@ REPORTS = {
     "crossing": crossing.report,
     "lightness": lightness.report,
     "store": store.report,
+    "actors": actors.report,
 }
 
 

@@ -279,6 +279,8 @@ class ActorLink:
 def reason_of(error: Exception) -> str:
     """How an actor was lost, as a part of a line."""
     lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith("\t")]
+    if not lines:
+        return type(error).__name__
     if "in its creation task" in lines[0]:
         return lines[-1].strip()
     text = " ".join(" ".join(lines).split())

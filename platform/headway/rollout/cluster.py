@@ -15,11 +15,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from headway.contracts import HeadwayError
 
 _REACHED_S = 5.0
+_FOLDER = "headway-ray-"
 _FIX = "start one with `ray start --head`, or set backend.address=HOST:PORT or local"
 _HTTP2_SETTINGS = b"\x04"
 _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _HTTP2_SETTINGS + b"\0\0\0\0\0"
@@ -93,7 +95,8 @@ def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module wi
         "job_config": ray.job_config.JobConfig(_py_driver_sys_path=[path for path in sys.path if path]),
     }
     if address == "local":
-        _connection.folder = tempfile.mkdtemp(prefix="headway-ray-")
+        _remove_left_folders()
+        _connection.folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
         settings |= {"include_dashboard": False, "_temp_dir": _connection.folder}
     else:
         address = _reachable(address)
@@ -113,6 +116,16 @@ def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module wi
             ) from error
         where = "" if address == "local" else f" at {address}"
         raise HeadwayError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error
+
+
+def _remove_left_folders() -> None:
+    """Remove temporary files of clusters whose session was killed."""
+    import psutil
+
+    for folder in Path(tempfile.gettempdir()).glob(f"{_FOLDER}*"):
+        process_id = folder.name.removeprefix(_FOLDER).partition("-")[0]
+        if process_id.isdigit() and not psutil.pid_exists(int(process_id)):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _reachable(address: str) -> str:

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
+from ray_processes import assert_gone, ray_processes
 from rehearsal import (
     VISITORS,
     Arrays,
@@ -47,21 +47,11 @@ def local() -> Iterator[str]:
     """A cluster of this machine, which collectors that ask for one find connected."""
     if without_ray:
         pytest.skip("Ray is not installed")
-    before = {process.pid for process in psutil.process_iter()}
+    before = ray_processes()
     address = cluster.connect("local")
     yield address
     cluster.disconnect()
-    left = [process for process in psutil.process_iter() if process.pid not in before and _is_rays(process)]
-    _, alive = psutil.wait_procs(left, timeout=20)
-    assert not alive
-
-
-def _is_rays(process: psutil.Process) -> bool:
-    try:
-        words = " ".join(process.cmdline())
-        return process.status() != psutil.STATUS_ZOMBIE and ("ray::" in words or "/ray/" in words)
-    except psutil.Error:
-        return False
+    assert_gone(before)
 
 
 def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> list[Taken]:
@@ -135,7 +125,6 @@ def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
     ("fault", "reason"),
     [
         ("kill", "its worker process has died"),
-        ("exit", "its worker process has died, exit code 3"),
         ("raise", "RuntimeError: the bridge is out"),
     ],
 )
@@ -158,9 +147,34 @@ def test_an_actor_that_fails_again_ends_the_run_in_one_line(tmp_path: Path) -> N
     with pytest.raises(WorkerFailedError, match=r"failed twice \(its worker process has died") as failure:
         _collected(_faulty(tmp_path, times=9), "ray", [])
     assert "\n" not in str(failure.value)
-    with pytest.raises(WorkerFailedError, match="failed twice: RuntimeError: the bridge is out") as failure:
-        _collected(_faulty(tmp_path / "..", "raise", times=9), "ray", [])
-    assert "in _fail" in failure.value.details
+
+
+@needs_ray
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        (
+            "The actor died unexpectedly before finishing this task.\n\tclass_name: A\n\tpid: 1\n"
+            "The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR "
+            "Worker exit detail: Worker exits unexpectedly. Worker exits with an exit code 3.",
+            "its worker process has died, exit code 3",
+        ),
+        (
+            "The actor died because of an error raised in its creation task, ray::A.__init__() (pid=1)\n"
+            "  File \"a.py\", line 1\nModuleNotFoundError: No module named 'headway'",
+            "ModuleNotFoundError: No module named 'headway'",
+        ),
+        ("Failed to retrieve object 00ff.", "ObjectLostError: Failed to retrieve object 00ff."),
+        ("", "ObjectLostError"),
+    ],
+)
+def test_what_ray_says_of_a_lost_actor_becomes_a_part_of_a_line(said: str, reason: str) -> None:
+    from headway.rollout.actors import reason_of
+
+    class ObjectLostError(Exception):
+        pass
+
+    assert reason_of(ObjectLostError(said)) == reason
 
 
 @needs_ray

@@ -46,7 +46,7 @@ def _answered(server: socket.socket, port: int) -> str:
 
 @pytest.mark.parametrize("address", ["nonsense", "", "host:", "host:123456"])
 def test_an_address_that_is_none_is_refused(address: str) -> None:
-    with pytest.raises(HeadwayError, match="must be auto, local or HOST:PORT"):
+    with pytest.raises(ValueError, match="must be auto, local or HOST:PORT"):
         BackendConfig("ray", address=address)
 
 

@@ -3,13 +3,18 @@
 import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
+from ray_processes import assert_gone, ray_processes
 from rehearsal import FaultConfig, FaultyVisitors, assert_same, iterations_of, parameters_of, plan_of
 
 from headway.config import BackendConfig
 from headway.rollout.backends import open_collector
+from headway.rollout.plan import RolloutPlan
+
+if TYPE_CHECKING:
+    from ray.cluster_utils import Cluster
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
@@ -17,11 +22,12 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.fixture
-def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
     """A head without CPUs and two nodes of two."""
     from ray.cluster_utils import Cluster
 
     settings = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": 10**8}
+    before = ray_processes()
     whole = Cluster(initialize_head=True, head_node_args=settings)
     try:
         for _ in range(2):
@@ -29,10 +35,11 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         yield whole
     finally:
         whole.shutdown()
+    assert_gone(before)
 
 
-def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(nodes: Any, tmp_path: Path) -> None:
-    def plan(times: int) -> Any:
+def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(nodes: "Cluster", tmp_path: Path) -> None:
+    def plan(times: int) -> RolloutPlan:
         return plan_of(FaultyVisitors, FaultConfig("kill parent", str(tmp_path), 30, copies=2, times=times))
 
     given, notices = {}, list[str]()
