@@ -4,6 +4,7 @@ turn with both, and what goes over the wire."""
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from statistics import median
 
@@ -37,10 +38,8 @@ def report() -> None:
     for name, task in TASKS.items():
         results = in_turn([replace(task, backend=backend) for backend in ("process", "ray")])
         steps = task.copies * task.steps
-        seconds, cpu_seconds = (
-            [median(steps / figure(result) for result in of_backend) for of_backend in results]
-            for figure in (lambda result: result.per_second, lambda result: result.per_cpu_second)
-        )
+        seconds = [median(steps / result.per_second for result in of_one) for of_one in results]
+        cpu_seconds = [median(steps / result.per_cpu_second for result in of_one) for of_one in results]
         cells = [f"{a:.3f} | {b:.3f} | {b / a - 1:.0%}" for a, b in (seconds, cpu_seconds)]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     _report_wire()
@@ -66,8 +65,8 @@ def _report_wire() -> None:
                 collector.collect(1, parameters)
                 assert isinstance(collector.exchange, Broadcast)
                 sent = nbytes_of(experience_of(collector.trajectory)) / (task.copies * task.steps)
-                put = _median_ms(lambda exchange=collector.exchange, p=parameters: exchange.publish(p))
-                collected = _median_ms(lambda c=collector, p=parameters: c.collect(2, p))
+                put = _median_ms(partial(collector.exchange.publish, parameters))
+                collected = _median_ms(partial(collector.collect, 2, parameters))
             finally:
                 collector.close()
             size = sum(array.nbytes for array in parameters.values())
