@@ -215,6 +215,12 @@ def _fixed_workers(job: PlannedJob) -> int | None:
     return 1 if backend.name == "serial" else backend.workers
 
 
+def gpus_of(device: str, there: float) -> float:
+    """GPUs that a training process asks of a cluster which has so many: `cuda` one, `auto` one if there is
+    any."""
+    return 1.0 if device.startswith("cuda") or (device == "auto" and there >= 1.0) else 0.0
+
+
 def uses_gpu(job: PlannedJob) -> bool:
     """Whether a job trains on a GPU."""
     device = job.config.device

@@ -96,6 +96,10 @@ class BackendConfig:
     worker_cpus: float | None = None
     """Of `ray`: CPUs that the cluster is asked for each worker; null: 1, on a `local` one none, as the cores
     are shared out already."""
+    learners: Literal["here", "cluster"] | None = None
+    """Of `ray`: whether runs train on this machine, with workers on the cluster, or are placed on the cluster
+    whole, each with its workers beside it (`store.root` must be on a file system that all machines share);
+    null: `cluster` where a session trains several on one that is not `local`."""
 
     def __post_init__(self) -> None:
         require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")

@@ -66,6 +66,11 @@ def _tables(row: RunRow) -> dict[str, list[dict[str, str]]]:
     }
 
 
+def _kept(folder: Path) -> int:
+    """Iteration of the newest checkpoint of the only run; 0: there is none."""
+    return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
+
+
 @needs_ray
 def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(tmp_path: Path) -> None:
     here, there = tmp_path / "process", tmp_path / "ray"
@@ -97,9 +102,44 @@ def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
     assert_gone(before)
 
 
-def _kept(folder: Path) -> int:
-    """Iteration of the newest checkpoint of the only run; 0: there is none."""
-    return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
+@needs_ray
+def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(tmp_path: Path) -> None:
+    here, there = tmp_path / "process", tmp_path / "ray"
+    here.mkdir()
+    there.mkdir()
+    long = (*TINY, "env_steps=5120")
+    with _started("run", *long, folder=here) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    before = ray_processes()
+    sweep = (
+        "sweep",
+        *long,
+        "algo=ippo,ia2c",
+        "backend=ray",
+        "backend.learners=cluster",
+        "backend.parallel=1",
+    )
+    with _started(*sweep, folder=there) as process:
+        deadline = time.monotonic() + PATIENCE_S
+        while not _kept(there) > 0:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        hosts = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
+        (host,) = hosts
+        children = host.children(recursive=True)
+        host.kill()
+        _, told = process.communicate(timeout=2 * PATIENCE_S)
+        assert process.returncode == 0, told
+    assert (
+        told.count("its training process was lost (its worker process has died); it goes on elsewhere") == 1
+    )
+    assert not any(child.is_running() for child in children)
+    ended = {row.algorithm: row for row in RunIndex(there / "runs").rows()}
+    assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
+    assert _tables(ended["ippo"]) == _tables(_runs(here)[3])
+    assert_gone(before)
 
 
 @needs_ray

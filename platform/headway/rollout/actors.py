@@ -269,7 +269,7 @@ class ActorLink:
     def _arrive(self) -> None:
         if self.place is not None:
             return
-        if not ray.wait([self.arriving], timeout=PATIENCE_S)[0]:
+        if not ray.wait([self.arriving], timeout=PATIENCE_S)[0] and self.workplace.cpus:
             self.workplace.say_it_waits(self.shard)
         place: Place = ray.get(self.arriving)
         self.workplace.welcome(self.shard, place)
