@@ -257,6 +257,7 @@ def one_of_a_session(config: ExperimentConfig) -> dict[str, object]:
         "energy": config.energy,
         "backend.parallel": config.backend.parallel,
         "backend.address": config.backend.address,
+        "backend.learners": config.backend.learners,
     }
 
 

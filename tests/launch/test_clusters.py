@@ -1,12 +1,14 @@
 """Whole sessions whose workers are actors of a Ray cluster: the same curves, and nothing left behind."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,13 +16,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "engine" / "rollout"))
 from ray_processes import assert_gone, ray_processes
 
 from headway.config import BackendConfig
+from headway.events import CheckpointSaved, Failed, Finished, IterationFinished, Started, Usage
 from headway.store import CHECKPOINTS
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
 from headway.store.log import TABLES, read_rows
 from headway_launch.clusters import SessionCluster
 from headway_launch.command_line import run
-from headway_launch.planning import Shares, share_cores
+from headway_launch.planning import Shares, gpus_of, share_cores
 
 needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
@@ -243,3 +246,39 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
 
     planned = plan_jobs(compose(["env=trivial", "algo=ippo", f"seed=0..{jobs - 1}", "backend=ray"]))
     assert share_cores(BackendConfig("ray"), planned, cores, cpus) == expected
+    whole = SessionCluster("head:1", cpus=64, node_cpus=8, learners=True)
+    assert whole.backend(BackendConfig("ray")).name == "process"
+    assert whole.share_cores(BackendConfig("ray"), planned, cores) == Shares(jobs, min(64 // jobs, 8))
+
+
+@pytest.mark.parametrize(
+    ("device", "there", "asked"),
+    [("cpu", 4, 0), ("auto", 0, 0), ("auto", 4, 1), ("cuda", 4, 1), ("cuda:1", 0, 1)],
+)
+def test_a_learner_asks_for_the_gpu_that_it_trains_on(device: str, there: float, asked: float) -> None:
+    assert gpus_of(device, there) == asked
+
+
+@needs_ray
+def test_what_is_used_on_another_machine_is_not_counted_here() -> None:
+    from headway_launch.training_actor import without_usage
+
+    used = Usage(3.0, 5)
+    assert without_usage(Started(2, (7, 8))) == Started(2, ())
+    assert without_usage(IterationFinished(1, 2, used, ())) == IterationFinished(1, 2, Usage(), ())
+    assert without_usage(Finished(1, False, used, 2.0)) == Finished(1, False, Usage(), 2.0)
+    assert without_usage(CheckpointSaved(4)) == CheckpointSaved(4)
+
+
+@needs_ray
+def test_a_machine_that_does_not_see_the_store_is_told_in_one_line(tmp_path: Path) -> None:
+    from headway_launch.training_actor import TrainingHost
+
+    host = TrainingHost()
+    host.train(pickle.dumps(SimpleNamespace(directories=(str(tmp_path), "/nowhere/run"))))
+    failed, end = host.next_events()
+    assert end is None
+    assert isinstance(failed, Failed)
+    assert (
+        "has no folder /nowhere/run: a sweep over a cluster needs store.root on a file system" in failed.line
+    )
