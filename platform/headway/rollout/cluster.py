@@ -29,9 +29,11 @@ _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _HTTP2_SETTI
 _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_worker_niceness": "0",
 }
-"""Of Ray, by environment variables, where the user has not set them: no statistics of use are sent; and
-actors without a GPU see the machine as it is."""
+"""Of Ray, by environment variables, where the user has not set them. No statistics of use are sent; actors
+without a GPU see the machine as it is; workers of a cluster that is started here are as eager as processes,
+where Ray would have them stand back behind all else (niceness 15)."""
 
 
 @dataclass
