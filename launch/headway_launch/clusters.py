@@ -1,4 +1,4 @@
-"""The Ray cluster on which the training processes of one session have their workers."""
+"""The Ray cluster on which one session has its rollout workers, or its training processes whole."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,15 +48,13 @@ class SessionCluster:
         if cpus == 0:
             disconnect()
             raise HeadwayError(f"the Ray cluster at {address} has no CPUs; start nodes with `ray start`")
-        on_it = learners == "cluster" or (learners is None and len(backends) > 1)
+        on_it = learners == "cluster" or (learners is None and len(asking) > 1)
         return cls(address, cpus=cpus, node_cpus=int(max(nodes)), learners=on_it)
 
     def backend(self, asked: BackendConfig) -> BackendConfig:
         """The backend of a training process: on this cluster."""
         if self.address is None or asked.name != "ray":
             return asked
-        if self.learners:
-            return replace(asked, name="process")
         cpus = 0.0 if asked.worker_cpus is None and self.shared_out else asked.worker_cpus
         return replace(asked, address=self.address, worker_cpus=cpus)
 
@@ -69,12 +67,14 @@ class SessionCluster:
         return replace(shares, workers=min(shares.workers, self.node_cpus))
 
     def open_training(self, job: "TrainingJob") -> Training:
-        """Start a training process, here or on the cluster."""
-        if not self.learners:
+        """Start a training process, here or, with workers beside it as processes, on the cluster."""
+        backend = job.config.backend
+        if not self.learners or backend.name != "ray":
             return TrainingProcess(job)
         from headway_launch.training_actor import TrainingActor
 
-        return TrainingActor(job, self.shared_out)
+        whole = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
+        return TrainingActor(whole, self.shared_out)
 
     def close(self) -> None:
         """Disconnect; a cluster that this session started ends."""
