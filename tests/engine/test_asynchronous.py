@@ -298,14 +298,14 @@ def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_pa
     job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     with _opened(job, []) as contributors:
-        workers, before = contributors.crew.workers, contributors.crew.workers[0].snapshot
-        dies = psutil.Process(workers[0].process.pid)
+        before = contributors.crew.workers[0].snapshot
+        dies = psutil.Process(contributors.crew.process_ids()[0])
         dies.suspend()
         contributors.assign(0, Contribute(1, 0, acting))
         dies.kill()
-        while workers[0].process.pid == dies.pid:
+        while contributors.crew.process_ids()[0] == dies.pid:
             contributors.crew.hear(0, contributors.tasks[0])
-        replacement = psutil.Process(workers[0].process.pid)
+        replacement = psutil.Process(contributors.crew.process_ids()[0])
         replacement.suspend()
         for number in (2, 3, 4):
             contributors.assign(1, Contribute(number, 0, acting))
