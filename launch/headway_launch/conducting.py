@@ -3,26 +3,27 @@
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from headway.config import ExperimentConfig
 from headway.energy import EnergyMeter, EnergyReport
 from headway.events import Event
-from headway.store import Status
+from headway.store import CHECKPOINTS, Status
+from headway.store.checkpoint import latest_iteration
 from headway.store.provenance import usable_cores
 from headway.store.session import SessionStore
 from headway.training import TrainingJob
 from headway_launch.cell_work import CellWork, Rules
+from headway_launch.clusters import SessionCluster
 from headway_launch.kernels import compile_kernels
 from headway_launch.planning import (
     CellPlan,
     PlannedJob,
-    Shares,
     one_of_a_session,
     require_free_disk,
-    share_cores,
     uses_gpu,
+    workers_of,
 )
 from headway_launch.progress import JobProgress
 from headway_launch.recording import TRACEBACK, JobRecording
@@ -31,6 +32,8 @@ from headway_launch.session import Session
 from headway_launch.telling import own_name, tell, to_a_reader
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
+_LOSSES = 3
+"""How often a training process may be lost at the same checkpoint before its runs have failed."""
 _NAMED_RUNS = 3
 _NAMED_FAILURES = 10
 _WORTH_TELLING_S = 60.0
@@ -45,6 +48,13 @@ class _Job:
     planned: PlannedJob
     progress: JobProgress
     recording: JobRecording | None = None
+    lost_at: list[int] = field(default_factory=list)
+    """The iteration that was durable when its training process was lost, each time."""
+
+    @property
+    def account(self) -> str:
+        """Names its energy: another one after each loss, as processes count from 0."""
+        return f"{id(self)} {len(self.lost_at)}"
 
 
 class Conductor:
@@ -60,23 +70,34 @@ class Conductor:
         self._own_cpu_s = 0.0
         """What this process did from the beginning of training on, but for playing rules."""
         planned = [job for cell in cells for job in cell.jobs]
-        self._shares: Shares = share_cores(self._config.backend, planned, usable_cores())
-        require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
-        for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
-            compile_kernels(env)
-        self._store = SessionStore.open(self._config.store)
-        self._cells = [CellWork(self._store, cell) for cell in cells]
-        self._jobs = [
-            _Job(cell, job, _progress_of(cell, job)) for cell in self._cells for job in cell.plan.jobs
-        ]
-        self._meter = EnergyMeter.start(self._config.energy) if planned else None
+        self._cluster = SessionCluster.open([job.config.backend for job in planned])
+        try:
+            self._shares = self._cluster.share_cores(self._config.backend, planned, usable_cores())
+            require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
+            for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
+                compile_kernels(env)
+            self._store = SessionStore.open(self._config.store)
+            self._cells = [CellWork(self._store, cell) for cell in cells]
+            self._jobs = [
+                _Job(cell, job, _progress_of(cell, job)) for cell in self._cells for job in cell.plan.jobs
+            ]
+            self._meter = EnergyMeter.start(self._config.energy) if planned else None
+        except BaseException:
+            self._cluster.close()
+            raise
         self._sampled = time.monotonic()
 
     def conduct(self) -> int:
         """Train, evaluate the rules, print the table; returns the exit code."""
         began, self._own_cpu_s = time.monotonic(), -time.process_time()
         session = Session(
-            [job.progress for job in self._jobs], self._shares.parallel, self._begin, self._take, self._tick
+            [job.progress for job in self._jobs],
+            self._shares.parallel,
+            self._begin,
+            self._take,
+            self._tick,
+            self._cluster.open_training,
+            self._goes_on,
         )
         try:
             stopped = session.run()
@@ -90,6 +111,7 @@ class Conductor:
             self._end_cells()
             for line in (*(self._meter.notices() if self._meter else ()), *self._store.close()):
                 tell(f"headway: {line}")
+            self._cluster.close()
         self._own_cpu_s += time.process_time()
         with to_a_reader(sys.stdout):
             self._print()
@@ -113,7 +135,9 @@ class Conductor:
         runs = job.cell.runs(job.planned, self._shares)
         before = [run.energy_so_far for run in runs] if job.planned.resumed else []
         job.recording = JobRecording(runs, uses_gpu=uses_gpu(job.planned), before=before)
-        return job.cell.training_job(job.planned, runs, self._shares)
+        training = job.cell.training_job(job.planned, runs, self._shares)
+        backend = self._cluster.backend(training.config.backend)
+        return replace(training, config=replace(training.config, backend=backend))
 
     def _take(self, index: int, event: Event) -> None:
         job = self._jobs[index]
@@ -121,9 +145,31 @@ class Conductor:
             return
         job.recording.take(event)
         if job.recording.status != "RUNNING":
-            self._finish(index, job.cell, job.recording)
+            self._finish(job, job.recording)
             if self._debug and job.recording.failure:
                 tell(job.recording.failure.traceback)
+
+    def _goes_on(self, index: int) -> bool:
+        """End the runs of a job whose training process was lost as those of a killed session, and plan to go
+        on with them as the next session would; False where that has been of no use."""
+        job = self._jobs[index]
+        if job.recording is None:
+            return False
+        runs = job.recording.runs
+        durable = min(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in runs)
+        if job.lost_at.count(durable) == _LOSSES:
+            return False
+        job.recording.status = "KILLED"
+        self._finish(job, job.recording, counts=False)
+        job.lost_at.append(durable)
+        job.recording = None
+        job.planned = replace(
+            job.planned,
+            resumed=tuple(run.run_id for run in runs),
+            iteration=durable,
+            workers=workers_of(job.planned, self._shares),
+        )
+        return True
 
     def _tick(self) -> tuple[str, ...]:
         now = time.monotonic()
@@ -134,8 +180,8 @@ class Conductor:
 
     def _running(self) -> dict[str, JobRecording]:
         return {
-            str(index): job.recording
-            for index, job in enumerate(self._jobs)
+            job.account: job.recording
+            for job in self._jobs
             if job.recording is not None and job.recording.status == "RUNNING"
         }
 
@@ -145,22 +191,25 @@ class Conductor:
         for name, recording in running.items():
             recording.keep_energy(time.time(), energies[name])
 
-    def _finish(self, index: int, cell: CellWork, recording: JobRecording) -> None:
+    def _finish(self, job: _Job, recording: JobRecording, counts: bool = True) -> None:
+        """`counts`: it has a place in the session's table."""
         assert self._meter is not None
+        cell = job.cell
         others = {name: other.usage for name, other in self._running().items()}
-        energy = self._meter.finish(str(index), others, recording.usage)
+        energy = self._meter.finish(job.account, others, recording.usage)
         modes = self._meter.modes.as_tags() if self._config.energy.enabled else {}
         for run, used in zip(recording.runs, recording.keep_energy(time.time(), energy), strict=True):
             result = seed_result(run, recording, cell.config.evaluation.modes[0], used, modes)
             run.finish(recording.status, result.summary)
-            cell.results.append(result)
+            if counts:
+                cell.results.append(result)
 
     def _finish_jobs(self, stopped: bool) -> None:
         """Put down the runs that never began, so that `headway resume` finds them."""
-        for index, job in enumerate(self._jobs):
+        for job in self._jobs:
             if stopped and job.recording is None and not job.planned.resumed and not self._plan_kept:
                 job.recording = JobRecording(job.cell.runs(job.planned, self._shares), status="KILLED")
-                self._finish(index, job.cell, job.recording)
+                self._finish(job, job.recording)
 
     def _end_cells(self) -> None:
         figures = _session_figures(self._meter.stop()) if self._meter else {}

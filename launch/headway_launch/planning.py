@@ -185,12 +185,17 @@ def _holds(spec: EnvSpec, limit: int) -> str:
     return f"a process can hold {copies} of {spec.name}"
 
 
-def share_cores(backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> Shares:
-    """As many training processes as cores (at most one a job); each has its share of the cores as workers.
-    Jobs whose number of workers is fixed run side by side as far as the cores go round."""
+def share_cores(
+    backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int, cluster_cpus: int | None = None
+) -> Shares:
+    """As many training processes as cores (at most one a job); each has its share of the cores as workers,
+    or, where workers are on a cluster, of its CPUs. Jobs whose number of workers is fixed run side by side as
+    far as these go round."""
     most = max([1, *(_fixed_workers(job) or 1 for job in jobs)])
-    parallel = max(1, min(backend.parallel or max(1, cores // most), len(jobs)))
-    return Shares(parallel, max(1, cores // parallel))
+    for_workers = cores if cluster_cpus is None else cluster_cpus
+    at_once = max(1, min(cores, for_workers // most))
+    parallel = max(1, min(backend.parallel or at_once, len(jobs)))
+    return Shares(parallel, max(1, for_workers // parallel))
 
 
 def workers_of(job: PlannedJob, shares: Shares) -> int:
@@ -208,6 +213,12 @@ def _fixed_workers(job: PlannedJob) -> int | None:
         return job.workers
     backend = job.config.backend
     return 1 if backend.name == "serial" else backend.workers
+
+
+def gpus_of(device: str, there: float) -> float:
+    """GPUs that a training process asks of a cluster which has so many: `cuda` one, `auto` one if there is
+    any."""
+    return 1.0 if device.startswith("cuda") or (device == "auto" and there >= 1.0) else 0.0
 
 
 def uses_gpu(job: PlannedJob) -> bool:
@@ -245,6 +256,8 @@ def one_of_a_session(config: ExperimentConfig) -> dict[str, object]:
         "store": config.store,
         "energy": config.energy,
         "backend.parallel": config.backend.parallel,
+        "backend.address": config.backend.address,
+        "backend.learners": config.backend.learners,
     }
 
 

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice
@@ -62,6 +62,49 @@ class StopRequests:
             self._counted_at = moment
 
 
+class Training(Protocol):
+    """One training process, wherever it is."""
+
+    @property
+    def lost(self) -> bool:
+        """It was lost with what it ran on, and may go on elsewhere."""
+        ...
+
+    @property
+    def connection(self) -> Any:  # noqa: ANN401 - whatever `multiprocessing.connection.wait` takes
+        """Ready to be waited for: an event, or the end."""
+        ...
+
+    @property
+    def sentinel(self) -> Any:  # noqa: ANN401 - the same
+        """Ready to be waited for once it is gone."""
+        ...
+
+    def has_event(self) -> bool:
+        """Whether `receive` returns at once."""
+        ...
+
+    def has_ended(self) -> bool:
+        """Whether nothing more will be heard."""
+        ...
+
+    def receive(self) -> Event | None:
+        """The next event, or None where there will be none."""
+        ...
+
+    def ask_to_stop(self) -> None:
+        """Ask for a checkpoint and an end."""
+        ...
+
+    def kill(self) -> None:
+        """End it and its workers at once."""
+        ...
+
+    def join(self) -> str:
+        """Wait for the end; say how it ended, for one that gave no last event."""
+        ...
+
+
 class Session:
     """Runs jobs, `parallel` at a time, made by `begin(index)` when their turn comes. Every event goes to
     `take(index, event)`; `tick` is called a few times a second. A job that fails does not stop the others."""
@@ -73,25 +116,30 @@ class Session:
         begin: Callable[[int], "TrainingJob"],
         take: Callable[[int, Event], None],
         tick: Callable[[], Sequence[str]] = tuple,
+        open_training: Callable[["TrainingJob"], Training] = TrainingProcess,
+        goes_on: Callable[[int], bool] = lambda index: False,
     ) -> None:
+        """`goes_on(index)` is asked of a job whose training process was lost, and begins again if it says
+        so."""
         self._begin = begin
         self._progress = progress
         self._parallel = parallel
         self._take = take
         self._tick = tick
-        self._running: dict[int, TrainingProcess] = {}
+        self._open_training, self._goes_on = open_training, goes_on
+        self._running: dict[int, Training] = {}
+        self._waiting = list(range(len(progress)))
         self._asked_to_stop = False
         self._killed = False
 
     def run(self) -> bool:
         """Train everything; returns whether the session was asked to stop. Whatever is raised, no training
         process is left."""
-        waiting = list(range(len(self._progress)))
         try:
             with StopRequests() as requests, Progress(self._progress, self._parallel) as shown:
-                while self._running or (waiting and not requests.count):
-                    while waiting and len(self._running) < self._parallel and not requests.count:
-                        self._start(waiting.pop(0), shown)
+                while self._running or (self._waiting and not requests.count):
+                    while self._waiting and len(self._running) < self._parallel and not requests.count:
+                        self._start(self._waiting.pop(0), shown)
                     self._hear(shown)
                     self._obey(requests, shown)
                     for line in self._tick():
@@ -106,7 +154,7 @@ class Session:
     def _start(self, index: int, shown: Progress) -> None:
         self._progress[index].status = "starting"
         try:
-            self._running[index] = TrainingProcess(self._begin(index))
+            self._running[index] = self._open_training(self._begin(index))
         except HeadwayError as error:
             self._take_event(index, Failed(str(error), traceback.format_exc()), shown)
 
@@ -141,9 +189,16 @@ class Session:
         self._take(index, event)
 
     def _end(self, index: int, shown: Progress) -> None:
-        how = self._running.pop(index).join()
+        training = self._running.pop(index)
+        how = training.join()
         job = self._progress[index]
-        if job.status in ("starting", "training"):
+        unfinished = job.status in ("starting", "training")
+        if unfinished and training.lost and not self._asked_to_stop and self._goes_on(index):
+            shown.note(f"headway: {job.name}: {how}; it goes on elsewhere from its last checkpoint")
+            job.status = "waiting"
+            self._waiting.insert(0, index)
+            return
+        if unfinished:
             last = Finished(job.iteration, stopped=True) if self._killed else Failed(how, "")
             self._take_event(index, last, shown)
 

@@ -191,8 +191,12 @@ def _cells(path: Path) -> list[Mapping[str, Any]]:
 
 def _in_session(run: StoredRun, experiment: Experiment) -> StoredRun:
     """A stored run as this session goes on with it: kept, measured and put side by side as the session says,
-    but by the backend that its checkpoints are of."""
+    but by a backend that its checkpoints are of: where processes stopped actors can go on, and the other way
+    round, and a cluster is where the session has it."""
     mapping = full_mapping(experiment, ())
-    backend = {**run.mapping["backend"], "parallel": mapping["backend"]["parallel"]}
+    asked, kept = mapping["backend"], run.mapping["backend"]
+    alike = {asked["name"], kept["name"]} <= {"process", "ray"}
+    taken = ("parallel", "name", "address", "worker_cpus", "learners") if alike else ("parallel",)
+    backend = {**kept, **{key: asked[key] for key in taken}}
     session = {"store": mapping["store"], "energy": mapping["energy"], "backend": backend}
     return replace(run, mapping={**run.mapping, **session})

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
@@ -21,6 +22,9 @@ _LAST_EVENT_S = 1.0
 
 class TrainingProcess:
     """Runs one job in a process, and process group, of its own, so that Ctrl-C reaches the session only."""
+
+    lost = False
+    """See `headway_launch.session.Training`: it does not die with its machine alone."""
 
     def __init__(self, job: "TrainingJob") -> None:
         context = get_context("spawn")
@@ -103,18 +107,28 @@ def _train(job: "TrainingJob", connection: Connection) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     threading.Thread(target=_end_with_session, daemon=True).start()
     try:
-        from headway.training import train
-
-        train(job, connection.send, lambda: connection.poll())
+        train_and_tell(job, connection.send, lambda: connection.poll())
     except BrokenPipeError:
         _end_group()
-    except HeadwayError as error:
-        connection.send(Failed(str(error), f"{error.details}{traceback.format_exc()}"))
-    except Exception as error:
-        line = f"{type(error).__name__}: {error}".splitlines()[0]
-        connection.send(Failed(line, traceback.format_exc()))
     connection.close()
     sys.stdout.flush()
+
+
+def train_and_tell(
+    job: "TrainingJob", report: Callable[[Event], None], should_stop: Callable[[], bool]
+) -> None:
+    """Train a job; what it fails of is its last event. Raises BrokenPipeError where nobody listens."""
+    from headway.training import train
+
+    try:
+        train(job, report, should_stop)
+    except BrokenPipeError:
+        raise
+    except HeadwayError as error:
+        report(Failed(str(error), f"{error.details}{traceback.format_exc()}"))
+    except Exception as error:
+        line = f"{type(error).__name__}: {error}".splitlines()[0]
+        report(Failed(line, traceback.format_exc()))
 
 
 def _end_with_session() -> None:

@@ -1,5 +1,6 @@
 """An experiment as frozen records. Every default of the engine stands here and nowhere else."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -7,6 +8,7 @@ from typing import Any, Literal
 from headway.contracts.checks import require
 
 _STUDY_LENGTH = 100
+_HOST_AND_PORT = re.compile(r"\S+:\d{1,5}")
 
 
 def _require_study(name: str) -> None:
@@ -77,8 +79,9 @@ class BackendConfig:
     curves are the same bit for bit, asynchronous algorithms' excepted. A larger stack, or a GPU, rounds
     otherwise: the first updates agree in float64, and from there training goes its own way."""
 
-    name: Literal["serial", "process"] = "process"
-    """`serial`: in the training process itself; `process`: in worker processes."""
+    name: Literal["serial", "process", "ray"] = "process"
+    """`serial`: in the training process itself; `process`: in worker processes; `ray`: in actors of a Ray
+    cluster."""
     workers: int | None = None
     """Worker processes of each training process; null: what the machine's cores allow, and more where a
     process can hold only few copies of the environment. An asynchronous algorithm has one a block."""
@@ -87,11 +90,25 @@ class BackendConfig:
     number of workers."""
     stack: int = 1
     """Seeds trained in one process as one stack (for GPUs; on a CPU processes are faster)."""
+    address: str = "local"
+    """Of `ray`: HOST:PORT of a cluster's head; `auto`: the cluster that this machine is part of, or that
+    RAY_ADDRESS names; `local`: one on this machine, for this session only."""
+    worker_cpus: float | None = None
+    """Of `ray`: CPUs that the cluster is asked for each worker; null: 1, on a `local` one none, as the cores
+    are shared out already."""
+    learners: Literal["here", "cluster"] | None = None
+    """Of `ray`: whether runs train on this machine, with workers on the cluster, or are placed on the cluster
+    whole, each with its workers beside it (`store.root` must be on a file system that all machines share);
+    null: `cluster` where a session trains several on one that is not `local`."""
 
     def __post_init__(self) -> None:
         require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
         require(self.parallel is None or self.parallel >= 1, "parallel must be at least 1, or null")
         require(self.stack >= 1, "stack must be at least 1")
+        is_address = self.address in ("auto", "local") or _HOST_AND_PORT.fullmatch(self.address) is not None
+        require(is_address, f"address must be auto, local or HOST:PORT, not {self.address!r}")
+        cpus = self.worker_cpus
+        require(cpus is None or cpus >= 0, "worker_cpus must be at least 0, or null")
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ from headway.events import (
     Usage,
 )
 from headway.iterating import Asynchronous, InStep, Mode
-from headway.rollout.asynchronous import open_contributors
-from headway.rollout.backends import open_collector
+from headway.rollout.backends import open_collector, open_contributors
 from headway.rollout.collecting import Backend
 from headway.rollout.contributing import AsynchronousPlan, MakeContributor
 from headway.rollout.fitting import require_fitting
@@ -285,9 +284,9 @@ class _Training:
 
 def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -> tuple[Backend, Mode]:
     """Workers, started, and how they and the learner go together."""
-    name, plan = job.config.backend.name, job.plan()
+    backend, plan = job.config.backend, job.plan()
     if job.make_contributor is None:
-        collector = open_collector(name, plan, job.workers, notify)
+        collector = open_collector(backend, plan, job.workers, notify)
         return collector, InStep(learner, collector)
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
@@ -295,7 +294,7 @@ def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -
             "headway.contracts.AsynchronousLearner; give it what is missing, or leave the contributor out"
         )
     together = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
-    contributors = open_contributors(name, together, notify)
+    contributors = open_contributors(backend, together, notify)
     return contributors, Asynchronous(learner, contributors, job.config.iterations)
 
 

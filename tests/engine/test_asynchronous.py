@@ -28,13 +28,16 @@ from rehearsal import (
 )
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 
+from headway.config import BackendConfig
 from headway.contracts import Contribution, HeadwayError, Trajectory
 from headway.events import Event, Notice, Started, Usage
 from headway.iterating import Asynchronous
-from headway.rollout.asynchronous import ProcessContributors, SerialContributors, open_contributors
+from headway.rollout.asynchronous import CrewContributors, SerialContributors
+from headway.rollout.backends import open_contributors
 from headway.rollout.collecting import Contributors
 from headway.rollout.contributing import AsynchronousPlan
-from headway.rollout.processes import GRACE_S, WorkerFailedError
+from headway.rollout.crew import WorkerFailedError
+from headway.rollout.processes import GRACE_S
 from headway.rollout.serial import SerialCollector
 from headway.rollout.worker import Contribute, Done
 from headway.training import TrainingJob, train
@@ -221,11 +224,11 @@ def test_a_contributor_whose_learner_applies_nothing_is_refused_by_its_entry_s_n
 
 
 @contextmanager
-def _opened(job: TrainingJob, notices: list[str]) -> Iterator[ProcessContributors]:
+def _opened(job: TrainingJob, notices: list[str]) -> Iterator[CrewContributors]:
     assert job.make_contributor is not None
     plan = AsynchronousPlan(job.plan(), job.make_contributor, job.algo_config, job.contributor_preload)
-    with closing(open_contributors("process", plan, notices.append)) as contributors:
-        assert isinstance(contributors, ProcessContributors)
+    with closing(open_contributors(BackendConfig("process"), plan, notices.append)) as contributors:
+        assert isinstance(contributors, CrewContributors)
         contributors.begin()
         yield contributors
 
@@ -254,7 +257,7 @@ def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: P
     job = _job("a3c", tmp_path, "arrival")
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
-        first, second = (psutil.Process(worker.process.pid) for worker in contributors.crew.workers)
+        first, second = map(psutil.Process, contributors.crew.process_ids())
         mode = Asynchronous(learner, contributors)
         mode.iterate(1, 0.0)
         first.suspend()
@@ -275,7 +278,7 @@ def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_en
     job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
-        processes = [psutil.Process(worker.process.pid) for worker in contributors.crew.workers]
+        processes = [psutil.Process(process_id) for process_id in contributors.crew.process_ids()]
         idle = contributors.usage().cpu_seconds
         for worker in range(2):
             contributors.assign(worker, Contribute(worker + 1, 0, learner.published()))
@@ -295,14 +298,14 @@ def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_pa
     job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     with _opened(job, []) as contributors:
-        workers, before = contributors.crew.workers, contributors.crew.workers[0].snapshot
-        dies = psutil.Process(workers[0].process.pid)
+        before = contributors.crew.workers[0].snapshot
+        dies = psutil.Process(contributors.crew.process_ids()[0])
         dies.suspend()
         contributors.assign(0, Contribute(1, 0, acting))
         dies.kill()
-        while workers[0].process.pid == dies.pid:
+        while contributors.crew.process_ids()[0] == dies.pid:
             contributors.crew.hear(0, contributors.tasks[0])
-        replacement = psutil.Process(workers[0].process.pid)
+        replacement = psutil.Process(contributors.crew.process_ids()[0])
         replacement.suspend()
         for number in (2, 3, 4):
             contributors.assign(1, Contribute(number, 0, acting))
@@ -321,7 +324,7 @@ def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_itera
     faced = []
     with _opened(job, notices := []) as contributors:
         for number in (1, 2, 3):
-            process = psutil.Process(contributors.crew.workers[0].process.pid)
+            process = psutil.Process(contributors.crew.process_ids()[0])
             process.suspend()
             contributors.assign(0, Contribute(number, 0, acting))
             process.kill()
@@ -367,7 +370,7 @@ def test_gradients_that_come_as_they_like_are_each_applied_once(
             return worker, task, done
 
         monkeypatch.setattr(contributors, "next_done", next_done)
-        first = psutil.Process(contributors.crew.workers[0].process.pid)
+        first = psutil.Process(contributors.crew.process_ids()[0])
         mode = Asynchronous(learner, contributors, iterations=12)
         mode.iterate(1, 0.0)
         first.suspend()

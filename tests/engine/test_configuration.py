@@ -112,8 +112,8 @@ def test_impossible_values_of_the_engine_are_one_line() -> None:
         build(ExperimentConfig, {"rollout": {"block": 3}})
     with pytest.raises(HeadwayError, match=r"^env_steps must be at least 1$"):
         build(ExperimentConfig, {"env_steps": 0})
-    with pytest.raises(HeadwayError, match=r"backend\.name='ray' is not possible"):
-        build(BackendConfig, {"name": "ray"}, "backend")
+    with pytest.raises(HeadwayError, match=r"backend\.name='slurm' is not possible"):
+        build(BackendConfig, {"name": "slurm"}, "backend")
 
 
 @pytest.mark.parametrize(

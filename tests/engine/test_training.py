@@ -25,8 +25,8 @@ from headway.events import (
     Notice,
     Started,
 )
+from headway.rollout.crew import WorkerFailedError
 from headway.rollout.episodes import evaluation_seeds
-from headway.rollout.processes import WorkerFailedError
 from headway.store.checkpoint import write_checkpoint
 from headway.store.log import RunLog, read_rows
 from headway.training import TrainingJob, train

@@ -97,6 +97,19 @@ def test_a_changed_configuration_is_new_and_another_way_to_run_it_is_not(
     assert (len(found.finished), len(found.new)) == ((1, 0) if same else (0, 1))
 
 
+@pytest.mark.parametrize(("before", "after"), [("process", "ray"), ("ray", "process"), ("ray", "ray")])
+def test_where_processes_stopped_actors_go_on_and_the_other_way_round(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    words = ["algo=ippo", "backend.workers=2", "backend.learners=here"]
+    [experiment] = compose_sweep([*BASE, *words, f"backend={before}", "backend.address=old:1"])
+    keep_run(tmp_path, experiment, 0, "KILLED", 7)
+    [cell] = plan_cells([standing(tmp_path, *words, f"backend={after}", "backend.address=new:2")])
+    (job,) = cell.jobs
+    assert (len(job.resumed), job.iteration, job.workers) == (1, 7, 1)
+    assert (job.config.backend.name, job.config.backend.address) == (after, "new:2")
+
+
 def test_what_goes_on_takes_the_session_of_the_command_and_the_backend_of_its_checkpoints(
     tmp_path: Path,
 ) -> None:

@@ -3,7 +3,7 @@
 import platform
 import sys
 
-from headway_launch.benchmarks import crossing, kernel, lightness, merge, store, table3, training
+from headway_launch.benchmarks import actors, crossing, kernel, lightness, merge, store, table3, training
 
 REPORTS = {
     "training": training.report,
@@ -13,6 +13,7 @@ REPORTS = {
     "lightness": lightness.report,
     "store": store.report,
     "table3": table3.report,
+    "actors": actors.report,
 }
 
 

@@ -106,7 +106,7 @@ def measure_here(task: Task) -> Measurement:
     config = ExperimentConfig(
         env_steps=task.copies * task.steps * task.iterations,
         rollout=RolloutConfig(task.copies, task.steps, task.block),
-        backend=BackendConfig(name="process" if task.backend == "process" else "serial"),
+        backend=build(BackendConfig, {"name": task.backend}),
         evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),
     )
     marks: list[tuple[float, float, float, float]] = []

@@ -69,7 +69,7 @@ def report() -> None:
         env, env_args = ELSEWHERE.get(algo, (BASE.env, BASE.env_args))
         task = replace(BASE, env=env, env_args=env_args, algo=algo, algo_args={"policies": "independent"})
         tasks.append(task)
-    for (dict_based, algo, policies), results in zip(rows, _in_turn(tasks), strict=True):
+    for (dict_based, algo, policies), results in zip(rows, in_turn(tasks), strict=True):
         face = "dict" if dict_based else f"batched{', tracking' * (algo in ELSEWHERE)}"
         print(
             f"| Headway {algo} | {face} | {policies} | {median(r.per_second for r in results):,.0f} "
@@ -81,7 +81,7 @@ def report() -> None:
     _report_workers()
 
 
-def _in_turn(tasks: Sequence[Task]) -> list[list[Measurement]]:
+def in_turn(tasks: Sequence[Task]) -> list[list[Measurement]]:
     """`ROUNDS` measurements of each task, A B C A B C ..."""
     rounds = [[measure([task])[0] for task in tasks] for _ in range(ROUNDS)]
     return [list(results) for results in zip(*rounds, strict=True)]
@@ -106,7 +106,7 @@ def _report_workers() -> None:
         ("bus line, 32 copies", replace(BASE, env="bus", copies=32, steps=143, block=4, iterations=8)),
     ):
         pairs = [replace(task, backend="process", workers=workers) for workers in (1, 2)]
-        one, two = _in_turn(pairs)
+        one, two = in_turn(pairs)
         ratio = median(b.collected_per_second / a.collected_per_second for a, b in zip(one, two, strict=True))
         print(
             f"Rollouts with two workers against one ({label}): "

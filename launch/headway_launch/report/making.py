@@ -65,7 +65,7 @@ def making_section(data: StudyData) -> Section:
     body: list[Part] = [
         "Each line below trains the seeds of one cell again. It sets every key that differs from the "
         "defaults of this version, but for those that change no result: where runs are kept (`store`) and "
-        "how a machine is filled (`backend.name`, `backend.workers`, `backend.parallel`). "
+        "how machines are filled (`backend`, but for `backend.stack`). "
         "`evaluation.rules` stands there only where not all rules of the environment were played. The whole "
         "configuration, in which every default is spelt out, is folded below it. On a CPU the same "
         "configuration and seed give the same curve bit for bit with the versions named here."

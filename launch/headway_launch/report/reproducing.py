@@ -12,8 +12,9 @@ from headway_launch.planning import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""
-_ELSEWHERE = ("store.", "seed", "backend.name", "backend.workers", "backend.parallel")
-"""Keys that change no result: where runs are kept, and how a machine is filled."""
+_BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
+_ELSEWHERE = ("store.", "seed", *(f"backend.{key}" for key in _BACKEND))
+"""Keys that change no result: where runs are kept, and how machines are filled."""
 
 
 def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:

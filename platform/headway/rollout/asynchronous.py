@@ -1,51 +1,40 @@
 """Backends of the asynchronous mode: workers that learn from their own rollouts. While they do, evaluation
 has a place of its own."""
 
-import pickle
 from collections import deque
 from collections.abc import Sequence
-from multiprocessing import connection
 from typing import Any
 
 from headway.contracts import HeadwayError
 from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collecting import (
-    Contributors,
-    evaluation_requests,
-    joined,
-    restart_purpose,
-)
-from headway.rollout.contributing import AsynchronousPlan, Contributing, ContributorSetup
+from headway.rollout.collecting import Collector, evaluation_requests, joined, restart_purpose
+from headway.rollout.contributing import AsynchronousPlan, Contributing
+from headway.rollout.crew import Crew, Notify, Workplace, standing
 from headway.rollout.episodes import evaluate_policy
-from headway.rollout.processes import Crew, Notify, ProcessCollector, standing
+from headway.rollout.processes import process_collector
 from headway.rollout.worker import Begin, Contribute, Done, Restore
 
 
-def open_contributors(name: str, plan: AsynchronousPlan, notify: Notify) -> Contributors:
-    """Workers of the backend of that name, started."""
-    return SerialContributors(plan, notify) if name == "serial" else ProcessContributors(plan, notify)
-
-
-class ProcessContributors:
-    """Worker processes, one a block of copies. They go on with what they do whatever the others do, also
-    where one died and its replacement repeats its rollout. Evaluation is one process's work, and whoever
+class CrewContributors:
+    """Workers of a crew, one a block of copies. They go on with what they do whatever the others do, also
+    where one died and its replacement repeats its rollout. Evaluation is one worker's work, and whoever
     asks for it waits."""
 
     in_turns = False
 
-    def __init__(self, plan: AsynchronousPlan, notify: Notify) -> None:
-        self.plan, pickled = plan, pickle.dumps(plan)
-        setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
-        preload = [*plan.rollout.preload, *plan.preload]
-        self.crew = Crew(setups, preload, b"_main__" in pickled, notify)
+    def __init__(
+        self, plan: AsynchronousPlan, workplace: Workplace, evaluating: Collector, notify: Notify
+    ) -> None:
+        """`evaluating`: is never begun; this closes it, also where it cannot start."""
+        self.plan, self.evaluating = plan, evaluating
         self.tasks: dict[int, Contribute] = {}
         self.arrived: deque[int] = deque()
         """Workers that have answered, or died, and were not heard yet; first come, first heard."""
         try:
-            self.evaluating = ProcessCollector(plan.rollout.evaluating_apart, 1, notify)
+            self.crew = Crew(workplace, len(plan.shards), notify)
         except BaseException:
-            self.crew.close()
+            evaluating.close()
             raise
 
     @property
@@ -77,15 +66,12 @@ class ProcessContributors:
                 return worker, self.tasks.pop(worker), done
 
     def _first_come(self) -> int:
-        pipes: dict[Any, int] = {
-            self.crew.workers[worker].pipe: worker for worker in self.tasks if worker not in self.arrived
-        }
-        ready = connection.wait(list(pipes), 0 if self.arrived else None)
-        self.arrived += sorted(pipes[pipe] for pipe in ready)
+        unheard = [worker for worker in self.tasks if worker not in self.arrived]
+        self.arrived += self.crew.answered(unheard, 0 if self.arrived else None)
         return self.arrived.popleft()
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, in a process of its own."""
+        """Evaluation episodes, by a worker of its own."""
         return self.evaluating.evaluate(root, episodes, greedy, parameters)
 
     def snapshot(self) -> list[Any]:
@@ -133,7 +119,7 @@ class SerialContributors:
         self.workers = [Contributing(plan, first, count) for first, count in plan.shards]
         self.tasks: dict[int, Contribute] = {}
         apart = self.plan.evaluating_apart
-        self.apart = None if limit is None else ProcessCollector(apart, 1, notify)
+        self.apart = None if limit is None else process_collector(apart, 1, notify)
 
     @property
     def number(self) -> int:

@@ -1,28 +1,82 @@
 """Backends by name. Every one gives the same trajectory bit for bit."""
 
+import pickle
 from collections.abc import Callable, Mapping
 
+from headway.config import BackendConfig
 from headway.rollout.apart import EvaluatingApart
-from headway.rollout.collecting import Collector
+from headway.rollout.asynchronous import CrewContributors, SerialContributors
+from headway.rollout.collecting import Collector, Contributors
+from headway.rollout.contributing import AsynchronousPlan, ContributorSetup
+from headway.rollout.crew import Notify, Workplace
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.processes import Notify, ProcessCollector
+from headway.rollout.processes import Processes, process_collector
 from headway.rollout.serial import SerialCollector
 
 
-def open_collector(name: str, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
     """The backend of that name, with its workers started. Where a process may hold few copies, which
-    training needs, evaluation has a worker of its own, beside the serial backend too."""
-    collector = BACKENDS[name](plan, workers, notify)
+    training needs, evaluation has a worker of its own, beside the serial backend too.
+
+    Raises HeadwayError where it cannot be had.
+    """
+    collector = _COLLECTORS[backend.name](backend, plan, workers, notify)
     if plan.spec.max_copies_per_process is None:
         return collector
     try:
-        return EvaluatingApart(collector, ProcessCollector(plan.evaluating_apart, 1, notify))
+        return EvaluatingApart(collector, _evaluating(backend, plan, notify))
     except BaseException:
         collector.close()
         raise
 
 
-BACKENDS: Mapping[str, Callable[[RolloutPlan, int, Notify], Collector]] = {
-    "serial": lambda plan, workers, notify: SerialCollector(plan),
-    "process": ProcessCollector,
+def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Contributors:
+    """The same for the asynchronous mode."""
+    if backend.name == "serial":
+        return SerialContributors(plan, notify)
+    evaluating = _evaluating(backend, plan.rollout, notify)
+    return CrewContributors(plan, _WORKPLACES[backend.name](backend, plan, notify), evaluating, notify)
+
+
+def _evaluating(backend: BackendConfig, plan: RolloutPlan, notify: Notify) -> Collector:
+    name = "process" if backend.name == "serial" else backend.name
+    return _COLLECTORS[name](backend, plan.evaluating_apart, 1, notify)
+
+
+def _serial(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+    return SerialCollector(plan)
+
+
+def _process(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+    return process_collector(plan, workers, notify)
+
+
+def _ray(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+    from headway.rollout.actors import actor_collector  # which imports Ray, an extra
+
+    return actor_collector(backend, plan, workers, notify)
+
+
+def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
+    pickled = pickle.dumps(plan)
+    setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
+    return Processes(setups, [*plan.rollout.preload, *plan.preload], b"_main__" in pickled)
+
+
+def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
+    from headway.rollout.actors import Actors, pickled_whole
+
+    pickled = pickled_whole(plan)
+    setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
+    return Actors(backend, setups, notify)
+
+
+_COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, int, Notify], Collector]] = {
+    "serial": _serial,
+    "process": _process,
+    "ray": _ray,
+}
+_WORKPLACES: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], Workplace]] = {
+    "process": _processes,
+    "ray": _actors,
 }

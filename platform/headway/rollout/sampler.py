@@ -68,7 +68,7 @@ class Sampler:
         self.plan, self.first, self.count = plan, first, count
         self.env = plan.make_for_training(count)
         self.acting = BlockwiseActing(plan, count, plan.block)
-        self.views = _part_of(trajectory, plan.replicas, first if place is None else place, count)
+        self.views = part_of(trajectory, plan.replicas, first if place is None else place, count)
         self.observed: Observed | None = None
         self.tally = Tally(plan.replicas * count, plan.spec.metrics)
 
@@ -151,7 +151,7 @@ class Sampler:
         return Episode(copy // self.count, {"copy": self.first + copy % self.count, **row})
 
 
-def _part_of(trajectory: Trajectory, replicas: int, first: int, count: int) -> dict[str, NDArray[Any]]:
+def part_of(trajectory: Trajectory, replicas: int, first: int, count: int) -> dict[str, NDArray[Any]]:
     """Writable views (T, R, count, ...) of a trajectory's arrays."""
     views = {}
     for field in fields(trajectory):

@@ -36,9 +36,16 @@ class WorkerSetup:
     trajectory: SharedBlock
     parameters: SharedBlock
 
-    def open(self) -> "Service":
+    def open(self) -> "Sampling":
         """The service of a worker that samples."""
-        return _Sampling(self)
+        plan: RolloutPlan = pickle.loads(self.plan)
+        shapes = plan.policy.parameter_shapes(plan.replicas)
+        return Sampling(
+            plan,
+            (self.first, self.count),
+            Trajectory.over(self.trajectory.buffer, plan.layout),
+            parameter_arrays(shapes, self.parameters.buffer),
+        )
 
 
 @dataclass(frozen=True)
@@ -142,41 +149,59 @@ def run_worker(setup: Setup, commands: connection.Connection) -> None:
     """Serve commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the session's to answer
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    service: Service | None = None
+    serving = Serving(setup)
     while True:
         try:
             command: Command = commands.recv()
         except (EOFError, OSError):
             return
-        try:
-            service = service or setup.open()
-            # Pickled here, so that a snapshot that cannot be is an error like any other.
-            answer = reduction.ForkingPickler.dumps(service.carry_out(command))
-        except Exception as error:
-            line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
-            is_users = isinstance(error, HeadwayError)
-            answer = reduction.ForkingPickler.dumps(Broken(line, traceback.format_exc(), is_users))
+        answer = serving.answer(command)
         try:
             commands.send_bytes(answer)
         except OSError:
             return  # nobody listens any more
 
 
-class _Sampling:
+class Serving:
+    """A worker's service, opened at the first command, with what it raises made an answer."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self.service: Service | None = None
+
+    def answer(self, command: Command) -> memoryview:
+        """A `Done` or a `Broken`, pickled."""
+        try:
+            self.service = self.service or self.setup.open()
+            # Pickled here, so that a snapshot that cannot be is an error like any other.
+            return reduction.ForkingPickler.dumps(self.service.carry_out(command))
+        except Exception as error:
+            line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
+            is_users = isinstance(error, HeadwayError)
+            return reduction.ForkingPickler.dumps(Broken(line, traceback.format_exc(), is_users))
+
+
+class Sampling:
     """The plan at work on one shard."""
 
-    def __init__(self, setup: WorkerSetup) -> None:
-        plan: RolloutPlan = pickle.loads(setup.plan)
-        self.plan, self.shard = plan, (setup.first, setup.count)
-        self.trajectory = Trajectory.over(setup.trajectory.buffer, plan.layout)
-        shapes = plan.policy.parameter_shapes(plan.replicas)
-        self.parameters = parameter_arrays(shapes, setup.parameters.buffer)
+    def __init__(
+        self,
+        plan: RolloutPlan,
+        shard: tuple[int, int],
+        trajectory: Trajectory,
+        parameters: Parameters,
+        place: int | None = None,
+    ) -> None:
+        """`shard`: first and count of its copies; `parameters` may change between two commands; `place`: as
+        `Sampler`'s."""
+        self.plan, self.shard, self.place = plan, shard, place
+        self.trajectory, self.parameters = trajectory, parameters
         self.own_usage = OwnUsage()
 
     @cached_property
     def sampler(self) -> Sampler:
         """Not made by a worker that only evaluates."""
-        return Sampler(self.plan, *self.shard, self.trajectory)
+        return Sampler(self.plan, *self.shard, self.trajectory, self.place)
 
     def carry_out(self, command: Command) -> Done:
         """Do as told."""

@@ -18,12 +18,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.config import BackendConfig
+from headway.configuration import build
 from headway.contracts import BatchedEnv, Contribution, EnvSpec, Observed, Outcome, Trajectory, generator
 from headway.contracts.acting import Parameters
 from headway.rollout.backends import open_collector
 from headway.rollout.collecting import Collector
+from headway.rollout.crew import Notify
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.processes import Notify
 from headway.rollout.sampler import Episode
 from headway_algos.config import ModelConfig
 from headway_algos.recipes.ippo import IPPOConfig
@@ -43,6 +45,7 @@ Fault = Literal[
     "bad snapshot",
     "exit",
     "hang up",
+    "kill parent",
 ]
 
 VISITORS = VisitorsConfig(agents=3, steps=12)
@@ -118,6 +121,9 @@ class FaultyVisitors:
         match self._config.fault:
             case "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
+            case "kill parent":  # of an actor, the daemon of its node
+                os.kill(os.getppid(), signal.SIGKILL)
+                time.sleep(60)
             case "exit":
                 sys.exit(3)
             case "hang up":
@@ -239,12 +245,17 @@ def parameters_of(plan: RolloutPlan) -> Arrays:
     }
 
 
+def backend_of(name: str) -> BackendConfig:
+    """The backend of a name as it is by default."""
+    return build(BackendConfig, {"name": name})
+
+
 @contextmanager
 def collector_of(
     plan: RolloutPlan, name: str = "process", workers: int = 2, notify: Notify = lambda line: None
 ) -> Iterator[Collector]:
     """A collector, closed in the end."""
-    collector = open_collector(name, plan, workers, notify)
+    collector = open_collector(backend_of(name), plan, workers, notify)
     try:
         yield collector
     finally:

@@ -26,8 +26,9 @@ from rehearsal import (
 from headway.contracts import HeadwayError
 from headway.rollout import processes
 from headway.rollout.collecting import Collector
+from headway.rollout.crew import WorkerFailedError
+from headway.rollout.crewed import CrewCollector
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.processes import ProcessCollector, WorkerFailedError
 
 SHARD = 2
 """Copies of each of two workers."""
@@ -221,7 +222,7 @@ def test_closing_does_not_wait_for_busy_workers_to_finish(
     monkeypatch.setattr(processes, "GRACE_S", 2.0)
     plan = _never(tmp_path)
     with collector_of(plan, workers=2) as collector:
-        assert isinstance(collector, ProcessCollector)
+        assert isinstance(collector, CrewCollector)
         collector.begin()
         children = [psutil.Process(process_id) for process_id in collector.process_ids()]
         for process in children:

@@ -14,7 +14,7 @@ import psutil
 import pytest
 from rehearsal import collector_of, parameters_of, plan_of_toy
 
-from headway.rollout.processes import ProcessCollector
+from headway.rollout.crewed import CrewCollector
 
 MEBIBYTE = 2**20
 HEAVY = {"torch", "pandas", "pyarrow", "mlflow", "scipy", "pettingzoo", "gymnasium", "matplotlib"}
@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np, psutil
 sys.path.insert(0, sys.argv[1])
 from spying import SpyConfig, make_spy
-from headway.rollout.processes import ProcessCollector
+from headway.rollout.processes import process_collector
 from headway.rollout.plan import RolloutPlan
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.recipes.ippo import IPPOConfig
@@ -37,7 +37,7 @@ plan = RolloutPlan(make_spy, (), config, spec, policy, (0,), 8, 512, 4)
 parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
 for attempt in ("cold", "warm"):
     began = time.monotonic()
-    collector = ProcessCollector(plan, 2, print)
+    collector = process_collector(plan, 2, print)
     collector.begin()
     ready = time.monotonic() - began
     collector.collect(1, parameters)
@@ -75,10 +75,10 @@ _COLLECT_FOR_EVER = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 from rehearsal import parameters_of, plan_of_toy
-from headway.rollout.processes import ProcessCollector
+from headway.rollout.processes import process_collector
 
 plan = plan_of_toy("visitors", copies=8, steps=500)
-collector = ProcessCollector(plan, 3, print)
+collector = process_collector(plan, 3, print)
 collector.begin()
 print("ready", flush=True)
 for iteration in range(10**9):
@@ -193,7 +193,7 @@ def test_a_hundred_iterations_use_no_more_than_ten() -> None:
     plan = plan_of_toy("trivial", seeds=(5, 6), copies=8, steps=50)
     parameters = parameters_of(plan)
     with collector_of(plan, workers=2) as collector:
-        assert isinstance(collector, ProcessCollector)
+        assert isinstance(collector, CrewCollector)
         processes = [psutil.Process(), *map(psutil.Process, collector.process_ids())]
 
         def used() -> tuple[list[int], int]:

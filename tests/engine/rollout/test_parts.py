@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rehearsal import plan_of_toy
 
+from headway.config import BackendConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway.finite import check_finite
 from headway.rollout import backends, usage
@@ -151,11 +152,11 @@ def test_a_collector_is_closed_where_its_companion_cannot_open(monkeypatch: pyte
             raise HeadwayError("no room")
 
     closed: list[object] = []
-    monkeypatch.setattr(backends, "ProcessCollector", Full)
+    monkeypatch.setattr(backends, "process_collector", Full)
     monkeypatch.setattr(backends.SerialCollector, "close", lambda self: closed.append(self))
     plan = _limited(plan_of_toy("visitors"), 100)
     with pytest.raises(HeadwayError, match="no room"):
-        backends.open_collector("serial", plan, 1, print)
+        backends.open_collector(BackendConfig("serial"), plan, 1, print)
     assert len(closed) == 1
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from headway.config import BackendConfig
 from headway.configuration import build
 from headway.contracts import Trajectory
 from headway.registry import algo_entries
@@ -41,7 +42,9 @@ def _parameters(plan: RolloutPlan) -> dict[str, Any]:
 @contextmanager
 def _collector(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> Iterator[Collector]:
     said = [] if notices is None else notices
-    with closing(open_collector(name, plan, plan.copies, said.append)) as collector:
+    with closing(
+        open_collector(build(BackendConfig, {"name": name}), plan, plan.copies, said.append)
+    ) as collector:
         yield collector
 
 

@@ -3,9 +3,10 @@
 import pytest
 
 import headway.training
+from headway.config import BackendConfig
 from headway.rollout.collecting import Contributors
 from headway.rollout.contributing import AsynchronousPlan
-from headway.rollout.processes import Notify
+from headway.rollout.crew import Notify
 from headway_launch.benchmarks.measuring import Task, measure_here
 
 
@@ -13,8 +14,8 @@ def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: py
     opened: list[Contributors] = []
     open_contributors = headway.training.open_contributors
 
-    def opening(name: str, plan: AsynchronousPlan, notify: Notify) -> Contributors:
-        opened.append(open_contributors(name, plan, notify))
+    def opening(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Contributors:
+        opened.append(open_contributors(backend, plan, notify))
         return opened[-1]
 
     monkeypatch.setattr(headway.training, "open_contributors", opening)

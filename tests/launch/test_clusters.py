@@ -1,0 +1,283 @@
+"""Whole sessions whose workers are actors of a Ray cluster: the same curves, and nothing left behind."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "engine" / "rollout"))
+from ray_processes import assert_gone, ray_processes
+
+from headway.config import BackendConfig
+from headway.events import CheckpointSaved, Failed, Finished, IterationFinished, Started, Usage
+from headway.store import CHECKPOINTS
+from headway.store.checkpoint import latest_iteration
+from headway.store.index import RunIndex, RunRow
+from headway.store.log import TABLES, read_rows
+from headway_launch.clusters import SessionCluster
+from headway_launch.command_line import run
+from headway_launch.planning import Shares, gpus_of, share_cores
+
+needs_ray = pytest.mark.skipif(
+    find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
+)
+TINY = (
+    "env=visitors",
+    "algo=ippo",
+    "energy=off",
+    "seed=3",
+    "rollout.copies=4",
+    "rollout.block=2",
+    "rollout.steps=32",
+    "evaluation.episodes=1",
+    "evaluation.final_episodes=2",
+    "store.checkpoint_every=4",
+    "backend.workers=2",
+)
+PATIENCE_S = 180.0
+
+
+def _started(*words: str, folder: Path) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "headway_launch", *words]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, cwd=folder, text=True, start_new_session=True, **pipes)
+
+
+def _runs(folder: Path) -> dict[int, RunRow]:
+    return {row.seed: row for row in RunIndex(folder / "runs").rows()}
+
+
+def _tables(row: RunRow) -> dict[str, list[dict[str, str]]]:
+    """All that a run logged but times, to the last bit."""
+    return {
+        table: [
+            {
+                name: float(value).hex() if isinstance(value, float) else str(value)
+                for name, value in line.items()
+                if name != "wall_s" and not name.startswith("time/")
+            }
+            for line in read_rows(Path(row.directory), table)
+        ]
+        for table in TABLES
+    }
+
+
+def _kept(folder: Path) -> int:
+    """Iteration of the newest checkpoint of the only run; 0: there is none."""
+    return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
+
+
+@needs_ray
+def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(tmp_path: Path) -> None:
+    here, there = tmp_path / "process", tmp_path / "ray"
+    here.mkdir()
+    there.mkdir()
+    long = (*TINY, "env_steps=5120")
+    with _started("run", *long, folder=here) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    before = ray_processes()
+    with _started("run", *long, "backend=ray", folder=there) as process:
+        deadline = time.monotonic() + PATIENCE_S
+        while not _kept(there):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.kill()
+        process.communicate(timeout=PATIENCE_S)
+    assert_gone(before)
+    killed = _runs(there)
+    assert 0 < _kept(there) < 40
+    with _started("resume", *(row.run_id for row in killed.values()), folder=there) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    assert "(raylet)" not in told
+    ended, expected = _runs(there), _runs(here)
+    assert [row.status for row in ended.values()] == ["FINISHED"]
+    assert _tables(ended[3]) == _tables(expected[3])
+    assert_gone(before)
+
+
+@needs_ray
+def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(tmp_path: Path) -> None:
+    here, there = tmp_path / "process", tmp_path / "ray"
+    here.mkdir()
+    there.mkdir()
+    long = (*TINY, "env_steps=5120")
+    with _started("run", *long, folder=here) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    before = ray_processes()
+    sweep = (
+        "sweep",
+        *long,
+        "algo=ippo,ia2c",
+        "backend=ray",
+        "backend.learners=cluster",
+        "backend.parallel=1",
+    )
+    with _started(*sweep, folder=there) as process:
+        deadline = time.monotonic() + PATIENCE_S
+        while not _kept(there) > 0:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        hosts = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
+        (host,) = hosts
+        children = host.children(recursive=True)
+        host.kill()
+        _, told = process.communicate(timeout=2 * PATIENCE_S)
+        assert process.returncode == 0, told
+    assert (
+        told.count("its training process was lost (its worker process has died); it goes on elsewhere") == 1
+    )
+    assert not any(child.is_running() for child in children)
+    ended = {row.algorithm: row for row in RunIndex(there / "runs").rows()}
+    assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
+    assert _tables(ended["ippo"]) == _tables(_runs(here)[3])
+    assert_gone(before)
+
+
+@needs_ray
+def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
+    """The key reaches the whole group of processes, Ray's too."""
+    before = ray_processes()
+    with _started(
+        "run", *TINY, "backend=ray", "backend.workers=2", "env_steps=1e8", folder=tmp_path
+    ) as process:
+        deadline = time.monotonic() + PATIENCE_S
+        while not _kept(tmp_path):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 130, told
+    assert "with a checkpoint" in told
+    assert "failed" not in told
+    (row,) = _runs(tmp_path).values()
+    assert row.status == "KILLED"
+    assert latest_iteration(Path(row.directory, CHECKPOINTS)) == row.iterations
+    assert_gone(before)
+
+
+@pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
+def test_without_ray_nothing_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["run", *TINY, "backend=ray"]) == 2
+    assert (
+        capsys.readouterr().err
+        == 'headway: backend=ray needs Ray, which is an extra: pip install "headway[ray]"\n'
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@needs_ray
+@pytest.mark.parametrize("words", [("run",), ("sweep",)])
+def test_an_address_without_a_cluster_starts_nothing(
+    words: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([*words, *TINY, "backend=ray", "backend.address=127.0.0.1:1"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(
+        "headway: no Ray cluster answers at backend.address=127.0.0.1:1 (Connection refused)"
+    )
+    assert told.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_address_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["run", *TINY, "backend=ray", "backend.address=nonsense"]) == 2
+    assert (
+        capsys.readouterr().err
+        == "headway: backend.address must be auto, local or HOST:PORT, not 'nonsense'\n"
+    )
+
+
+def test_a_session_without_ray_has_no_cluster() -> None:
+    cluster = SessionCluster.open([BackendConfig("process"), BackendConfig("serial")])
+    assert cluster == SessionCluster()
+    assert cluster.backend(BackendConfig("ray")) == BackendConfig("ray")
+    cluster.close()
+
+
+@pytest.mark.parametrize(
+    ("cluster", "asked", "given"),
+    [
+        (SessionCluster("head:1", shared_out=True), {}, ("head:1", 0.0)),
+        (SessionCluster("head:1", shared_out=True), {"worker_cpus": 2.0}, ("head:1", 2.0)),
+        (SessionCluster("head:1", cpus=64), {"address": "auto"}, ("head:1", None)),
+    ],
+)
+def test_training_processes_are_given_the_cluster_of_the_session(
+    cluster: SessionCluster, asked: dict[str, float | str], given: tuple[str, float | None]
+) -> None:
+    backend = cluster.backend(BackendConfig("ray", **asked))
+    assert (backend.address, backend.worker_cpus) == given
+
+
+@pytest.mark.parametrize(
+    ("jobs", "cores", "cpus", "expected"),
+    [
+        (1, 2, 64, Shares(1, 64)),
+        (50, 4, 64, Shares(4, 16)),
+        (50, 16, 8, Shares(8, 1)),
+        (3, 2, None, Shares(2, 1)),
+    ],
+)
+def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_here(
+    jobs: int, cores: int, cpus: int | None, expected: Shares
+) -> None:
+    from headway_launch.composing import compose
+    from headway_launch.planning import plan_jobs
+
+    planned = plan_jobs(compose(["env=trivial", "algo=ippo", f"seed=0..{jobs - 1}", "backend=ray"]))
+    assert share_cores(BackendConfig("ray"), planned, cores, cpus) == expected
+    whole = SessionCluster("head:1", cpus=64, node_cpus=8, learners=True)
+    assert whole.share_cores(BackendConfig("ray"), planned, cores) == Shares(jobs, min(64 // jobs, 8))
+
+
+@pytest.mark.parametrize(
+    ("device", "there", "asked"),
+    [("cpu", 4, 0), ("auto", 0, 0), ("auto", 4, 1), ("cuda", 4, 1), ("cuda:1", 0, 1)],
+)
+def test_a_learner_asks_for_the_gpu_that_it_trains_on(device: str, there: float, asked: float) -> None:
+    assert gpus_of(device, there) == asked
+
+
+@needs_ray
+def test_what_is_used_on_another_machine_is_not_counted_here() -> None:
+    from headway_launch.training_actor import without_usage
+
+    used = Usage(3.0, 5)
+    assert without_usage(Started(2, (7, 8))) == Started(2, ())
+    assert without_usage(IterationFinished(1, 2, used, ())) == IterationFinished(1, 2, Usage(), ())
+    assert without_usage(Finished(1, False, used, 2.0)) == Finished(1, False, Usage(), 2.0)
+    assert without_usage(CheckpointSaved(4)) == CheckpointSaved(4)
+
+
+@needs_ray
+def test_a_machine_that_does_not_see_the_store_is_told_in_one_line(tmp_path: Path) -> None:
+    from headway_launch.training_actor import TrainingHost
+
+    host = TrainingHost()
+    host.train(pickle.dumps(SimpleNamespace(directories=(str(tmp_path), "/nowhere/run"))))
+    failed, end = host.next_events()
+    assert end is None
+    assert isinstance(failed, Failed)
+    assert (
+        "has no folder /nowhere/run: a sweep over a cluster needs store.root on a file system" in failed.line
+    )
