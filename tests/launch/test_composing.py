@@ -7,7 +7,6 @@ from headway.config import ExperimentConfig
 from headway.configuration import describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
-from headway_launch.commands.search import read_search
 from headway_launch.composing import compose, groups, resolve, summary_of
 from headway_launch.planning import (
     Shares,
@@ -17,6 +16,7 @@ from headway_launch.planning import (
     plan_jobs,
     share_cores,
 )
+from headway_launch.searching import read_search
 from headway_launch.study_plan import distinct
 from headway_launch.sweeping import compose_sweep
 

@@ -1,12 +1,17 @@
 """`headway search` finds a winner by real runs, and `headway plot` draws them."""
 
+import argparse
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex
+from headway_launch.commands import search
+from headway_launch.conducting import Conductor
+from headway_launch.searching import read_search
 
 HEADWAY = str(Path(sys.executable).with_name("headway"))
 
@@ -70,6 +75,49 @@ def test_cells_and_rules_are_compared_on_the_same_days(
             assert float(row[5]) <= float(row[4]) <= float(row[6])
             assert row[7] == "t over days"
     assert "1 seed: the interval is over days" in done.stderr
+
+
+def test_no_winner_is_named_while_another_session_trains_a_seed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    small = ("toy_matrix", "env_steps=1024", "energy=off", f"store.root={tmp_path}")
+    done = _headway("search", *small)
+    assert done.returncode == 0, done.stderr
+    monkeypatch.setattr(Conductor, "final_rewards", lambda self: [[1.0], []])
+    monkeypatch.setattr("headway_launch.threads.limit_threads", lambda: None)
+    parser = argparse.ArgumentParser()
+    search.add_arguments(parser)
+    arguments = parser.parse_args(list(small))
+    arguments.debug = False
+    with pytest.raises(HeadwayError, match="ippo: lr 5e-3 has 0 of 1 seeds, as another session"):
+        search.execute(arguments)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        ("", "must have the keys base, cells and candidates"),
+        ("base: [experiment=toy_matrix]\ncells: {}\ncandidates: {a: []}", "cells must have one entry"),
+        ("base: [experiment=toy_matrix]\ncells: {a: []}\ncandidates: {}", "candidates must have one entry"),
+        ("base: [experiment=toy_matrix]\ncells: {a: }\ncandidates: {b: []}", "search/broken.cells.a"),
+        (
+            "base: [experiment=toy_matrix]\ncells: {a: algo=ippo}\ncandidates: {b: []}",
+            "search/broken.cells.a",
+        ),
+        ("base: [experiment=toy_matrix]\nname: c\ncells: {a: []}\ncandidates: {b: []}", "name is not a key"),
+        ("base: [", "is not valid YAML"),
+    ],
+)
+def test_a_broken_search_is_one_line(
+    content: str, line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "search").mkdir()
+    (tmp_path / "search" / "broken.yaml").write_text(content)
+    monkeypatch.setattr("headway_launch.searching.configs_folder", lambda: tmp_path)
+    with pytest.raises(HeadwayError) as raised:
+        read_search("broken")
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(

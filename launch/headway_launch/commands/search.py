@@ -2,17 +2,13 @@
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from statistics import mean
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from headway.configuration import build, suggestion
 from headway.contracts.errors import HeadwayError
 
 if TYPE_CHECKING:
     from headway.config import ExperimentConfig
-    from headway_launch.composing import Experiment
 
 EXAMPLES = """\
 examples:
@@ -25,46 +21,6 @@ winner has the highest mean final reward. All train side by side; the same searc
 where it stopped. Give it seeds that no study reports: on the seeds it was chosen by, a winner looks better
 than it is. `headway list searches` names them.
 """
-
-
-@dataclass(frozen=True)
-class Search:
-    """The contents of a file in configs/search."""
-
-    base: tuple[str, ...]
-    """Overrides of every run, `experiment=...` and `seed=...` among them."""
-    cells: Mapping[str, Any]
-    """Name -> list of overrides."""
-    candidates: Mapping[str, Any]
-    """Name -> list of overrides."""
-    name: str = ""
-    """Of its file."""
-
-    def points(self, overrides: Sequence[str] = ()) -> dict[tuple[str, str], "Experiment"]:
-        """Every candidate in every cell, by both names.
-
-        Raises HeadwayError for what cannot be used, and where two would train the same.
-        """
-        from headway_launch.composing import compose
-        from headway_launch.planning import full_mapping
-        from headway_launch.stored import identity
-        from headway_launch.sweeping import require_one_session
-
-        points = {
-            (cell, candidate): compose([*self.base, *in_cell, *tried, *overrides])
-            for cell, in_cell in self.cells.items()
-            for candidate, tried in self.candidates.items()
-        }
-        require_one_session(list(points.values()))
-        known: dict[str, tuple[str, str]] = {}
-        for place, experiment in points.items():
-            other = known.setdefault(identity(full_mapping(experiment, ())), place)
-            if other != place:
-                raise HeadwayError(
-                    f"search {self.name}: {': '.join(other)} and {': '.join(place)} are the same experiment; "
-                    "give each its own values, and override none of them"
-                )
-        return points
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,18 +36,26 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.conducting import EXIT_DONE
+    from headway_launch.searching import read_search
     from headway_launch.studying import StudySession
     from headway_launch.tables import print_table
     from headway_launch.telling import to_a_reader
 
     search = read_search(arguments.search)
     points = search.points(arguments.overrides)
-    labels = [": ".join(place) for place in points]
+    labels = [": ".join(point) for point in points]
     conductor = StudySession.plan(list(points.values()), labels, arguments.fresh).conductor(arguments.debug)
     code = conductor.conduct()
     if code != EXIT_DONE:
         return code
-    results = {place: mean(rewards) for place, rewards in zip(points, conductor.final_rewards(), strict=True)}
+    results = {}
+    for (point, experiment), rewards in zip(points.items(), conductor.final_rewards(), strict=True):
+        if len(rewards) < len(experiment.config.seed):
+            raise HeadwayError(
+                f"{': '.join(point)} has {len(rewards)} of {len(experiment.config.seed)} seeds, as another "
+                "session trains the others; give the search again when that has ended"
+            )
+        results[point] = mean(rewards)
     winners = {
         cell: max(search.candidates, key=lambda candidate: results[cell, candidate]) for cell in search.cells
     }
@@ -108,24 +72,3 @@ def execute(arguments: argparse.Namespace) -> int:
 def _title(config: "ExperimentConfig") -> str:
     seeds = ", ".join(str(seed) for seed in config.seed)
     return f"search on {config.env.id}: seeds {seeds}, {config.env_steps:,} environment steps each"
-
-
-def read_search(name: str) -> Search:
-    """A search of configs/search.
-
-    Raises HeadwayError where there is none of that name, or it cannot be read.
-    """
-    import yaml
-
-    from headway_launch.composing import configs_folder
-
-    folder = configs_folder() / "search"
-    known: Sequence[str] = sorted(path.stem for path in folder.glob("*.yaml"))
-    if name not in known:
-        raise HeadwayError(f"there is no search {name!r}; {suggestion(name, known)}")
-    try:
-        content = yaml.safe_load((folder / f"{name}.yaml").read_text())
-    except yaml.YAMLError as error:
-        problem = " ".join(str(error).split())
-        raise HeadwayError(f"configs/search/{name}.yaml is not valid YAML: {problem}") from error
-    return replace(build(Search, content, f"search/{name}"), name=name)
