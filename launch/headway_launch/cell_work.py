@@ -23,6 +23,7 @@ from headway_launch.planning import (
     workers_of,
 )
 from headway_launch.results import SeedResult, stored_result
+from headway_launch.telling import tell
 
 Rules = Mapping[str, list[Row]]
 _WHICH_DAYS = "evaluation_seed"
@@ -91,6 +92,11 @@ class CellWork:
             [self.experiment.reported_on, evaluation.seed, days, self.experiment.rules], default=str
         )
         if key not in played:
+            if self.experiment.rules:
+                from headway.drawing import counted
+
+                count = counted(len(self.experiment.rules), "rule")
+                tell(f"{count} to play, {counted(days, 'episode')} each")
             jobs = self.plan.jobs
             prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
             episodes = rule_episodes(self.experiment, prepared, self.experiment.rules, evaluation.seed, days)

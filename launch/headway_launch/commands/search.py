@@ -56,12 +56,11 @@ def execute(arguments: argparse.Namespace) -> int:
                 "session trains the others; give the search again when that has ended"
             )
         results[point] = mean(rewards)
-    winners = {
-        cell: max(search.candidates, key=lambda candidate: results[cell, candidate]) for cell in search.cells
-    }
+    best = {cell: max(results[cell, candidate] for candidate in search.candidates) for cell in search.cells}
+    counts = {cell: [results[cell, name] for name in search.candidates].count(best[cell]) for cell in best}
     rows = [
-        (cell, candidate, results[cell, candidate], "best" if winners[cell] == candidate else "")
-        for cell, candidate in points
+        (cell, candidate, found, "" if found < best[cell] else "best" if counts[cell] == 1 else "as good")
+        for (cell, candidate), found in results.items()
     ]
     config = next(iter(points.values())).config
     with to_a_reader(sys.stdout):
