@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
 from headway_envs.bus_published.kernel.layout import CAPACITY, Network
-from headway_envs.bus_published.prepared import Prepared
+from headway_envs.bus_published.prepared import Prepared, prepare
 
 Begun = Callable[..., BusPublishedBatchedEnv]
 Bus = dict[str, Any]
@@ -142,6 +143,15 @@ def test_service_without_fuel_is_refused_and_no_time_goes_by(begun: Begun) -> No
     outcome, _ = env.step(np.full((1, 5), 2))
     np.testing.assert_array_equal(outcome.rewards, -20.0)
     np.testing.assert_array_equal(env.world.buses["clock"], clock)
+
+
+@pytest.mark.parametrize("centre", [None, 3])
+def test_arrays_of_the_network_are_such_as_a_worker_gets(centre: int | None) -> None:
+    """A worker's copies can be written to and lie row by row; for others the kernel is compiled anew."""
+    network = prepare(BusPublishedConfig(scenario="line", centre=centre)).network
+    for name, array in network._asdict().items():
+        assert array.flags.writeable, name
+        assert array.flags.c_contiguous, name
 
 
 def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
