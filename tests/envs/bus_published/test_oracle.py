@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from headway_envs.bus.scenario.tables import Tables
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
-from headway_envs.bus_published.kernel.layout import CAPACITY, Network
+from headway_envs.bus_published.kernel.layout import Network
 from headway_envs.bus_published.prepared import Prepared, prepare
 
 Begun = Callable[..., BusPublishedBatchedEnv]
@@ -175,7 +176,11 @@ def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
         assert net.expected_s[route] == pytest.approx(expected)
         back = net.travel_s[net.call_stop[calls[1]], calls[0]]
         assert back == pytest.approx(mean)  # the table knows only the way out
-    assert 0.05 < net.occupancy.mean() * CAPACITY / 75 < 0.6
+    for k in range(0, len(net.call_stop), 7):
+        stop = int(net.call_stop[k])
+        occupancy, boardings = _on_board(tables, stops[stop])
+        assert net.occupancy[k] == pytest.approx(occupancy)
+        assert net.demand[stop] == pytest.approx(boardings)
     places = tables.stops.set_index("stop").loc[stops]
     north = places["lat"].to_numpy() * 111_320.0
     east = places["lon"].to_numpy() * 111_320.0 * np.cos(np.radians(places["lat"].mean()))
@@ -191,6 +196,28 @@ def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
     for k in range(0, len(net.call_stop), 7):
         np.testing.assert_allclose(net.detour_s[k], _shortest(ways, int(net.call_stop[k])), rtol=1e-9)
     assert np.isfinite(net.detour_s).all()
+
+
+def _on_board(tables: Tables, stop: int) -> tuple[float, float]:
+    """Share of the 80 places taken in the buses that come to a stop on a weekday, and its boardings."""
+    boards: dict[tuple[int, int], list[float]] = {}
+    for row in tables.demand.itertuples():
+        if row.daytype == "weekday":
+            period = (row.hour >= 9) + (row.hour >= 15) + (row.hour >= 20)
+            boards.setdefault((row.pattern, row.seq0), [0.0] * 4)[period] += row.board
+    leaves = {(row.pattern, row.seq0, row.period): row.p_alight for row in tables.alighting.itertuples()}
+    load = buses = boardings = 0.0
+    for call in tables.pattern_stops[tables.pattern_stops["stop"] == stop].itertuples():
+        for period in range(4):
+            on_board = 0.0
+            for seq0 in range(call.seq0):
+                on_board *= 1.0 - leaves.get((call.pattern, seq0, period), 0.0)
+                on_board += boards.get((call.pattern, seq0), [0.0] * 4)[period]
+            load += on_board
+        trips = tables.trips[tables.trips["pattern"] == call.pattern]
+        buses += (trips["daytype"] == "weekday").sum()
+        boardings += sum(boards.get((call.pattern, call.seq0), []))
+    return load / buses / 80.0, boardings
 
 
 def _shortest(ways: dict[int, dict[int, float]], origin: int) -> list[float]:
