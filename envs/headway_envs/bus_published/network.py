@@ -8,8 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.scenario.drawing import link_loads
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, link_loads
 from headway_envs.bus.scenario.tables import Tables
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.kernel.layout import CAPACITY, Network
