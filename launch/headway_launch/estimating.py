@@ -52,7 +52,7 @@ class Pace:
 
     def of_job(self, config: ExperimentConfig, done: int) -> "Expectation":
         """What a job takes from iteration `done` on."""
-        evaluations = _evaluations(config, done)
+        evaluations = evaluations_left(config, done)
         evaluating = evaluations * self.evaluation_s
         left = config.iterations - done
         rate = self.cpu_iteration_s / self.iteration_s
@@ -126,7 +126,7 @@ def makespan(seconds: Sequence[float], parallel: int) -> float:
     return max(free)
 
 
-def _evaluations(config: ExperimentConfig, done: int) -> float:
+def evaluations_left(config: ExperimentConfig, done: int) -> float:
     """Evaluations from iteration `done` to the end, the last counted as so many as it has episodes; the
     first, before training, belongs to the start."""
     a_step, every = config.rollout.copies * config.rollout.steps, config.evaluation.every

@@ -69,7 +69,9 @@ def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
     assert len(painted) == 3
 
 
-def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
+def test_a_trained_policy_is_drawn_behind_its_wrappers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     small = ["env_steps=64", "rollout.copies=2", "rollout.steps=32", "rollout.block=2", "seed=0"]
     quick = ["backend=serial", "energy=off", "preset=none", "evaluation.episodes=1"]
     where = ["evaluation.final_episodes=1", "evaluation.rules=[]", f"store.root={tmp_path / 'runs'}"]
@@ -82,10 +84,18 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
     moving = tmp_path / "policy.gif"
     assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
     assert len(frames(moving)) == 6
-    words = ["render", "s0", "--store", str(tmp_path / "runs"), "--output", "end.png", "--keep"]
-    assert run(words) == 0
+    keep = ["render", "s0", "--store", str(tmp_path / "runs"), "--output", "end.png", "--keep"]
+    assert run([*keep, "--step", "9"]) == 2
+    assert list((tmp_path / "runs").glob("**/pictures")) == []  # made for a picture only
+    assert run(keep) == 0
     [kept] = (tmp_path / "runs").glob("**/pictures/end.png")
     assert frames(kept) == frames(moving)[:1]
+    kept.unlink()
+    kept.parent.rmdir()
+    kept.parent.write_text("in the way")
+    capsys.readouterr()
+    assert run(keep) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith(f"headway: --output: {kept} cannot be written")
 
 
 @pytest.mark.parametrize(
@@ -101,6 +111,10 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
         (
             ["merge", "--rule", "idle", "--keep"],
             "--keep is for the pictures of a run; leave it or --rule out",
+        ),
+        (
+            ["s0", "--output", "a/b.png", "--keep"],
+            "--output: with --keep give a name without a folder, b.png, not a/b.png",
         ),
         (["merge", "--rule", "idle", "--fps", "0"], "--fps must lie between 0.1 and 50, not 0"),
         (["merge", "--rule", "idle", "--output", "no/where.gif"], "--output: no/where.gif cannot be written"),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 REPLAY_RECOVERY_SHARE = 3.0
 """Of a trip's planned time, kept free after it in a replay."""
-_NEVER_S = 1e9
+_NEVER = 1e9
 """Seconds a unit of fuel, or hours the uptime, last in a replay."""
 
 
@@ -174,7 +174,7 @@ def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepare
         recovery_share=REPLAY_RECOVERY_SHARE,
         noise=replace(config.noise, dispatch_s=0.0),
         upkeep=replace(
-            config.upkeep, breakdowns_per_hour=0.0, seconds_per_fuel_unit=_NEVER_S, uptime_hours=_NEVER_S
+            config.upkeep, breakdowns_per_hour=0.0, seconds_per_fuel_unit=_NEVER, uptime_hours=_NEVER
         ),
     )
     network, lines = build(tables, config, replay=True)

@@ -8,8 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.scenario.drawing import link_loads
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, link_loads
 from headway_envs.bus.scenario.tables import Tables
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.kernel.layout import CAPACITY, Network
@@ -130,7 +129,8 @@ def _passengers(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[Flo
     board = tables.demand[tables.demand["daytype"] == day].groupby(["pattern", "seq0"])["board"].sum()
     stop_of = loads.set_index(["pattern", "seq0"])["stop"].reindex(board.index)
     demand = board.groupby(stop_of.to_numpy()).sum().reindex(row_of.index).fillna(0.0)
-    return occupancy.to_numpy(np.float64), demand.to_numpy(np.float64)
+    # Copies, as pandas gives views that cannot be written to, for which the kernel would be compiled again.
+    return occupancy.to_numpy(np.float64, copy=True), demand.to_numpy(np.float64, copy=True)
 
 
 def _centres(detour: Floats, config: BusPublishedConfig) -> Integers:

@@ -62,9 +62,10 @@ def prepare(config: BusPublishedConfig) -> Prepared:
     """Read or generate the scenario and build its network, once, in the parent (imports pandas and scipy).
 
     Raises HeadwayError where the scenario cannot be used."""
+    from headway_envs.bus.prepared import source_of
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus_published.network import build
 
     tables = scenario_tables(config.scenario, config.scenario_seed)
     network, lines = build(tables, config)
-    return Prepared(config, network, lines, str(tables.meta.get("source", "unknown")))
+    return Prepared(config, network, lines, source_of(tables.meta))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observed
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
-from headway_envs.bus_published.kernel.layout import MOVE, SERVICE_CENTER
+from headway_envs.bus_published.kernel.layout import DETOUR_SHARE, FUEL_UNIT_S, MOVE, SERVICE_CENTER
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class Always:
 
 @dataclass(frozen=True)
 class MoveWithService:
-    """MOVE, and to the centre at the first step at which the uptime is below a share and the fuel lasts."""
+    """MOVE, and to the centre at the first step at which the uptime is below a share and the fuel lasts for
+    the way."""
 
     below: float
 
@@ -30,6 +31,9 @@ class MoveWithService:
         """Raises TypeError for any other environment."""
         if not isinstance(env, BusPublishedBatchedEnv):
             raise TypeError(f"move_with_service needs a BusPublishedBatchedEnv, not {type(env).__name__}")
-        buses = env.world.buses
-        due = (buses["uptime"] < self.below) & (buses["fuel"] > 0.0)
+        net, buses = env.network, env.world.buses
+        route = np.arange(buses.shape[1]) // env.prepared.config.agents_per_route
+        call = net.route_call[net.route_first[route] + buses["place"]]
+        way_s = DETOUR_SHARE * net.detour_s[call, env.world.days["centre"][:, None]]
+        due = (buses["uptime"] < self.below) & (buses["fuel"] >= way_s / FUEL_UNIT_S)
         return np.where(due, SERVICE_CENTER, MOVE).astype(np.int64)

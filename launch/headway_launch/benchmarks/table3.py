@@ -10,6 +10,7 @@ from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial import SerialCollector
 from headway_launch.composing import Experiment, compose
+from headway_launch.estimating import evaluations_left
 from headway_launch.threads import limit_threads
 
 NINE = ("ia2c", "ippo", "itrpo", "maa2c", "coma", "mappo", "matrpo", "happo", "hatrpo")
@@ -89,8 +90,8 @@ def cost_of(experiment: Experiment) -> Cost:
     return Cost(
         iteration_s=iteration,
         evaluation_s=time.process_time() - began,
-        iterations=-(-config.env_steps // (config.rollout.copies * config.rollout.steps)),
-        evaluations=config.env_steps / evaluation.every + evaluation.last_episodes / evaluation.episodes,
+        iterations=config.iterations,
+        evaluations=1.0 + evaluations_left(config, 0),  # the first is before training
         stack=len(seeds),
         seeds=len(config.seed),
     )

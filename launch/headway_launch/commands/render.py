@@ -79,9 +79,13 @@ def execute(arguments: argparse.Namespace) -> int:
     root = root if arguments.seed is None else arguments.seed
     with closing(_frames(found, root, arguments.episode, act, heed)) as frames:
         if output.suffix == ".png":
-            _write_picture(_moment(frames, arguments.step), output)
+            moment = _moment(frames, arguments.step)
+            _make_folder(arguments, output)
+            _write_picture(moment, output)
         else:
-            _write_film([_Packed.of(frame) for frame in frames], output, arguments.fps)
+            packed = [_Packed.of(frame) for frame in frames]
+            _make_folder(arguments, output)
+            _write_film(packed, output, arguments.fps)
     print(output)
     return 0
 
@@ -97,6 +101,8 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
     if arguments.keep and arguments.rule is not None:
         raise HeadwayError("--keep is for the pictures of a run; leave it or --rule out")
+    if arguments.keep and output.name != str(output):
+        raise HeadwayError(f"--output: with --keep give a name without a folder, {output.name}, not {output}")
     if arguments.overrides and arguments.rule is None:
         raise HeadwayError(f"{arguments.overrides[0]}: a run is played as it was trained; leave it out")
 
@@ -106,9 +112,17 @@ def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
     from headway_launch.stored import StoredRun
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
-    folder = run.directory / "pictures"
-    folder.mkdir(exist_ok=True)
-    return folder / output.name
+    return run.directory / "pictures" / output.name
+
+
+def _make_folder(arguments: argparse.Namespace, output: Path) -> None:
+    """The run's folder of pictures, when there is one to keep; any other folder has to be there."""
+    if not arguments.keep:
+        return
+    try:
+        output.parent.mkdir(exist_ok=True)
+    except OSError as error:
+        raise _unwritten(output, error) from error
 
 
 def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "Heed"]:

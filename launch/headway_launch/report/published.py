@@ -192,14 +192,21 @@ def _what_it_shows(data: StudyData, task: str) -> list[Part]:
     ]
     if drawn and data.mode == "greedy":
         said += (
-            f" While training, where actions are drawn, {', '.join(drawn)} came to more than that by over a "
-            "fifth: drawn actions go to the service centre now and then, the likeliest never does."
+            f" While training, where actions are drawn, {', '.join(drawn)} came to more than that rule "
+            "by over a fifth."
         )
+        never = [name for name in drawn if _has_no_visits(data, task, name)]
+        if never:
+            said += f" Played greedily, {', '.join(never)} never went to the service centre on those days."
     if "move_with_service" in values:
         said += (
             f" A rule that moves too, but goes to the service centre when half of the uptime is used up, "
-            f"comes to {figure(values['move_with_service'])}: uptime is paid for at every move, and a visit "
-            "costs less than it brings until the next. So always moving is not the best there is."
+            f"comes to {figure(values['move_with_service'])}. "
+        )
+        said += (
+            "So always moving is not the best there is."
+            if values["move_with_service"] > moving
+            else "So such visits do not pay here."
         )
     said += (
         " There are no passengers to be made to wait and no times that vary, so that hardly anything can be "
@@ -207,6 +214,12 @@ def _what_it_shows(data: StudyData, task: str) -> list[Part]:
         "always, not which one controls buses better. For that take the study `bus_study`."
     )
     return [said]
+
+
+def _has_no_visits(data: StudyData, task: str, controller: str) -> bool:
+    """Whether a learner's buses went to no service centre in the last evaluation; False where not known."""
+    visits = data.by_seed(task, controller, "service_visits").to_numpy()
+    return bool(visits.size and (visits == 0).all())
 
 
 def _not_comparable() -> list[Part]:

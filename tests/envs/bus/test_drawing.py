@@ -1,4 +1,4 @@
-"""Pictures of scenarios: the loads that they show are those of the tables."""
+"""Pictures of scenarios."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,21 +8,8 @@ import pytest
 from PIL import Image
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.scenario.drawing import draw_scenario, link_loads
+from headway_envs.bus.scenario.drawing import draw_scenario
 from headway_envs.bus.scenario.synthetic import generate
-
-
-def test_loads_are_what_boarded_and_has_not_alighted() -> None:
-    tables = generate("line", 0)
-    stays = tables.alighting.assign(p_alight=(tables.alighting["seq0"] == 44).astype(float))
-    loads = link_loads(replace(tables, alighting=stays), "weekday")
-    board = tables.demand[tables.demand["daytype"] == "weekday"].groupby(["pattern", "seq0"])["board"].sum()
-    own = loads[loads["pattern"] == 0].sort_values("seq0")["load"].to_numpy()
-    np.testing.assert_allclose(own[1:], board[0].cumsum().to_numpy()[:-1])
-    half = tables.alighting.assign(p_alight=0.5)
-    own = link_loads(replace(tables, alighting=half), "weekday")
-    own = own[own["pattern"] == 0].sort_values("seq0")["load"].to_numpy()
-    assert own[2] == pytest.approx(0.5 * board[0][0] + board[0][1])
 
 
 @pytest.mark.parametrize("scenario", ["line", "district"])

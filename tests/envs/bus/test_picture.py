@@ -9,7 +9,7 @@ from PIL import ImageColor
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel.layout import AWAY, DEPOT, MOVE, SERVICE_CENTER
+from headway_envs.bus.kernel.layout import AWAY, MOVE, SERVICE_CENTER
 from headway_envs.bus.picture import OUT_OF_SERVICE, QUEUE, BusPainter, geography
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.measures import distance_m
@@ -88,7 +88,6 @@ def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
     below = slice(painter._diagram[1], painter._diagram[3])
     np.testing.assert_array_equal(last[below], before[below])
     assert (again[below] != last[below]).any()
-    assert (env.world.slots["phase"] == DEPOT).all() or env.world.days["now"][0] < 19000
 
 
 def test_it_says_what_it_cannot_draw(line: Prepared) -> None:

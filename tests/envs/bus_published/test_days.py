@@ -69,6 +69,13 @@ def test_metrics_count_what_was_done(begun: Begun) -> None:
     assert (metrics["uptime"] > 0.6).all()
 
 
+def test_the_rule_with_service_asks_for_none_that_is_refused(begun: Begun) -> None:
+    """Uptime falls below 0.31 when 0.64 of 100 of the fuel is left, which lasts for short ways only."""
+    metrics = _first_days(begun(32), MoveWithService(0.31))
+    assert (metrics["services_refused"] == 0).all()
+    assert metrics["service_visits"].sum() > 0
+
+
 def test_a_day_without_end_is_cut_short(begun: Begun) -> None:
     env = begun(max_steps=700)
     for _ in range(600):

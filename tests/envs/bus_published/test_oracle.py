@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from headway_envs.bus.scenario.tables import Tables
+from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
-from headway_envs.bus_published.kernel.layout import CAPACITY, Network
-from headway_envs.bus_published.prepared import Prepared
+from headway_envs.bus_published.kernel.layout import Network
+from headway_envs.bus_published.prepared import Prepared, prepare
 
 Begun = Callable[..., BusPublishedBatchedEnv]
 Bus = dict[str, Any]
@@ -144,6 +146,15 @@ def test_service_without_fuel_is_refused_and_no_time_goes_by(begun: Begun) -> No
     np.testing.assert_array_equal(env.world.buses["clock"], clock)
 
 
+@pytest.mark.parametrize("centre", [None, 3])
+def test_arrays_of_the_network_are_such_as_a_worker_gets(centre: int | None) -> None:
+    """A worker's copies can be written to and lie row by row; for others the kernel is compiled anew."""
+    network = prepare(BusPublishedConfig(scenario="line", centre=centre)).network
+    for name, array in network._asdict().items():
+        assert array.flags.writeable, name
+        assert array.flags.c_contiguous, name
+
+
 def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
     """Mean times of links over the hours, loads over 80 places, and shortest ways by another algorithm."""
     from headway_envs.bus.scenario.source import scenario_tables
@@ -165,7 +176,11 @@ def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
         assert net.expected_s[route] == pytest.approx(expected)
         back = net.travel_s[net.call_stop[calls[1]], calls[0]]
         assert back == pytest.approx(mean)  # the table knows only the way out
-    assert 0.05 < net.occupancy.mean() * CAPACITY / 75 < 0.6
+    for k in range(0, len(net.call_stop), 7):
+        stop = int(net.call_stop[k])
+        occupancy, boardings = _on_board(tables, stops[stop])
+        assert net.occupancy[k] == pytest.approx(occupancy)
+        assert net.demand[stop] == pytest.approx(boardings)
     places = tables.stops.set_index("stop").loc[stops]
     north = places["lat"].to_numpy() * 111_320.0
     east = places["lon"].to_numpy() * 111_320.0 * np.cos(np.radians(places["lat"].mean()))
@@ -181,6 +196,28 @@ def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
     for k in range(0, len(net.call_stop), 7):
         np.testing.assert_allclose(net.detour_s[k], _shortest(ways, int(net.call_stop[k])), rtol=1e-9)
     assert np.isfinite(net.detour_s).all()
+
+
+def _on_board(tables: Tables, stop: int) -> tuple[float, float]:
+    """Share of the 80 places taken in the buses that come to a stop on a weekday, and its boardings."""
+    boards: dict[tuple[int, int], list[float]] = {}
+    for row in tables.demand.itertuples():
+        if row.daytype == "weekday":
+            period = (row.hour >= 9) + (row.hour >= 15) + (row.hour >= 20)
+            boards.setdefault((row.pattern, row.seq0), [0.0] * 4)[period] += row.board
+    leaves = {(row.pattern, row.seq0, row.period): row.p_alight for row in tables.alighting.itertuples()}
+    load = buses = boardings = 0.0
+    for call in tables.pattern_stops[tables.pattern_stops["stop"] == stop].itertuples():
+        for period in range(4):
+            on_board = 0.0
+            for seq0 in range(call.seq0):
+                on_board *= 1.0 - leaves.get((call.pattern, seq0, period), 0.0)
+                on_board += boards.get((call.pattern, seq0), [0.0] * 4)[period]
+            load += on_board
+        trips = tables.trips[tables.trips["pattern"] == call.pattern]
+        buses += (trips["daytype"] == "weekday").sum()
+        boardings += sum(boards.get((call.pattern, call.seq0), []))
+    return load / buses / 80.0, boardings
 
 
 def _shortest(ways: dict[int, dict[int, float]], origin: int) -> list[float]:

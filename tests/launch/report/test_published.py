@@ -58,7 +58,7 @@ def test_figures_are_of_training_summed_over_buses_and_ranked(keep_run: Keep, ro
     said = words(found)
     assert "A rule that always moves comes to 77.50 here" in said  # 5 buses, days of 14 to 17
     assert "1 of 3 learners come within 5% of that (ippo, independent)" in said
-    assert "comes to 492.5: uptime is paid for at every move" in said
+    assert "comes to 492.5. So always moving is not the best there is." in said
     assert "not public in full" in said
     assert "64 cores and 5 GPUs" in said
     assert "While training" not in said
@@ -82,9 +82,32 @@ def test_other_environments_and_other_algorithms_have_no_such_table(keep_run: Ke
     assert "None of the algorithms published was trained." in words(section(root))
 
 
-def test_who_earns_more_by_drawn_actions_is_named(keep_run: Keep, root: Path) -> None:
+@pytest.mark.parametrize("value", [13.0, 14.0])
+def test_visits_that_bring_no_more_than_moving_do_not_pay(keep_run: Keep, root: Path, value: float) -> None:
+    keep_run((TABLE3, "algo=ippo"), 0, 14.0, rules={**RULES, "move_with_service": value})
+    said = words(section(root))
+    assert f"comes to {5 * (value + 1.5):.2f}. So such visits do not pay here." in said
+    assert "not the best there is" not in said
+
+
+@pytest.mark.parametrize(
+    ("metrics", "never"), [({"service_visits": 0.0}, True), ({"service_visits": 1.0}, False), ({}, False)]
+)
+def test_who_earns_more_by_drawn_actions_is_named(
+    keep_run: Keep, root: Path, metrics: dict[str, float], never: bool
+) -> None:
     """In the fixture training earns half of a loss of 20, which is what always moving loses here."""
     for algorithm, final in (("maa2c", -20.0), ("ippo", 30.0)):
-        keep_run((TABLE3, f"algo={algorithm}"), 0, final, rules={**RULES, "always_move": -20.0})
+        keep_run((TABLE3, f"algo={algorithm}"), 0, final, rules={**RULES, "always_move": -20.0}, **metrics)
     said = words(section(root))
-    assert "While training, where actions are drawn, maa2c, independent came to more than that" in said
+    assert "While training, where actions are drawn, maa2c, independent came to more than that rule" in said
+    assert ("Played greedily, maa2c, independent never went to the service centre" in said) == never
+
+
+def test_one_day_with_a_visit_is_not_never(keep_run: Keep, root: Path) -> None:
+    for seed, visits in enumerate((0.0, 2.0)):
+        rules = {**RULES, "always_move": -20.0}
+        keep_run((TABLE3, "algo=maa2c"), seed, -20.0, rules=rules, service_visits=visits)
+    said = words(section(root))
+    assert "While training, where actions are drawn, maa2c, independent came to more than that rule" in said
+    assert "never went" not in said

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.describing import buses_at_once
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE
-from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
+from headway_envs.bus.scenario.measures import METRES_A_DEGREE, link_loads
+from headway_envs.bus.scenario.tables import Tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,27 +50,6 @@ def draw_scenario(tables: Tables, day: str, title: str, output: Path) -> None:
         figure.savefig(output)
     except (OSError, ValueError) as error:
         raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
-
-
-def link_loads(tables: Tables, day: str) -> pd.DataFrame:
-    """One row a call (pattern, seq0, stop, link) with `load`: passengers a day on the way to it, when all
-    board and alight as the tables say and no bus is too full."""
-    demand = tables.demand[tables.demand["daytype"] == day]
-    period = np.searchsorted(PERIOD_HOURS, demand["hour"], side="right")
-    boards = demand.assign(period=period).groupby(["pattern", "seq0", "period"])["board"].sum()
-    alights = tables.alighting.set_index(["pattern", "seq0", "period"])["p_alight"]
-    calls = tables.pattern_stops.sort_values(["pattern", "seq0"]).reset_index(drop=True)
-    load = np.zeros(len(calls))
-    on_board = np.zeros(4)
-    keys = [pd.MultiIndex.from_frame(calls[["pattern", "seq0"]].assign(period=p)) for p in range(4)]
-    boarding = np.column_stack([boards.reindex(key).fillna(0.0).to_numpy(np.float64) for key in keys])
-    alighting = np.column_stack([alights.reindex(key).fillna(0.0).to_numpy(np.float64) for key in keys])
-    for call, seq0 in enumerate(calls["seq0"].to_numpy()):
-        if seq0 == 0:
-            on_board = np.zeros(4)
-        load[call] = on_board.sum()
-        on_board = on_board * (1.0 - alighting[call]) + boarding[call]
-    return calls.assign(load=load)
 
 
 def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> None:

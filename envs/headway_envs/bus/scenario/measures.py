@@ -1,7 +1,10 @@
-"""What all makers of scenarios measure alike: distances, hours of travel times, the fastest bus."""
+"""What is measured of scenarios in more than one place: distances, hours of travel times, loads of links."""
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
+
+from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
 
 Floats = NDArray[np.float64]
 
@@ -18,3 +21,24 @@ def distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
     north = (lat2 - lat) * METRES_A_DEGREE
     east = (lon2 - lon) * METRES_A_DEGREE * np.cos(np.radians(lat))
     return np.asarray(np.hypot(north, east), dtype=np.float64)
+
+
+def link_loads(tables: Tables, day: str) -> pd.DataFrame:
+    """One row a call (pattern, seq0, stop, link) with `load`: passengers a day on the way to it, when all
+    board and alight as the tables say and no bus is too full."""
+    demand = tables.demand[tables.demand["daytype"] == day]
+    period = np.searchsorted(PERIOD_HOURS, demand["hour"], side="right")
+    boards = demand.assign(period=period).groupby(["pattern", "seq0", "period"])["board"].sum()
+    alights = tables.alighting.set_index(["pattern", "seq0", "period"])["p_alight"]
+    calls = tables.pattern_stops.sort_values(["pattern", "seq0"]).reset_index(drop=True)
+    load = np.zeros(len(calls))
+    on_board = np.zeros(4)
+    keys = [pd.MultiIndex.from_frame(calls[["pattern", "seq0"]].assign(period=p)) for p in range(4)]
+    boarding = np.column_stack([boards.reindex(key).fillna(0.0).to_numpy(np.float64) for key in keys])
+    alighting = np.column_stack([alights.reindex(key).fillna(0.0).to_numpy(np.float64) for key in keys])
+    for call, seq0 in enumerate(calls["seq0"].to_numpy()):
+        if seq0 == 0:
+            on_board = np.zeros(4)
+        load[call] = on_board.sum()
+        on_board = on_board * (1.0 - alighting[call]) + boarding[call]
+    return calls.assign(load=load)
