@@ -14,10 +14,17 @@ from headway_envs.bus.kernel.layout import SETTINGS, Network
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
 
-REPLAY_RECOVERY_SHARE = 3.0
-"""Of a trip's planned time, kept free after it in a replay."""
 _NEVER = 1e9
 """Seconds a unit of fuel, or hours the uptime, last in a replay."""
+REPLAY_FIXED: Mapping[str, float] = {
+    "dispatch_window_s": 0.0,
+    "recovery_share": 3.0,
+    "noise.dispatch_s": 0.0,
+    "upkeep.breakdowns_per_hour": 0.0,
+    "upkeep.seconds_per_fuel_unit": _NEVER,
+    "upkeep.uptime_hours": _NEVER,
+}
+"""What `prepare_replay` sets, whatever the configuration says."""
 
 
 @dataclass(frozen=True)
@@ -161,22 +168,20 @@ def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepare
 
     Observed departures hold the delays of the trips before them and whatever failed. So nothing is added to
     them: no decision before the departure, no dispatch noise, no breakdowns and no want of fuel; and each
-    slot has `REPLAY_RECOVERY_SHARE` of a trip's time before its next one, so that a late arrival moves none.
+    slot has three times a trip's time before its next one, so that a late arrival moves none: `REPLAY_FIXED`.
     Slots are therefore more than the buses that ran. `tables`: the scenario, if it has been read already."""
     from headway_envs.bus.scenario.network import build
     from headway_envs.bus.scenario.source import scenario_tables
 
     if tables is None:
         tables = scenario_tables(config.scenario, config.scenario_seed)
-    config = replace(
-        config,
-        dispatch_window_s=0.0,
-        recovery_share=REPLAY_RECOVERY_SHARE,
-        noise=replace(config.noise, dispatch_s=0.0),
-        upkeep=replace(
-            config.upkeep, breakdowns_per_hour=0.0, seconds_per_fuel_unit=_NEVER, uptime_hours=_NEVER
-        ),
-    )
+    fixed: dict[str, dict[str, float]] = {"": {}, "noise": {}, "upkeep": {}}
+    for key, value in REPLAY_FIXED.items():
+        part, _, name = key.rpartition(".")
+        fixed[part][name] = value
+    noise, upkeep = replace(config.noise, **fixed["noise"]), replace(config.upkeep, **fixed["upkeep"])
+    # A mapping's values cannot be told apart by name: all of these are numbers.
+    config = replace(config, noise=noise, upkeep=upkeep, **fixed[""])  # type: ignore[arg-type]
     network, lines = build(tables, config, replay=True)
     return Prepared(config, network, lines, source_of(tables.meta))
 

@@ -59,6 +59,16 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["realism", "line", "--days", "0"], ["--days at least 1"]),
         (["realism", "line", "algo.lr=3"], ["algo.lr: only env.args.* of the bus environment"]),
         (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type instead"]),
+        (["realism", "line", "env.args.start_hour=6"], ["env.args.start_hour: a replay fixes it; leave it"]),
+        (["realism", "line", "env.args.end_hour=20"], ["env.args.end_hour: a replay fixes it"]),
+        (["realism", "line", "env.args.recovery_share=1"], ["env.args.recovery_share: a replay fixes it"]),
+        (["realism", "line", "env.args.dispatch_window_s=9"], ["dispatch_window_s: a replay fixes it"]),
+        (
+            ["realism", "line", "env.args.noise.dispatch_s=9"],
+            ["env.args.noise.dispatch_s: a replay fixes it"],
+        ),
+        (["realism", "line", "env.args.upkeep.uptime_hours=9"], ["upkeep.uptime_hours: a replay fixes it"]),
+        (["realism", "line", "env.args.noise={dispatch_s: 9}"], ["fixes noise.dispatch_s; give its other"]),
         (["realism", "line", "env.args.boardin_s=3"], ["did you mean env.args.boarding_s?"]),
     ],
 )

@@ -1,7 +1,8 @@
 """A day as one row a call: simulated, or as SUNT recorded it."""
 
+import datetime as dt
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,12 +67,10 @@ def simulated_days(
 def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
     """The recorded day from which the scenario has its timetable, its lines only, of the files below `raw`.
 
-    The date is that of the meta data; without it, the only one of that day type. Raises HeadwayError where
-    there is no such file, or no trip of these lines."""
+    The date is that of the meta data. Raises HeadwayError where they name none or no date, where there is no
+    such file, or no trip of these lines."""
     files = find_days(raw)
-    stated = tables.meta.get("dates", {}).get(day_type) or tables.meta.get(f"ops_{day_type}")
-    if stated is None:
-        raise HeadwayError("meta.json names no date of the timetable: add dates: {DAY_TYPE: YYYY-MM-DD}")
+    stated = _stated_date(tables, day_type)
     found = {str(date): (date, file) for date, file in files.items()}
     if stated not in found:
         raise HeadwayError(
@@ -104,6 +103,22 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
     frame.loc[last, ["left", "load"]] = np.nan
     frame.loc[frame["seq0"] == 0, "arrived"] = np.nan
     return Recorded(stated, frame.reset_index(drop=True), day.fares)
+
+
+def _stated_date(tables: Tables, day_type: str) -> str:
+    """Of the timetable of that day type, YYYY-MM-DD, by the meta data."""
+    dates = tables.meta.get("dates") or {}
+    if not isinstance(dates, Mapping):
+        raise HeadwayError(f"meta.json: dates must be {{DAY_TYPE: YYYY-MM-DD}}, not {dates!r}")
+    stated = dates.get(day_type) or tables.meta.get(f"ops_{day_type}")
+    if stated is None:
+        raise HeadwayError("meta.json names no date of the timetable: add dates: {DAY_TYPE: YYYY-MM-DD}")
+    try:
+        return str(dt.date.fromisoformat(stated))
+    except (TypeError, ValueError):
+        raise HeadwayError(
+            f"meta.json: the date of a {day_type} must be text, YYYY-MM-DD, not {stated!r}"
+        ) from None
 
 
 def _always_move(slots: int) -> Callable[[Observed], NDArray[np.int64]]:

@@ -29,7 +29,7 @@ class Row:
 
     figure: str
     simulated: float
-    """Mean over the simulated days."""
+    """Mean over the simulated days that have it; NaN, which does not hold, if none has."""
     deviation: float | None
     """Sd over the days; none of one day."""
     measured: float
@@ -54,12 +54,12 @@ def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path |
 
     Trips and boardings are measured by the scenario's tables. Headways along the route and loads are by
     records below the folder `records` where it is given (and holds fares, for loads), else those of the whole
-    city, if the tables are SUNT's; else they are left out. The hours of `config` are replaced by `HOURS`.
-    Raises HeadwayError for tables that are made up, and as `prepare_replay`, `simulated_days` and
-    `recorded_day` do."""
-    if source_of(tables.meta).startswith(SYNTHETIC):
+    city, if the tables are SUNT's; else they are left out, as are boardings that were made up. The hours of
+    `config` are replaced by `HOURS`. Raises HeadwayError for tables that are made up or scheduled, and as
+    `prepare_replay`, `simulated_days`, `recorded_day` and `figures.of_trips` do."""
+    if made_up := _made_up(tables):
         raise HeadwayError(
-            "SCENARIO: its trips are made up, nothing was measured there; give a scenario of recorded trips, "
+            f"SCENARIO: {made_up}, nothing was measured there; give a scenario of recorded trips, "
             "as headway data sunt writes them"
         )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
@@ -76,9 +76,9 @@ def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path |
     rows = []
     for figure, tolerance in TOLERANCES.items():
         value, source = measured.get(figure, (np.nan, ""))
-        mean = float(simulated[figure].mean())
-        if np.isnan(value) or np.isnan(mean):
+        if np.isnan(value):
             continue
+        mean = float(simulated[figure].mean())
         deviation = float(simulated[figure].std()) if days > 1 else None
         rows.append(Row(figure, mean, deviation, value, tolerance.of(value), source))
     return rows
@@ -94,7 +94,10 @@ def call_km(tables: Tables) -> "pd.Series[float]":
 
 
 def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
-    """The trips of the table, as `figures.of_trips` takes them."""
+    """The trips of the table, as `figures.of_trips` takes them.
+
+    As a simulated day stops at the end of the service day, so do these: trips that arrive later are left out,
+    and so are those that arrive when they leave."""
     trips = trips_of_day(tables, config)
     names = tables.patterns.set_index("pattern").reindex(trips["pattern"])
     stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"]
@@ -110,7 +113,8 @@ def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
             "km": call_km(tables).groupby("pattern").last().reindex(trips["pattern"]).to_numpy(),
         }
     )
-    return frame[frame["arr"] > frame["dep"]].reset_index(drop=True)
+    inside = (frame["arr"] > frame["dep"]) & (frame["arr"] <= config.end_hour * 3600.0)
+    return frame[inside].reset_index(drop=True)
 
 
 def _from(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, str]]:
@@ -124,10 +128,25 @@ def _city_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, s
     return _from(CITY, WHOLE_CITY[config.day_type])
 
 
+def _made_up(tables: Tables) -> str:
+    """What the meta data call made up, so that trips or times are no record; empty: nothing."""
+    if source_of(tables.meta).startswith(SYNTHETIC):
+        return "its trips are made up"
+    stated = tables.meta.get("made_up")
+    if not stated:
+        return ""
+    names = ", ".join(map(str, stated)) if isinstance(stated, Mapping) else str(stated)
+    return f"by made_up in its meta.json {names} are made up or scheduled"
+
+
 def _tables_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
-    demand = tables.demand[tables.demand["daytype"] == config.day_type]
+    """The figures of the tables; boardings only if the meta data do not say that they were made up."""
     values = figures.of_trips(observed_trips(tables, config))
-    values[figures.BOARDINGS] = float(demand["board"].sum())
+    made_from = tables.meta.get("made_from")
+    origin = made_from.get(f"demand {config.day_type}", "") if isinstance(made_from, Mapping) else ""
+    if not str(origin).startswith("made up"):
+        demand = tables.demand[tables.demand["daytype"] == config.day_type]
+        values[figures.BOARDINGS] = float(demand["board"].sum())
     return _from(OWN, values)
 
 

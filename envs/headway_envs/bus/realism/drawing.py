@@ -71,11 +71,14 @@ def draw_load_profile(
 
 
 def draw_headways_along(axes: "Axes", figures: Mapping[str, Mapping[str, float]]) -> None:
-    """Headway CV by fifth of the route, of each of `figures` (name: figures by name)."""
+    """Headway CV by fifth of the route, of each of `figures` (name: figures by name); those that lack some
+    are drawn without them, and those that lack all not at all."""
     fifths = list(range(1, FIFTHS + 1))
     for name, values in figures.items():
-        cvs = [values[cv_name(fifth - 1)] for fifth in fifths]
-        axes.plot(fifths, cvs, marker="o", label=name, color="black" if name == "measured" else None)
+        there = [fifth for fifth in fifths if cv_name(fifth - 1) in values]
+        cvs = [values[cv_name(fifth - 1)] for fifth in there]
+        if there:
+            axes.plot(there, cvs, marker="o", label=name, color="black" if name == "measured" else None)
     axes.set_xticks(fifths)
     axes.set_ylim(bottom=0)
     axes.set_xlabel("fifth of the route")

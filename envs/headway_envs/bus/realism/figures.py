@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from headway.contracts import HeadwayError
+
 Floats = NDArray[np.float64]
 
 FIFTHS = 5
@@ -61,7 +63,12 @@ def of_trips(trips: pd.DataFrame) -> dict[str, float]:
     """Durations, their spread, speeds by hour of departure, and the headways at both ends.
 
     `trips`: line, dir, pattern, begin and end (stops), dep and arr (s), km; one row a trip that was finished.
-    The spread is the sd of the log of the duration about the mean of its pattern and two hours."""
+    The spread is the sd of the log of the duration about the mean of its pattern and two hours. Raises
+    HeadwayError if there is no trip."""
+    if trips.empty:
+        raise HeadwayError(
+            "no trip was finished within the day: give a timetable whose arr_s are after dep_s"
+        )
     minutes = (trips["arr"] - trips["dep"]).to_numpy(np.float64) / 60.0
     found = {TRIP_MEAN: float(minutes.mean())}
     for name, share in ((TRIP_P5, 0.05), (TRIP_P50, 0.5), (TRIP_P95, 0.95)):

@@ -86,5 +86,5 @@ TOLERANCES: Mapping[str, Tolerance] = {
     RIDE: Tolerance(1.0),
     RESPONSE: Tolerance(0.10),
 }
-"""Set before the first comparison. At the first call the replay is the data, so hardly anything is allowed;
+"""Chosen by judgement. At the first call the replay is the data, so hardly anything is allowed;
 the others are about what two measured days of the same kind differ in."""

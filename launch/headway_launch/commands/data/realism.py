@@ -3,6 +3,7 @@
 import argparse
 import csv
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,8 +77,10 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _config(arguments: argparse.Namespace) -> "BusConfig":
-    """The environment's arguments. Raises HeadwayError for other keys and for those that options give."""
+    """The environment's arguments. Raises HeadwayError for other keys, for those that options give and for
+    those that a replay fixes."""
     from headway_envs.bus.config import BusConfig
+    from headway_envs.bus.prepared import REPLAY_FIXED
     from headway_launch.composing import compose
 
     options = {"scenario": "SCENARIO", "scenario_seed": "--seed", "day_type": "--day-type"}
@@ -87,9 +90,20 @@ def _config(arguments: argparse.Namespace) -> "BusConfig":
             raise HeadwayError(f"{key}: only env.args.* of the bus environment can be given here")
         if key.removeprefix("env.args.") in options:
             raise HeadwayError(f"{key}: give {options[key.removeprefix('env.args.')]} instead")
+        _refuse_fixed(key, ("start_hour", "end_hour", *REPLAY_FIXED))
     config = compose(["env=bus", *arguments.overrides]).env_config
     assert isinstance(config, BusConfig)
     return config
+
+
+def _refuse_fixed(key: str, fixed: Sequence[str]) -> None:
+    """Raises HeadwayError if the replay sets `key`, or one of the keys in it."""
+    name = key.removeprefix("env.args.")
+    if name in fixed:
+        raise HeadwayError(f"{key}: a replay fixes it; leave it out")
+    inside = [other for other in fixed if other.startswith(f"{name}.")]
+    if inside:
+        raise HeadwayError(f"{key}: a replay fixes {', '.join(inside)}; give its other keys one by one")
 
 
 def _cells(row: "Row") -> tuple[str | float | None, ...]:

@@ -144,6 +144,15 @@ def test_a_recorded_day_has_the_same_columns(tables: Tables, tmp_path: Path) -> 
     ("date", "line", "meta", "said"),
     [
         ("2024-08-26", "", {}, "meta.json names no date of the timetable: add dates"),
+        (
+            "2024-08-26",
+            "",
+            {"dates": ["2024-08-26"]},
+            r"meta.json: dates must be \{DAY_TYPE: YYYY-MM-DD\}, not",
+        ),
+        ("2024-08-26", "", {"dates": {"weekday": "soon"}}, "a weekday must be text, YYYY-MM-DD, not 'soon'"),
+        ("2024-08-26", "", {"dates": {"weekday": 20240826}}, "must be text, YYYY-MM-DD, not 20240826"),
+        ("2024-08-26", "", {"ops_weekday": ["2024-08-26"]}, "must be text, YYYY-MM-DD, not"),
         ("2024-08-27", "", {"dates": {"weekday": "2024-08-26"}}, "lacks od-2024-08-26.parquet"),
         ("2024-08-26", "x", {"ops_weekday": "2024-08-26"}, "has no trip of the scenario's lines"),
     ],

@@ -19,6 +19,7 @@ from headway_envs.bus.realism.comparing import (
     observed_trips,
 )
 from headway_envs.bus.realism.measured import TOLERANCES, WHOLE_CITY, Tolerance
+from headway_envs.bus.scenario.fitted import DOI
 from headway_envs.bus.scenario.source import scenario_tables
 from headway_envs.bus.scenario.tables import Tables, read_tables
 
@@ -51,6 +52,41 @@ def test_observed_trips_have_the_length_of_their_links(recorded: Tables) -> None
 def test_made_up_trips_are_no_measurement() -> None:
     with pytest.raises(HeadwayError, match="its trips are made up, nothing was measured there"):
         compare_replay(scenario_tables("line", 0), BusConfig(), 1)
+
+
+def test_a_feed_s_schedule_is_no_measurement(recorded: Tables) -> None:
+    feed = {"source": "GTFS feed a.zip", "made_up": {"demand, alighting": "x", "link_times.mean_s": "y"}}
+    with pytest.raises(HeadwayError) as error:
+        compare_replay(replace(recorded, meta=feed), BusConfig(), 1)
+    said = str(error.value)
+    assert "made_up in its meta.json demand, alighting, link_times.mean_s are made up or scheduled" in said
+    assert "nothing was measured there; give a scenario of recorded trips" in said
+
+
+def test_boardings_that_were_made_up_are_left_out(recorded: Tables) -> None:
+    meta = {"source": "a test", "made_from": {"demand weekday": "made up: 60 boardings a trip"}}
+    names = {row.figure for row in compare_replay(replace(recorded, meta=meta), BusConfig(), 1)}
+    assert figures.BOARDINGS not in names
+    assert figures.TRIP_MEAN in names
+
+
+def test_a_figure_that_no_simulated_day_has_does_not_hold(recorded: Tables) -> None:
+    nobody = replace(
+        recorded, demand=recorded.demand.assign(board=0.0), meta={"source": f"a test of doi:{DOI}"}
+    )
+    rows = {row.figure: row for row in compare_replay(nobody, BusConfig(), 1)}
+    assert np.isnan(rows[figures.RIDE].simulated), "nobody rode"
+    assert not rows[figures.RIDE].holds
+
+
+def test_trips_that_arrive_after_the_service_day_are_not_measured(recorded: Tables) -> None:
+    config = BusConfig(start_hour=HOURS[0], end_hour=HOURS[1])
+    trips = recorded.trips.copy()
+    latest = trips.index[trips["daytype"] == "weekday"][-1]
+    trips.loc[latest, "arr_s"] = HOURS[1] * 3600 + 1
+    late = observed_trips(replace(recorded, trips=trips), config)
+    assert len(late) == len(observed_trips(recorded, config)) - 1
+    assert late["arr"].max() <= HOURS[1] * 3600
 
 
 def test_a_figure_holds_up_to_its_tolerance() -> None:

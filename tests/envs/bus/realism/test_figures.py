@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from headway.contracts import HeadwayError
 from headway_envs.bus.realism import figures
 
 
@@ -78,6 +79,12 @@ def test_trips_that_were_not_finished_are_left_out() -> None:
     calls = _calls([0, 100])
     calls = calls[~((calls["trip"] == 1) & (calls["seq0"] == 4))]
     assert list(figures.trips_of(calls, pd.Series({0: 2.0}))["trip"]) == [0]
+
+
+def test_no_trip_at_all_is_refused() -> None:
+    none = figures.trips_of(_calls([0]), pd.Series({0: 2.0})).iloc[:0]
+    with pytest.raises(HeadwayError, match="no trip was finished within the day"):
+        figures.of_trips(none)
 
 
 def test_loads_ride_length_and_the_answer_to_headways() -> None:
