@@ -175,13 +175,18 @@ def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepare
 
     if tables is None:
         tables = scenario_tables(config.scenario, config.scenario_seed)
-    fixed: dict[str, dict[str, float]] = {"": {}, "noise": {}, "upkeep": {}}
-    for key, value in REPLAY_FIXED.items():
-        part, _, name = key.rpartition(".")
-        fixed[part][name] = value
-    noise, upkeep = replace(config.noise, **fixed["noise"]), replace(config.upkeep, **fixed["upkeep"])
-    # A mapping's values cannot be told apart by name: all of these are numbers.
-    config = replace(config, noise=noise, upkeep=upkeep, **fixed[""])  # type: ignore[arg-type]
+    config = replace(
+        config,
+        dispatch_window_s=REPLAY_FIXED["dispatch_window_s"],
+        recovery_share=REPLAY_FIXED["recovery_share"],
+        noise=replace(config.noise, dispatch_s=REPLAY_FIXED["noise.dispatch_s"]),
+        upkeep=replace(
+            config.upkeep,
+            breakdowns_per_hour=REPLAY_FIXED["upkeep.breakdowns_per_hour"],
+            seconds_per_fuel_unit=REPLAY_FIXED["upkeep.seconds_per_fuel_unit"],
+            uptime_hours=REPLAY_FIXED["upkeep.uptime_hours"],
+        ),
+    )
     network, lines = build(tables, config, replay=True)
     return Prepared(config, network, lines, source_of(tables.meta))
 
