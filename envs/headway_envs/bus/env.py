@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway_envs.bus.kernel import tick
-from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES
+from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
 from headway_envs.bus.kernel.memory import allocate_outputs, allocate_trace, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
-from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
+from headway_envs.kept_arrays import KeptArrays
 
 
-class BusBatchedEnv:
+class BusBatchedEnv(KeptArrays[World, Outputs]):
     """C service days stepped together; implements `headway.contracts.BatchedEnv`.
 
     Agents are vehicle slots; actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
@@ -21,6 +21,8 @@ class BusBatchedEnv:
     not truncated: the last buses are in, passengers have gone, and nothing that comes after could be
     influenced by what the agents did, so the return is over.
     """
+
+    _KIND = "bus scenario"
 
     def __init__(self, prepared: Prepared, copies: int, traced: bool = False) -> None:
         """`traced`: what happens at every call is kept in `trace` until the step after the day's last.
@@ -50,30 +52,10 @@ class BusBatchedEnv:
             snapshots=True,
         )
 
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self.world.days)
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
-        """Begin day 0 of every copy; seeds (C,). Raises ValueError for another shape."""
-        seeds = np.ascontiguousarray(seeds, np.uint64)
-        if seeds.shape != (self.num_copies,):
-            raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
-        for array in (*self.world, *self.outputs):
-            array[...] = np.zeros(1, array.dtype)
-        tick.begin(self.network, self.settings, self.world, self.outputs, seeds)
-        return self.observed()
-
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
         """One control interval; actions (C, N) int64 of 0 to 2. A bus away or broken ignores them; where the
         centre does not take a bus, SERVICE_CENTER is MOVE."""
-        actions = np.ascontiguousarray(actions, np.int64)
-        if actions.shape != self._never.shape:
-            raise ValueError(f"actions must have shape {self._never.shape}, not {actions.shape}")
+        actions = self._checked(actions)
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
             tick.turn(self.network, self.settings, self.world, outputs)
@@ -95,13 +77,5 @@ class BusBatchedEnv:
         outputs = self.outputs
         return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
 
-    def snapshot(self) -> Snapshot:
-        return snapshot_of(self.world, self.outputs)
-
-    def restore(self, snapshot: Snapshot) -> Observed:
-        """Continue from a snapshot of the same scenario and number of copies, else HeadwayError."""
-        put_back(snapshot, self.world, self.outputs, "bus scenario")
-        return self.observed()
-
-    def close(self) -> None:
-        """Nothing is held open."""
+    def _begin(self, seeds: NDArray[np.uint64]) -> None:
+        tick.begin(self.network, self.settings, self.world, self.outputs, seeds)

@@ -18,16 +18,18 @@ from headway_envs.bus_published.kernel.layout import (
     World,
 )
 from headway_envs.bus_published.prepared import Prepared
-from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
+from headway_envs.kept_arrays import KeptArrays
 
 
-class BusPublishedBatchedEnv:
+class BusPublishedBatchedEnv(KeptArrays[World, Outputs]):
     """C days stepped together; implements `headway.contracts.BatchedEnv`.
 
     Each step every bus takes an action, and time goes on for it alone: 0 WAIT (60 s), 1 MOVE (the mean time
     of the link), 2 SERVICE_CENTER (0.3 of the shortest path's time; refused without fuel for it). The day
     ends for all, terminated, when the first clock passes its end; it is truncated after `max_steps`.
     """
+
+    _KIND = "scenario, number of buses"
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
         """Raises HeadwayError if there is not at least one copy."""
@@ -62,29 +64,9 @@ class BusPublishedBatchedEnv:
             snapshots=True,
         )
 
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self.world.days)
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
-        """Begin day 0 of every copy; seeds (C,). Raises ValueError for another shape."""
-        seeds = np.ascontiguousarray(seeds, np.uint64)
-        if seeds.shape != (self.num_copies,):
-            raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
-        for array in (*self.world, *self.outputs):
-            array[...] = np.zeros(1, array.dtype)
-        steps.begin(self.network, self.settings, self.world, self.outputs, seeds)
-        return self.observed()
-
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
         """One action of every bus; actions (C, N) int64 of 0 to 2."""
-        actions = np.ascontiguousarray(actions, np.int64)
-        if actions.shape != self._always.shape:
-            raise ValueError(f"actions must have shape {self._always.shape}, not {actions.shape}")
+        actions = self._checked(actions)
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, outputs, actions)
         outcome = Outcome(
@@ -103,13 +85,5 @@ class BusPublishedBatchedEnv:
         """What the buses face now; views of the environment's arrays."""
         return Observed(self.outputs.observations, self._no_state, self._always)
 
-    def snapshot(self) -> Snapshot:
-        return snapshot_of(self.world, self.outputs)
-
-    def restore(self, snapshot: Snapshot) -> Observed:
-        """Continue from a snapshot of the same scenario, buses and number of copies, else HeadwayError."""
-        put_back(snapshot, self.world, self.outputs, "scenario, number of buses")
-        return self.observed()
-
-    def close(self) -> None:
-        """Nothing is held open."""
+    def _begin(self, seeds: NDArray[np.uint64]) -> None:
+        steps.begin(self.network, self.settings, self.world, self.outputs, seeds)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
-from headway_envs.kept_arrays import Snapshot, put_back, snapshot_of
+from headway_envs.kept_arrays import KeptArrays
 from headway_envs.merge.kernel import steps
 from headway_envs.merge.kernel.layout import (
     ACTIONS,
@@ -23,7 +23,7 @@ from headway_envs.merge.kernel.layout import (
 from headway_envs.merge.prepared import Prepared
 
 
-class MergeBatchedEnv:
+class MergeBatchedEnv(KeptArrays[World, Outputs]):
     """C merges stepped together; implements `headway.contracts.BatchedEnv`.
 
     Agents are slots of CAVs, of which an episode fills the first few (`alive`), all of it. Actions are 0
@@ -31,6 +31,8 @@ class MergeBatchedEnv:
     when a CAV crashes (terminated) or the time is over (truncated; terminated with the preset `paper`).
     Vehicles that come to the end of the road drive on.
     """
+
+    _KIND = "merge"
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
         """Raises HeadwayError if there is not at least one copy."""
@@ -67,7 +69,6 @@ class MergeBatchedEnv:
             allowed=np.zeros(ACTIONS, np.bool_),
             own=np.zeros(slots, np.float32),
         )
-        self._actions = np.zeros((copies, slots), np.int64)
         self._spec = EnvSpec(
             name=prepared.name,
             agents=prepared.agents,
@@ -81,34 +82,11 @@ class MergeBatchedEnv:
             snapshots=True,
         )
 
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self.world.episodes)
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
-        """Begin episode 0 of every copy; seeds (C,). Raises ValueError for another shape."""
-        seeds = np.ascontiguousarray(seeds, np.uint64)
-        if seeds.shape != (self.num_copies,):
-            raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
-        for name, array in {**self.world._asdict(), **self.outputs._asdict()}.items():
-            # The end before stays: the adapter of a ParallelEnv begins anew before the end can be drawn.
-            if not name.startswith("final_"):
-                array[...] = np.zeros(1, array.dtype)
-        steps.begin(self.network, self.settings, self.world, self.outputs, seeds)
-        return self.observed()
-
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
         """0.2 s; actions (C, N) int64 of 0 to 4, or 5 from the rule that lets CAVs drive as humans do. A
         change to where there is no lane, or none that may be changed to, is ignored."""
-        if np.shape(actions) != self._actions.shape:
-            raise ValueError(f"actions must have shape {self._actions.shape}, not {np.shape(actions)}")
-        self._actions[...] = actions
         outputs = self.outputs
-        steps.step(self.network, self.settings, self.world, self._work, outputs, self._actions)
+        steps.step(self.network, self.settings, self.world, self._work, outputs, self._checked(actions))
         outcome = Outcome(
             rewards=outputs.rewards,
             terminated=outputs.terminated,
@@ -127,13 +105,5 @@ class MergeBatchedEnv:
         masks = outputs.masks if self._spec.has_action_mask else None
         return Observed(outputs.observations, outputs.states, outputs.alive, masks)
 
-    def snapshot(self) -> Snapshot:
-        return snapshot_of(self.world, self.outputs)
-
-    def restore(self, snapshot: Snapshot) -> Observed:
-        """Continue from a snapshot of the same road, density and number of copies, else HeadwayError."""
-        put_back(snapshot, self.world, self.outputs, "merge")
-        return self.observed()
-
-    def close(self) -> None:
-        """Nothing is held open."""
+    def _begin(self, seeds: NDArray[np.uint64]) -> None:
+        steps.begin(self.network, self.settings, self.world, self.outputs, seeds)
