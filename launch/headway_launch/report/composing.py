@@ -11,7 +11,7 @@ from headway_launch.report.learning import across_environments, curves_section, 
 from headway_launch.report.making import making_section, runs_section
 from headway_launch.report.page import Report
 from headway_launch.report.parts import Section, figure, scale_of, with_interval
-from headway_launch.report.published import published_section
+from headway_launch.report.published import published_sections
 from headway_launch.report.rewards import improvement_section, published_form, sound_form
 
 
@@ -19,7 +19,7 @@ def report_of(data: StudyData) -> Report:
     """The report of a study."""
     sections = [
         published_form(data),
-        published_section(data),
+        *published_sections(data),
         sound_form(data),
         improvement_section(data),
         curves_section(data),

@@ -4,7 +4,12 @@ Importing this costs neither scipy nor pandas; `headway.stats.frames` takes and 
 """
 
 from headway.stats.curves import FINAL_SHARE, auc, final_reward, value_range
-from headway.stats.intervals import mean_and_half_width, paired_difference, paired_difference_over_seeds
+from headway.stats.intervals import (
+    difference_of_means,
+    mean_and_half_width,
+    paired_difference,
+    paired_difference_over_seeds,
+)
 from headway.stats.samples import CONFIDENCE, Interval, MeanStd, mean_std
 from headway.stats.scores import (
     Band,
@@ -23,6 +28,7 @@ __all__ = [
     "Interval",
     "MeanStd",
     "auc",
+    "difference_of_means",
     "final_reward",
     "interquartile_mean",
     "mean_and_half_width",

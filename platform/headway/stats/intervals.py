@@ -8,7 +8,7 @@ and tabulated values of t-table", Sankhya A 23 (adding intervals of several vari
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, check_confidence
+from headway.stats.samples import CONFIDENCE, Interval, check_confidence, sample_of
 
 
 def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
@@ -58,6 +58,28 @@ def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float =
     _, of_days = mean_and_half_width(difference.mean(axis=0), confidence)
     half = float(np.hypot(of_seeds, of_days))
     return Interval(mean, mean - half, mean + half, confidence, "t over seeds and days")
+
+
+def difference_of_means(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """Mean of a minus mean of b with its interval by Welch's t, which lets variances differ: one figure a
+    seed each, shapes (seeds a,) and (seeds b,), that nothing pairs. Where neither varies there is nothing to
+    tell an interval from: its ends are NaN.
+
+    Source: Welch 1947, "The generalization of Student's problem when several different population variances
+    are involved", Biometrika 34. Raises ValueError for fewer than two seeds of either, what is not finite, or
+    a confidence not within 0 and 1.
+    """
+    from scipy import stats
+
+    check_confidence(confidence)
+    left, right = sample_of(a, "a"), sample_of(b, "b")
+    if min(len(left), len(right)) < 2:
+        raise ValueError("an interval needs at least two seeds of each")
+    estimate, low, high = float(left.mean() - right.mean()), float("nan"), float("nan")
+    if left.std() > 0 or right.std() > 0:
+        found = stats.ttest_ind(left, right, equal_var=False).confidence_interval(confidence)
+        low, high = float(found.low), float(found.high)
+    return Interval(estimate, low, high, confidence, "Welch's t over seeds")
 
 
 def _differences(a: ArrayLike, b: ArrayLike, axes: int) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from scipy import stats as scipy_stats
 
 from headway.stats import (
     auc,
+    difference_of_means,
     final_reward,
     interquartile_mean,
     mean_std,
@@ -24,6 +25,31 @@ def test_final_reward_is_the_mean_over_the_last_fifth_of_the_steps() -> None:
     # Of the steps, not of the points: a curve sampled densely at its start.
     assert final_reward([0, 1, 2, 3, 4, 100], [9, 9, 9, 9, 9, 5]) == 5.0
     assert final_reward([3], [7]) == 7.0
+
+
+def test_difference_of_means_is_welch_s() -> None:
+    """The example of two samples whose variances differ, by the formulas written out."""
+    a, b = [27.5, 21.0, 19.0, 23.6, 17.0], [27.1, 22.0, 20.8, 23.4, 23.4, 23.5, 25.8, 22.0]
+    parts = [np.var(each, ddof=1) / len(each) for each in (a, b)]
+    freedom = sum(parts) ** 2 / (parts[0] ** 2 / 4 + parts[1] ** 2 / 7)
+    half = scipy_stats.t.ppf(0.975, freedom) * np.sqrt(sum(parts))
+    found = difference_of_means(a, b)
+    estimate = np.mean(a) - np.mean(b)
+    assert found.estimate == pytest.approx(estimate)
+    assert (found.low, found.high) == (pytest.approx(estimate - half), pytest.approx(estimate + half))
+    assert not found.excludes_zero
+    assert difference_of_means([9.0, 9.1, 8.9], [1.0, 1.2]).excludes_zero
+
+
+def test_means_of_what_never_varies_have_no_interval() -> None:
+    found = difference_of_means([3.0, 3.0], [1.0, 1.0])
+    assert found.estimate == 2.0
+    assert np.isnan([found.low, found.high]).all()
+    assert not found.excludes_zero
+    with pytest.raises(ValueError, match="at least two seeds of each"):
+        difference_of_means([1.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="b must be finite"):
+        difference_of_means([1.0, 2.0], [1.0, np.nan])
 
 
 def test_auc_of_known_shapes() -> None:

@@ -31,7 +31,8 @@ def root(tmp_path: Path) -> Path:
 @pytest.fixture
 def keep_run(root: Path) -> Callable[..., Path]:
     """Keep a run that climbs from 0 to `final` and plays days of `final` + day in its last evaluation; each
-    rule's days are its value + day. `metrics` are the same on all days."""
+    rule's days are its value + day. `metrics` are the same on all days, and for rules too unless
+    `rule_metrics` has others."""
 
     def keep(
         overrides: Sequence[str],
@@ -42,6 +43,7 @@ def keep_run(root: Path) -> Callable[..., Path]:
         rules: Mapping[str, float] | None = None,
         energy: Mapping[str, Any] | None = None,
         points: int = 5,
+        rule_metrics: Mapping[str, float] | None = None,
         **metrics: float,
     ) -> Path:
         experiment = composed((*overrides, f"study={study}", "evaluation.episodes=2"))
@@ -72,7 +74,10 @@ def keep_run(root: Path) -> Callable[..., Path]:
         log.append("evaluation", days)
         log.commit(4)
         played = {
-            rule: [{"episode_seed": day, "return": value + day, **metrics} for day in range(DAYS)]
+            rule: [
+                {"episode_seed": day, "return": value + day, **metrics, **(rule_metrics or {})}
+                for day in range(DAYS)
+            ]
             for rule, value in (rules or {}).items()
         }
         if played:

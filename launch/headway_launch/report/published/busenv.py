@@ -9,6 +9,7 @@ import pandas as pd
 from headway.stats import mean_std
 from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import MISSING, Part, Section, Table, figure, with_deviation
+from headway_launch.report.published.episodes import env_of, tasks_of
 from headway_launch.study import configuration
 
 if TYPE_CHECKING:
@@ -26,9 +27,9 @@ def published_figures() -> pd.DataFrame:
     return pd.read_csv(path, comment="#").set_index("algorithm")
 
 
-def published_section(data: StudyData) -> Section | None:
+def busenv_section(data: StudyData) -> Section | None:
     """Both tables side by side, rank correlations, and what can be compared; None for other environments."""
-    tasks = [task for task in data.tasks if _environment_of(data, task) == ENVIRONMENT]
+    tasks = tasks_of(data, ENVIRONMENT)
     if not tasks:
         return None
     if data.training_figures is None:
@@ -41,11 +42,6 @@ def published_section(data: StudyData) -> Section | None:
         body += _beside(data, task, f"_{place + 1}" if len(tasks) > 1 else "")
         body += _what_it_shows(data, task)
     return Section("busenv", "Beside the published table", [*body, *_not_comparable()])
-
-
-def _environment_of(data: StudyData, task: str) -> str:
-    first = next(iter(data.on(task).values()))[0]
-    return str(configuration(first.directory)["env"]["id"])
 
 
 def _what_is_compared() -> str:
@@ -167,8 +163,7 @@ def _correlation(found: dict[str, float], test: str) -> str:
 
 def _what_it_shows(data: StudyData, task: str) -> list[Part]:
     """Where the rules come to, in the same units."""
-    first = next(iter(data.on(task).values()))[0]
-    buses = int(configuration(first.directory)["env"]["args"]["agents"])
+    buses = int(env_of(data, task)["args"]["agents"])
     values = {
         rule: buses * float(data.by_day(task, rule).mean())
         for rule in ("always_move", "move_with_service")

@@ -7,7 +7,7 @@ import pytest
 
 from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import Section, Table
-from headway_launch.report.published import published_figures, published_section
+from headway_launch.report.published.busenv import busenv_section, published_figures
 
 TABLE3 = "experiment=bus_table3"
 RULES = {"random": -140.0, "always_move": 14.0, "always_wait": -108.0, "move_with_service": 97.0}
@@ -15,7 +15,7 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    found = published_section(StudyData(root, "study"))
+    found = busenv_section(StudyData(root, "study"))
     assert found is not None
     return found
 
@@ -77,7 +77,7 @@ def test_two_algorithms_or_two_settings_of_one_have_no_correlation(keep_run: Kee
 
 def test_other_environments_and_other_algorithms_have_no_such_table(keep_run: Keep, root: Path) -> None:
     keep_run(("experiment=toy_tracking",), 0, 10.0, study="toy")
-    assert published_section(StudyData(root, "toy")) is None
+    assert busenv_section(StudyData(root, "toy")) is None
     keep_run((TABLE3, "algo=madqn", "preset=none", "rollout=replay"), 0, 10.0)
     assert "None of the algorithms published was trained." in words(section(root))
 

@@ -1,0 +1,81 @@
+"""The section beside the crossing's published table."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from headway_launch.report.gather import StudyData
+from headway_launch.report.parts import Section, Table
+from headway_launch.report.published.crossing import crossing_figures, crossing_section
+
+PAPER = "experiment=intersection_paper_ippo"
+METRICS = {"paper_return": 8e5, "outflow_vph": 600.0, "collisions": 0.5, "speed": 6.0}
+HUMAN = {"outflow_vph": 500.0, "collisions": 0.5}
+Keep = Callable[..., Path]
+
+
+def section(root: Path) -> Section:
+    found = crossing_section(StudyData(root, "study"))
+    assert found is not None
+    return found
+
+
+def table(found: Section, name: str) -> Table:
+    [part] = [part for part in found.body if isinstance(part, Table) and part.name == name]
+    return part
+
+
+def words(found: Section) -> str:
+    return "\n".join(part for part in found.body if isinstance(part, str))
+
+
+def test_three_are_published() -> None:
+    published = crossing_figures()
+    assert list(published.index) == ["ippo", "a3c", "ddpg"]
+    assert published.loc["ippo", "outflow_vph"] == 323
+    assert np.isnan(published.loc["ddpg", "vehicles"])
+
+
+def test_the_paper_s_row_of_what_was_trained_stands_above_ours(keep_run: Keep, root: Path) -> None:
+    for seed in range(2):
+        more = {**METRICS, "outflow_vph": 600.0 + 20 * seed}
+        keep_run((PAPER,), seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **more)
+    found = section(root)
+    shown = table(found, "crossing")
+    assert [row[0].split(",")[0] for row in shown.rows] == ["published: PPO", "ippo", "rule human"]
+    outflow = shown.headings.index("outflow, veh/h")
+    assert [row[outflow] for row in shown.rows] == ["323", "610 ± 14", "500"]
+    assert shown.emphasised == {2}
+    [row] = table(found, "against_humans").rows
+    assert row[1] == "2"
+    assert row[2].startswith("+110")
+    assert row[-1] == "no claim (as many leave, as many crash)"  # two seeds: t is wide
+    assert "not the paper's" not in words(found)
+
+
+@pytest.mark.parametrize(
+    ("outflow", "collisions", "reading"),
+    [(600.0, 0.0, "more leave, fewer crash"), (400.0, 2.0, "fewer leave, more crash")],
+)
+def test_ten_seeds_are_set_against_human_drivers(
+    keep_run: Keep, root: Path, outflow: float, collisions: float, reading: str
+) -> None:
+    for seed in range(10):
+        more = {**METRICS, "outflow_vph": outflow + seed, "collisions": collisions}
+        overrides = ("experiment=intersection_ippo",)
+        keep_run(overrides, seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **more)
+    found = section(root)
+    assert table(found, "against_humans").rows[0][-1] == reading
+    assert "compare those rows with the rules, not with the paper" in words(found)
+
+
+def test_without_human_drivers_there_is_no_baseline(keep_run: Keep, root: Path) -> None:
+    keep_run((PAPER,), 0, 10.0, **METRICS)
+    assert "there is no baseline of human drivers" in words(section(root))
+
+
+def test_other_environments_have_no_such_section(keep_run: Keep, root: Path) -> None:
+    keep_run(("experiment=toy_tracking",), 0, 10.0)
+    assert crossing_section(StudyData(root, "study")) is None
