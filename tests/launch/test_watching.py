@@ -5,7 +5,7 @@ from rich.console import Console
 
 from headway.events import EvaluationFinished, Failed, IterationFinished, Started, Usage
 from headway_launch.progress import JobProgress, overall, seconds_left
-from headway_launch.watching import Progress
+from headway_launch.watching import Counted, Progress
 
 
 def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:
@@ -93,3 +93,33 @@ def test_elsewhere_many_jobs_have_one_line_together(
     assert "seed 0" in (line := capsys.readouterr().err)
     assert line.rstrip().endswith("failed")
     assert jobs[0].failure == "out of memory"
+
+
+def test_work_of_known_length_tells_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moment = [0.0]
+    monkeypatch.setattr("headway_launch.watching.time.monotonic", lambda: moment[0])
+    with Counted("days simulated", 20) as counted:
+        assert counted.line == "days simulated: 0 of 20"
+        for _ in range(4):
+            moment[0] += 10.0
+            counted.add()
+    # Where lines cannot stay in place, one every half minute.
+    assert capsys.readouterr().err == "days simulated: 3 of 20, about 0:02:50 left\n"
+    with Counted("steps played") as counted:
+        counted.add()
+    assert counted.line == "steps played: 1"
+
+
+def test_on_a_terminal_the_count_stays_in_place_and_goes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with Counted("days simulated", 2) as counted:
+        counted.add()
+        counted.add()
+    drawn = capsys.readouterr().err
+    assert "\n" not in drawn
+    assert drawn.startswith("\rdays simulated: 0 of 2\x1b[K")
+    assert drawn.endswith("\rdays simulated: 2 of 2\x1b[K\r\x1b[K")
