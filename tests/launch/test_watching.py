@@ -21,7 +21,7 @@ def evaluated(value: float) -> EvaluationFinished:
 
 def job(seed: int, label: str = "ippo", iterations: int = 0, seconds_each: float = 2.0) -> JobProgress:
     """One that has done so many of ten iterations; none: it waits."""
-    progress = JobProgress((seed,), 10, "greedy", label=label)
+    progress = JobProgress((seed,), 10, "greedy", iteration_steps=1000, label=label)
     if iterations:
         progress.take(Started(0, ()))
         progress.take(evaluated(350.0))
@@ -61,6 +61,15 @@ def test_few_runs_have_a_line_each_with_speed_and_time_left() -> None:
         ["ippo,", "seed", "0", "5/10", "500", "steps/s", "return", "350", "0:00:10", "left"],
         ["ippo,", "seed", "1", "2/10", "500", "steps/s", "return", "350", "0:00:16", "left"],
     ]
+
+
+def test_what_goes_on_shows_the_steps_of_its_checkpoint() -> None:
+    resumed = JobProgress((3,), 10, "greedy", iteration=4, iteration_steps=1000)
+    assert resumed.cells()[1:3] == ("4/10", "4,000 steps")
+    resumed.take(Started(3, ()))  # that checkpoint could not be read
+    assert resumed.cells()[1:3] == ("3/10", "3,000 steps")
+    resumed.take(at(5))
+    assert resumed.cells()[2] == "5,000 steps"
 
 
 def test_time_left_counts_what_waits_at_the_pace_of_its_cell() -> None:
