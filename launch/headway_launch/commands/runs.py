@@ -156,7 +156,7 @@ def _print(rows: Sequence["RunRow"], style: str) -> None:
     elif style == "csv":
         import csv
 
-        writer = csv.writer(sys.stdout)
+        writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(_FIELDS)
         writer.writerows(_cells(row, _FIELDS) for row in rows)
     else:
