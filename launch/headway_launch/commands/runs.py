@@ -51,20 +51,20 @@ _FIELDS = (
     "run_id",
 )
 _ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
-# The identity names environment, algorithm and seed already.
+# The identity names environment and seed already, and the algorithm too, which is looked for most.
 _SPARE_ON_TERMINAL = (
     "duration_s",
     "iterations",
     "policies",
     "environment",
-    "algorithm",
     "seed",
     "kg_co2",
     "kwh",
     "cpu_seconds",
-    "study",
     "env_steps",
     "auc",
+    "study",
+    "algorithm",
 )
 _HEADINGS = {
     "env_steps": "env steps",
