@@ -14,6 +14,7 @@ from headway_envs.bus.realism import figures
 from headway_envs.bus.realism.calls import recorded_day, simulated_days
 from headway_envs.bus.realism.measured import CITY_LINES, NEARLY_ALL, TOLERANCES, WHOLE_CITY
 from headway_envs.bus.scenario.fitted import DOI, SYNTHETIC
+from headway_envs.bus.scenario.measures import metres_along
 from headway_envs.bus.scenario.network import trips_of_day
 from headway_envs.bus.scenario.tables import Tables
 
@@ -107,11 +108,7 @@ def lines_of(tables: Tables, config: BusConfig) -> int:
 
 def call_km(tables: Tables) -> "pd.Series[float]":
     """Distance from the pattern's first call along its links, by pattern and seq0, in order."""
-    calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
-    metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
-    legs = pd.Series(metres.to_numpy() / 1000.0, index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
-    legs[calls["seq0"].to_numpy() == 0] = 0.0
-    return legs.groupby("pattern").cumsum()
+    return metres_along(tables) / 1000.0
 
 
 def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
