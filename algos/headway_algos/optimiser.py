@@ -26,6 +26,9 @@ class StackedAdam:
         self.base_lr = self.lr = lr
         self.means = [torch.zeros_like(parameter) for parameter in self.parameters]
         self.squares = [torch.zeros_like(parameter) for parameter in self.parameters]
+        for parameter, mean in zip(self.parameters, self.means, strict=True):
+            if parameter.stride() != mean.stride():
+                raise ValueError(f"a parameter of strides {parameter.stride()} has gaps: give a copy of it")
         self.counts = np.zeros(len(self.parameters[0]), np.int64)
 
     def begin(self) -> None:
@@ -43,10 +46,7 @@ class StackedAdam:
         Networks that are not `active` (P,) had no data: they stay as they were, instead of moving on by
         their momentum, and their norm is 0.
         """
-        gradients = [
-            torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
-            for parameter in self.parameters
-        ]
+        gradients = [_gradient(parameter) for parameter in self.parameters]
         if not active.all():
             for gradient in gradients:
                 gradient[torch.from_numpy(~active).to(gradient.device)] = 0
@@ -105,3 +105,13 @@ class StackedAdam:
         for mine, theirs in zip(self.means + self.squares, [*state["means"], *state["squares"]], strict=True):
             mine.copy_(theirs)
         self.counts[:] = state["counts"].cpu().numpy()
+
+
+def _gradient(parameter: nn.Parameter) -> Tensor:
+    """Of a parameter, in its layout: torch's fused Adam pairs elements by their place in memory and takes
+    another layout without complaint (its foreach form is safe, and slower)."""
+    if parameter.grad is None:
+        return torch.zeros_like(parameter)
+    if parameter.grad.stride() == parameter.stride():
+        return parameter.grad
+    return torch.empty_like(parameter).copy_(parameter.grad)

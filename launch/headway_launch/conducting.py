@@ -304,6 +304,7 @@ def _progress_of(cell: CellWork, job: PlannedJob) -> JobProgress:
         config.iterations,
         config.evaluation.modes[0],
         iteration=job.iteration,
+        iteration_steps=config.rollout.copies * config.rollout.steps,
         label=cell.plan.label,
     )
 

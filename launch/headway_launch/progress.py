@@ -22,7 +22,8 @@ class JobProgress:
     """The evaluation mode whose return is shown."""
     status: Status = "waiting"
     iteration: int = 0
-    env_steps: int = 0
+    iteration_steps: int = 0
+    """Environment steps of each seed in an iteration."""
     evaluation_return: float | None = None
     label: str = ""
     """Its cell, where a session has several."""
@@ -38,7 +39,7 @@ class JobProgress:
                 self.status, self.iteration = "training", iteration
             case IterationFinished(iteration=iteration, env_steps=env_steps, curve=curve):
                 # Speed counts from the end of the first iteration, which holds the start and compilation.
-                self.iteration, self.env_steps = iteration, env_steps
+                self.iteration = iteration
                 self._marks.append((float(curve[0]["wall_s"]), iteration, env_steps))
             case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
                 returns = [float(row[f"evaluation_{mode}/return"]) for row in curve]
@@ -52,6 +53,11 @@ class JobProgress:
         last = f"..{self.seeds[-1]}" if len(self.seeds) > 1 else ""
         seeds = f"seed{'s' if last else ''} {self.seeds[0]}{last}"
         return f"{self.label}, {seeds}" if self.label else seeds
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps of each seed so far, those before a resume included."""
+        return self.iteration * self.iteration_steps
 
     @property
     def steps_per_second(self) -> float | None:

@@ -6,6 +6,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from functools import partial
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _LAST_EVENT_S = 1.0
 
+Report = Callable[[Event], None]
+ShouldStop = Callable[[], bool]
+Work = Callable[[Report, ShouldStop], None]
+"""What a training process does: it reports events, and stops where it should."""
+
 
 class TrainingProcess:
     """Runs one job in a process, and process group, of its own, so that Ctrl-C reaches the session only."""
@@ -26,11 +32,14 @@ class TrainingProcess:
     lost = False
     """See `headway_launch.session.Training`: it does not die with its machine alone."""
 
-    def __init__(self, job: "TrainingJob") -> None:
+    def __init__(self, job: "TrainingJob", work: Work | None = None) -> None:
+        """`work`: what it does instead of training `job`, which names it then; picklable."""
         context = get_context("spawn")
         self._events, childs_end = context.Pipe()
         name = f"headway training {', '.join(str(seed) for seed in job.seeds)}"
-        self._process = context.Process(target=_train, args=(job, childs_end), name=name)
+        self._process = context.Process(
+            target=_work, args=(work or partial(train_and_tell, job), childs_end), name=name
+        )
         resource_tracker.ensure_running()
         # Signals stay blocked until the child has left the terminal's process group.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
@@ -99,7 +108,7 @@ class TrainingProcess:
         return f"its training process ended with code {code} and no word"
 
 
-def _train(job: "TrainingJob", connection: Connection) -> None:
+def _work(work: Work, connection: Connection) -> None:
     os.setpgid(0, 0)
     for number in _SIGNALS:
         # A handler, not SIG_IGN: workers would inherit that and could not be terminated.
@@ -107,16 +116,14 @@ def _train(job: "TrainingJob", connection: Connection) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     threading.Thread(target=_end_with_session, daemon=True).start()
     try:
-        train_and_tell(job, connection.send, lambda: connection.poll())
+        work(connection.send, lambda: connection.poll())
     except BrokenPipeError:
         _end_group()
     connection.close()
     sys.stdout.flush()
 
 
-def train_and_tell(
-    job: "TrainingJob", report: Callable[[Event], None], should_stop: Callable[[], bool]
-) -> None:
+def train_and_tell(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:
     """Train a job; what it fails of is its last event. Raises BrokenPipeError where nobody listens."""
     from headway.training import train
 

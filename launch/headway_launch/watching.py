@@ -1,4 +1,4 @@
-"""What a session shows while it trains, on stderr: a screen that stays in place, or a line now and then."""
+"""What long work shows on stderr: a screen that stays in place, or a line now and then."""
 
 import sys
 import time
@@ -7,7 +7,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from headway_launch.progress import ACTIVE, ENDED, JobProgress, Status, overall
+from headway_launch.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall
 from headway_launch.telling import silence, tell
 
 if TYPE_CHECKING:
@@ -19,6 +19,9 @@ _FEW = 4
 _PLAIN_EVERY_S, _PLAIN_AT_MOST_EVERY_S = 30.0, 600.0
 _PLAIN_SHARE = 0.1
 """Of the time passed: plain lines come more and more rarely."""
+_DRAWN_EVERY_S = 0.25
+_TO_THE_END = "\x1b[K"
+"""Clears what an earlier, longer line left (ECMA-48)."""
 
 
 class Progress:
@@ -75,7 +78,7 @@ class Progress:
                 self._statuses[index] = job.status
                 self._print(job)
         now = time.monotonic()
-        if now - self._printed < self._pause(now):
+        if now - self._printed < _pause(now - self._began):
             return
         self._printed = now
         training = [job for job in self._jobs if job.status == "training"]
@@ -112,11 +115,68 @@ class Progress:
         seeds = sum(len(job.seeds) for job in jobs)
         return f"{label}: {ended} of {seeds} ended" + (f", {failed} failed" if failed else "") + mean
 
-    def _pause(self, now: float) -> float:
-        return min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * (now - self._began)), _PLAIN_AT_MOST_EVERY_S)
-
     def _print(self, job: JobProgress) -> None:
         self.note("  ".join(cell for cell in job.cells() if cell))
+
+
+class Counted:
+    """How far work of known or unknown length is: on a terminal one line on stderr that stays in place and
+    goes at the end; elsewhere a line now and then. To be entered."""
+
+    def __init__(self, what: str, total: int | None = None) -> None:
+        """`what` is counted: `days simulated`."""
+        self._what, self._total, self._done = what, total, 0
+        self._began = self._printed = time.monotonic()
+        self._on_terminal = sys.stderr.isatty()
+
+    def __enter__(self) -> Self:
+        self._began = self._printed = time.monotonic()
+        if self._on_terminal:
+            self._draw(self.line)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._on_terminal:
+            self._draw("")
+
+    def add(self) -> None:
+        """One more is done."""
+        self._done += 1
+        now = time.monotonic()
+        if self._on_terminal:
+            if now - self._printed >= _DRAWN_EVERY_S or self._done == self._total:
+                self._printed = now
+                self._draw(self.line)
+        elif now - self._printed >= _pause(now - self._began):
+            self._printed = now
+            tell(self.line)
+
+    @property
+    def line(self) -> str:
+        """`days simulated: 3 of 20, about 0:01:20 left`; of unknown length, `steps played: 412`."""
+        if self._total is None:
+            return f"{self._what}: {self._done:,}"
+        counted = f"{self._what}: {self._done:,} of {self._total:,}"
+        if not 0 < self._done < self._total:
+            return counted
+        left = (time.monotonic() - self._began) / self._done * (self._total - self._done)
+        return f"{counted}, about {duration(left)} left"
+
+    def _draw(self, line: str) -> None:
+        try:
+            print(f"\r{line}{_TO_THE_END}", end="", file=sys.stderr, flush=True)
+        except OSError:
+            silence(sys.stderr)
+
+
+def _pause(passed: float) -> float:
+    """Between plain lines, s, so many seconds after the beginning."""
+    return min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * passed), _PLAIN_AT_MOST_EVERY_S)
 
 
 def _cells(job: JobProgress, width: int) -> tuple[str, ...]:

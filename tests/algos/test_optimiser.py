@@ -73,3 +73,24 @@ def test_a_restored_optimiser_goes_on_as_the_stored_one_and_leaves_it_alone() ->
         step(optimiser, 2, [True, True])
     assert stored.counts.tolist() == restored.counts.tolist() == [2, 1]
     assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_gradient_laid_out_otherwise_than_its_parameter_is_the_same_gradient(late: bool) -> None:
+    mine, its = _parameters(3), _parameters(3)
+    ours, theirs = StackedAdam(mine, 0.05, None), StackedAdam(its, 0.05, None)
+    for step in range(3):
+        for tensor, other, signal in zip(mine, its, _parameters(3, 20 + step), strict=True):
+            tensor.grad = signal.detach().transpose(0, 1).contiguous().transpose(0, 1)
+            other.grad = signal.detach().clone()
+        assert mine[0].grad is not None
+        assert mine[0].grad.stride() != mine[0].stride()
+        for optimiser in (ours, theirs):
+            optimiser.step(np.array([True, not late or step > 0, True]))
+    assert all(torch.equal(a, b) for a, b in zip(mine, its, strict=True))
+
+
+def test_a_parameter_with_gaps_in_memory_is_refused() -> None:
+    slice_of_another = torch.nn.Parameter(torch.zeros(3, 8, dtype=DOUBLE)[:, ::2])
+    with pytest.raises(ValueError, match="has gaps: give a copy of it"):
+        StackedAdam([slice_of_another], 0.05, None)

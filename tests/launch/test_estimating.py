@@ -6,9 +6,12 @@ from pathlib import Path
 import pytest
 
 from headway.energy import Energy, EnergyMeter, JobUsage
+from headway.training import TrainingJob
+from headway_launch.calibrating import Pace
 from headway_launch.command_line import run
 from headway_launch.composing import compose
-from headway_launch.estimating import Pace, makespan
+from headway_launch.estimating import makespan, spans
+from headway_launch.training_process import TrainingProcess, Work
 
 PACE = Pace(
     start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
@@ -49,21 +52,64 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
         return finish(meter, name, others, usage)
 
     monkeypatch.setattr(EnergyMeter, "finish", watched)
-    monkeypatch.setattr("headway_launch.estimating.uses_gpu", lambda job: True)
+    monkeypatch.setattr("headway_launch.calibrating.uses_gpu", lambda job: True)
     sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout=short", "env_steps=1e6",
              "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
     sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
     assert run([*sweep, "--dry-run"]) == 0
     told = capsys.readouterr()
-    lines = told.out.splitlines()
-    rows = [line.split("\t") for line in lines[1:7]]
-    assert [row[:3] for row in rows] == [
-        [algo, str(seed), "begins"] for algo in ("ippo", "ia2c") for seed in range(3)
-    ]
-    assert all(float(row[3]) > 1 and float(row[4]) > 1 and row[5] == "" for row in rows)
+    listed, estimated = told.out.split("\n\n")[:2]
+    header, *rows = [line.split("\t") for line in listed.splitlines()]
+    assert header == ["cell", "seeds", "runs", "what happens"]
+    assert rows == [[algo, "0..2", "3", "begins"] for algo in ("ippo", "ia2c")]
+    header, *rows = [line.split("\t") for line in estimated.splitlines()]
+    assert header == ["cell", "trainings", "s each", "CPU s in all", "kWh in all", "kg CO2eq in all"]
+    assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
+    assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == ["", ""] for row in rows)
     assert "6 trainings" in told.out
     assert "energy not measured" in told.out
     assert "rests on" in told.out
     assert not (tmp_path / "runs").exists()
     assert len(finished) >= 2
     assert all(usage.uses_gpu for usage in finished)
+
+
+def test_cells_share_the_processes_that_measure_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[TrainingProcess] = []
+    start = TrainingProcess.__init__
+
+    def counted(process: TrainingProcess, job: TrainingJob, work: Work | None = None) -> None:
+        started.append(process)
+        start(process, job, work)
+
+    monkeypatch.setattr(TrainingProcess, "__init__", counted)
+    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout=short",
+             "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off")  # fmt: skip
+    assert run([*sweep, f"store.root={tmp_path / 'runs'}", "--dry-run"]) == 0
+    assert len(started) == 2
+    estimated = capsys.readouterr().out.split("\n\n")[1].splitlines()[1:]
+    assert [line.split("\t")[0] for line in estimated] == ["ippo", "ia2c", "mappo", "maa2c", "coma"]
+    seconds = [float(line.split("\t")[2]) for line in estimated]
+    # Each is told what starting a process took, though only the first of each process waited for it.
+    assert min(seconds) > 1.0
+
+
+@pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
+def test_whatever_trains_can_be_tried_dry(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "runs"
+    assert run([*words, "env_steps=2048", "energy=off", f"store.root={root}", "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("cell\tseeds\truns\twhat happens\n")
+    assert "begins" in told
+    assert "rests on" in told
+    assert not root.exists()
+
+
+def test_seeds_that_follow_each_other_are_a_span() -> None:
+    assert spans([0, 1, 2, 3, 7]) == "0..3,7"
+    assert spans([4, 5]) == "4,5"
+    assert spans([3, 2, 1]) == "3,2,1"

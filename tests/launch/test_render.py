@@ -140,6 +140,31 @@ def test_what_cannot_be_drawn_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("output", ["no/where.gif", "taken.gif", "file/inside.png"])
+def test_where_nothing_can_be_written_nothing_is_played(
+    output: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("taken.gif").mkdir()
+    Path("file").write_text("")
+    painted: list[int] = []
+    monkeypatch.setattr(MergePainter, "paint", lambda *words, **named: painted.append(1))
+    assert run(["render", "merge", "--rule", "idle", "--output", output]) == 2
+    assert capsys.readouterr().err.startswith(f"headway: --output: {output} cannot be written (")
+    assert painted == []
+
+
+def test_a_terminal_is_told_how_far_an_episode_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    words = ["render", "merge", "--rule", "idle", "env.args.steps=4", "--output", str(tmp_path / "a.gif")]
+    assert run(words) == 0
+    told = capsys.readouterr().err
+    assert "\rsteps played: 0\x1b[K" in told
+    assert "\rframes written: 5 of 5\x1b[K" in told
+
+
 def test_a_bus_day_is_drawn_as_map_and_diagram(tmp_path: Path) -> None:
     output = tmp_path / "day.png"
     words = ["render", "bus", "--rule", "always_move", "env.args.end_hour=6", "--output", str(output)]

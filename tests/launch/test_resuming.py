@@ -13,6 +13,7 @@ from headway.store.folder import RunRecord
 from headway.store.index import RunIndex, RunRow
 from headway_launch.command_line import run
 from headway_launch.stored import StoredRun, jobs_to_resume
+from headway_launch.watching import Progress
 
 TINY = (
     "env=trivial",
@@ -46,17 +47,22 @@ def _end_as_killed(directory: str, status: str = "KILLED") -> None:
 
 
 @pytest.mark.parametrize("backend", ["serial", "process"])
-def test_one_of_several_seeds_goes_on_alone(backend: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_of_several_seeds_goes_on_alone(
+    backend: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Side by side each seed had one core, and alone it would have both."""
     assert run(["run", *TINY, f"backend={backend}", "seed=0,1"]) == 0
     first = _runs()[0]
     _end_as_killed(first.directory)
+    shown: list[tuple[str, ...]] = []
+    monkeypatch.setattr(Progress, "show", lambda progress: shown.append(progress._jobs[0].cells()))
     summary = json.loads(Path(first.directory, "summary.json").read_text())
     capsys.readouterr()
     assert run(["resume", first.run_id]) == 0, capsys.readouterr().err
     assert [row.status for row in _runs()] == ["FINISHED", "FINISHED"]
     again = json.loads(Path(first.directory, "summary.json").read_text())
     assert again["final_reward"] == summary["final_reward"]
+    assert {cells[2] for cells in shown} == {"64 steps"}
     assert again["cpu_seconds"] > summary["cpu_seconds"] > 0
 
 

@@ -68,6 +68,16 @@ def test_conditions_and_order(
     assert seeds(capsys) == expected
 
 
+def test_lines_of_csv_end_as_those_of_other_commands_do(
+    store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`cut`, `sort` and `while read` take a carriage return for a part of the last column."""
+    assert run(["runs", "--store", str(store), "--format", "csv"]) == 0
+    told = capsys.readouterr().out
+    assert told.count("\n") == 5
+    assert "\r" not in told
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [

@@ -96,6 +96,8 @@ def test_runs_keep_identity_status_and_result_whole(
     assert re.search(r"-[0-9a-f]{4} .*FINISHED .*0\.6667 ", row)
     for name, figure in (("env steps", "602,112"), ("AUC", "0.3333"), ("kWh", "1.235e-05")):
         assert figure in row or ("left out" in lines[-1] and name in lines[-1])
+    if width >= 80:
+        assert re.search(r"│ mappo +│", row)
 
 
 def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(

@@ -5,7 +5,7 @@ from rich.console import Console
 
 from headway.events import EvaluationFinished, Failed, IterationFinished, Started, Usage
 from headway_launch.progress import JobProgress, overall, seconds_left
-from headway_launch.watching import Progress
+from headway_launch.watching import Counted, Progress
 
 
 def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:
@@ -21,7 +21,7 @@ def evaluated(value: float) -> EvaluationFinished:
 
 def job(seed: int, label: str = "ippo", iterations: int = 0, seconds_each: float = 2.0) -> JobProgress:
     """One that has done so many of ten iterations; none: it waits."""
-    progress = JobProgress((seed,), 10, "greedy", label=label)
+    progress = JobProgress((seed,), 10, "greedy", iteration_steps=1000, label=label)
     if iterations:
         progress.take(Started(0, ()))
         progress.take(evaluated(350.0))
@@ -63,6 +63,15 @@ def test_few_runs_have_a_line_each_with_speed_and_time_left() -> None:
     ]
 
 
+def test_what_goes_on_shows_the_steps_of_its_checkpoint() -> None:
+    resumed = JobProgress((3,), 10, "greedy", iteration=4, iteration_steps=1000)
+    assert resumed.cells()[1:3] == ("4/10", "4,000 steps")
+    resumed.take(Started(3, ()))  # that checkpoint could not be read
+    assert resumed.cells()[1:3] == ("3/10", "3,000 steps")
+    resumed.take(at(5))
+    assert resumed.cells()[2] == "5,000 steps"
+
+
 def test_time_left_counts_what_waits_at_the_pace_of_its_cell() -> None:
     slow, fast = job(0, "slow", 5, seconds_each=10.0), job(0, "fast", 5, seconds_each=1.0)
     waiting = [job(seed, "fast") for seed in (1, 2)]
@@ -93,3 +102,33 @@ def test_elsewhere_many_jobs_have_one_line_together(
     assert "seed 0" in (line := capsys.readouterr().err)
     assert line.rstrip().endswith("failed")
     assert jobs[0].failure == "out of memory"
+
+
+def test_work_of_known_length_tells_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moment = [0.0]
+    monkeypatch.setattr("headway_launch.watching.time.monotonic", lambda: moment[0])
+    with Counted("days simulated", 20) as counted:
+        assert counted.line == "days simulated: 0 of 20"
+        for _ in range(4):
+            moment[0] += 10.0
+            counted.add()
+    # Where lines cannot stay in place, one every half minute.
+    assert capsys.readouterr().err == "days simulated: 3 of 20, about 0:02:50 left\n"
+    with Counted("steps played") as counted:
+        counted.add()
+    assert counted.line == "steps played: 1"
+
+
+def test_on_a_terminal_the_count_stays_in_place_and_goes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with Counted("days simulated", 2) as counted:
+        counted.add()
+        counted.add()
+    drawn = capsys.readouterr().err
+    assert "\n" not in drawn
+    assert drawn.startswith("\rdays simulated: 0 of 2\x1b[K")
+    assert drawn.endswith("\rdays simulated: 2 of 2\x1b[K\r\x1b[K")

@@ -1,5 +1,5 @@
 """A picture of a service day: above the map, with its stops, buses and loads; below the time-space diagram of
-one line, which grows as the day goes."""
+one line, a panel for each direction, which grows as the day goes."""
 
 import math
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ FINER = 2
 WIDTH, HEADER, EDGE = 1180, 54, 14
 MAP_HEIGHTS = (130, 420)
 """Least and most, by the shape of the network."""
-DIAGRAM_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 330, 24, 18, 26, 46
+PANEL_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 190, 24, 18, 26, 46
 ASIDE = 5.0
 """Pixels by which buses of either direction are drawn to the right of the line."""
 NUMBERED = 40
@@ -56,33 +56,33 @@ class Geography:
     """(Q,) m from the first call of the pattern"""
     north: Point
     """Which way north is, right and up"""
+    directions: tuple[str, ...]
+    """Of each pattern, as the tables call it"""
 
 
 def geography(tables: "Tables", prepared: Prepared) -> Geography:
     """Of the tables that a network was built from."""
-    from headway_envs.bus.scenario.network import patterns_by_line, trips_of_day
+    from headway_envs.bus.scenario.measures import metres_along
+    from headway_envs.bus.scenario.network import calls_of, pattern_rows
 
-    by_line = patterns_by_line(tables, trips_of_day(tables, prepared.config))
-    stops, metres = tables.stops.set_index("stop"), tables.links.set_index("link")["leg_m"]
-    of_pattern = dict(list(tables.pattern_stops.sort_values("seq0").groupby("pattern")))
-    lat, lon, along = [], [], []
-    for patterns in by_line.values():
-        for pattern in patterns:
-            calls = of_pattern[pattern]
-            legs = metres.reindex(calls["link"].iloc[1:]).to_numpy(np.float64)
-            along.append(np.concatenate(([0.0], np.cumsum(legs))))
-            lat.append(stops.loc[calls["stop"], "lat"].to_numpy(np.float64))
-            lon.append(stops.loc[calls["stop"], "lon"].to_numpy(np.float64))
-    north = np.concatenate(lat) * METRES_A_DEGREE
-    across = math.cos(math.radians(float(np.concatenate(lat).mean()))) * METRES_A_DEGREE
-    places = np.column_stack((np.concatenate(lon) * across, north))
+    patterns = pattern_rows(tables, prepared.config)
+    calls = calls_of(tables, patterns)
+    along = metres_along(tables).reindex(list(zip(calls["pattern"], calls["seq0"], strict=True)))
+    lat, lon = (calls[name].to_numpy(np.float64) for name in ("lat", "lon"))
+    directions = tables.patterns.set_index("pattern")["dir"].astype(str).reindex(patterns)
+    across = math.cos(math.radians(float(lat.mean()))) * METRES_A_DEGREE
+    places = np.column_stack((lon * across, lat * METRES_A_DEGREE))
     places -= places.mean(axis=0)
     longest = np.linalg.eigh(np.cov(places.T))[1][:, -1]
     longest = longest if longest[0] >= 0 else -longest
     turned = places @ np.array([[longest[0], -longest[1]], [longest[1], longest[0]]])
     turned -= turned.min(axis=0)
     return Geography(
-        turned[:, 0], turned[:, 1], np.concatenate(along), (float(longest[1]), float(longest[0]))
+        right=turned[:, 0],
+        up=turned[:, 1],
+        along=np.asarray(along, np.float64),
+        north=(float(longest[1]), float(longest[0])),
+        directions=tuple(directions),
     )
 
 
@@ -113,12 +113,16 @@ class BusPainter:
         self._prepared, self._net = prepared, prepared.network
         self._places = geography(tables, prepared)
         self._line = int(np.argmax(np.diff(self._net.line_slots)))
+        first, last = self._net.line_patterns[self._line : self._line + 2]
+        self._patterns = range(first, last)
+        self._directions = list(dict.fromkeys(self._places.directions[first:last]))
         self._font = ImageFont.load_default(11 * FINER)
         self._small = ImageFont.load_default(9 * FINER)
         self._large = ImageFont.load_default(15 * FINER)
-        self._map, self._diagram = self._lay_out()
-        self._size = WIDTH, self._diagram[3] + AXIS + LEGEND
+        self._map, self._panels = self._lay_out()
+        self._size = WIDTH, self._panels[-1][3] + AXIS + LEGEND
         self._pixels, self._scale = self._project()
+        self._longest = [self._longest_of(direction) for direction in self._directions]
         self._heights = self._of_diagram()
         self._empty = self._draw_background()
         self._drawn, self._before = self._empty.copy(), -math.inf
@@ -150,14 +154,17 @@ class BusPainter:
         self._write(picture, _clock(now), said)
         return _reduced(picture)
 
-    def _lay_out(self) -> tuple[Frame, Frame]:
-        """The frames of the map and of the diagram."""
+    def _lay_out(self) -> tuple[Frame, list[Frame]]:
+        """The frames of the map and of the diagram's panels."""
         shape = float(self._places.up.max()) / max(float(self._places.right.max()), 1.0)
         height = int(np.clip(shape * WIDTH, *MAP_HEIGHTS))
-        top = HEADER + height + TITLE
+        tops = [
+            HEADER + height + TITLE + place * (PANEL_HEIGHT + AXIS + TITLE)
+            for place in range(len(self._directions))
+        ]
         return (
             (EDGE, HEADER, WIDTH - EDGE, HEADER + height),
-            (EDGE + LABELS, top, WIDTH - EDGE, top + DIAGRAM_HEIGHT),
+            [(EDGE + LABELS, top, WIDTH - EDGE, top + PANEL_HEIGHT) for top in tops],
         )
 
     def _project(self) -> tuple[Floats, float]:
@@ -170,27 +177,30 @@ class BusPainter:
         y = (top + bottom + scale * high) / 2.0 - scale * places.up
         return np.column_stack((x, y)), scale
 
+    def _longest_of(self, direction: str) -> slice:
+        """The calls of the line's longest pattern in a direction."""
+        own = [p for p in self._patterns if self._places.directions[p] == direction]
+        return max(map(self._calls_of, own), key=lambda calls: float(self._places.along[calls][-1]))
+
+    def _calls_of(self, pattern: int) -> slice:
+        return slice(self._net.pattern_calls[pattern], self._net.pattern_calls[pattern + 1])
+
     def _of_diagram(self) -> Floats:
-        """(Q,) share of the way up the diagram of the calls on its line: patterns that begin nearer to the
-        last stop of the line's first pattern than to its first one come down; NaN on other lines."""
-        net, places = self._net, self._places
-        up = np.full(len(places.along), np.nan)
-        first, last = net.line_patterns[self._line], net.line_patterns[self._line + 1]
-        start, end = net.pattern_calls[first], net.pattern_calls[first + 1] - 1
-        for pattern in range(first, last):
-            calls = slice(net.pattern_calls[pattern], net.pattern_calls[pattern + 1])
-            share = places.along[calls] / max(float(places.along[calls][-1]), 1.0)
-            here = calls.start
-            back = self._apart(here, end) < self._apart(here, start)
-            up[calls] = 1.0 - share if back else share
+        """(Q,) share of the way up their panel of the calls on its line, by metres; NaN on other lines. A
+        pattern begins where the longest one of its direction comes nearest to its first stop."""
+        places, up = self._places, np.full(len(self._places.along), np.nan)
+        for pattern in self._patterns:
+            longest = self._longest[self._directions.index(places.directions[pattern])]
+            calls = self._calls_of(pattern)
+            apart = np.hypot(
+                places.right[longest] - places.right[calls.start], places.up[longest] - places.up[calls.start]
+            )
+            metres = places.along[longest][int(np.argmin(apart))] + places.along[calls]
+            up[calls] = np.minimum(metres / max(float(places.along[longest][-1]), 1.0), 1.0)
         return up
 
-    def _apart(self, one: int, other: int) -> float:
-        places = self._places
-        return math.hypot(places.right[one] - places.right[other], places.up[one] - places.up[other])
-
-    def _in_diagram(self, time: float, up: float) -> Point:
-        left, top, right, bottom = self._diagram
+    def _in_panel(self, panel: int, time: float, up: float) -> Point:
+        left, top, right, bottom = self._panels[panel]
         config = self._prepared.config
         share = (time - config.start_hour * 3600.0) / config.day_s
         return FINER * (left + share * (right - left)), FINER * (bottom - up * (bottom - top))
@@ -204,7 +214,8 @@ class BusPainter:
         for x, y in self._pixels:
             draw.ellipse([x - 2, y - 2, x + 2, y + 2], STOP)
         self._draw_scale(draw)
-        self._draw_axes(draw)
+        for panel in range(len(self._panels)):
+            self._draw_axes(draw, panel)
         self._draw_legend(draw)
         return picture
 
@@ -224,33 +235,29 @@ class BusPainter:
         draw.line([(x - across, y + up), (x + across, y - up)], TEXT, FINER)
         draw.text((x + 1.5 * across, y - 1.5 * up), "N", TEXT, self._small, anchor="mm")
 
-    def _draw_axes(self, draw: ImageDraw.ImageDraw) -> None:
-        left, top, right, _ = self._diagram
-        draw.rectangle([FINER * edge for edge in self._diagram], PAPER)
+    def _draw_axes(self, draw: ImageDraw.ImageDraw, panel: int) -> None:
+        left, top, right, _ = self._panels[panel]
+        draw.rectangle([FINER * edge for edge in self._panels[panel]], PAPER)
         config = self._prepared.config
         for hour in range(config.start_hour, config.end_hour + 1):
-            x, low = self._in_diagram(hour * 3600.0, 0.0)
+            x, low = self._in_panel(panel, hour * 3600.0, 0.0)
             draw.line([(x, FINER * top), (x, low)], GRID)
             if (hour - config.start_hour) % 2 == 0:
                 draw.text((x, low + 4 * FINER), f"{hour} h", FAINT, self._small, anchor="mt")
-        kilometres = self._length_m() / 1000.0
+        kilometres = float(self._places.along[self._longest[panel]][-1]) / 1000.0
         for quarter in range(5):
-            x, y = self._in_diagram(config.start_hour * 3600.0, quarter / 4.0)
+            x, y = self._in_panel(panel, config.start_hour * 3600.0, quarter / 4.0)
             draw.line([(x, y), (FINER * right, y)], GRID)
             label = f"{kilometres * quarter / 4.0:.1f} km"
             draw.text((x - 4 * FINER, y), label, FAINT, self._small, anchor="rm")
-        name = self._prepared.lines[self._line]
+        name = f"{self._prepared.lines[self._line]}, direction {self._directions[panel]}"
         draw.text(
             (FINER * left, FINER * (top - 5)),
-            f"{name}: place along the line by hour of the day; each stroke is a bus, coloured by its load",
+            f"{name}: way from its first stop by hour of the day; each stroke is a bus, coloured by its load",
             TEXT,
             self._font,
             anchor="ls",
         )
-
-    def _length_m(self) -> float:
-        first = self._net.line_patterns[self._line]
-        return float(self._places.along[self._net.pattern_calls[first + 1] - 1])
 
     def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
         x, y = FINER * EDGE, FINER * (self._size[1] - LEGEND + 8)
@@ -300,7 +307,8 @@ class BusPainter:
             pattern = int(np.searchsorted(self._net.pattern_calls, call, side="right")) - 1
             if call + 1 < self._net.pattern_calls[pattern + 1]:
                 up += seen.share[n] * (self._heights[call + 1] - up)
-            point = self._in_diagram(now, float(up))
+            panel = self._directions.index(self._places.directions[pattern])
+            point = self._in_panel(panel, now, float(up))
             reached[slot] = (pattern, point)
             if slot in self._last and self._last[slot][0] == pattern:
                 draw.line([self._last[slot][1], point], _colour(float(seen.occupancy[n])), FINER)

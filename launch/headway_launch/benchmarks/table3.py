@@ -9,8 +9,8 @@ from headway.registry import algo_entry
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial import SerialCollector
+from headway_launch.calibrating import evaluations_left
 from headway_launch.composing import Experiment, compose
-from headway_launch.estimating import evaluations_left
 from headway_launch.threads import limit_threads
 
 NINE = ("ia2c", "ippo", "itrpo", "maa2c", "coma", "mappo", "matrpo", "happo", "hatrpo")

@@ -1,6 +1,7 @@
 """`headway render`: an episode as a picture of a moment or as a moving one."""
 
 import argparse
+import tempfile
 import zlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from headway.configuration import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,6 +66,7 @@ def execute(arguments: argparse.Namespace) -> int:
     _check(arguments, output)
     if arguments.keep:
         output = _in_run(arguments, output)
+    _require_writable(output, arguments.keep)
     from headway_launch.threads import limit_threads
 
     limit_threads()
@@ -113,6 +116,19 @@ def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
     return run.directory / "pictures" / output.name
+
+
+def _require_writable(output: Path, keep: bool) -> None:
+    """Before any work, so that none is lost. Raises HeadwayError if the file cannot be written."""
+    folder = output.parent.parent if keep and not output.parent.exists() else output.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        if output.exists():
+            with output.open("ab"):
+                pass
+    except OSError as error:
+        raise HeadwayError(f"--output: {output} cannot be written ({error.strerror})") from error
 
 
 def _make_folder(arguments: argparse.Namespace, output: Path) -> None:
@@ -171,13 +187,14 @@ def _frames(
 
     assert found.entry.painter is not None
     painter = found.entry.painter(found.prepared)
-    with closing(found.entry.make(found.prepared, 1)) as env:
+    with Counted("steps played") as played, closing(found.entry.make(found.prepared, 1)) as env:
         observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
         yield painter.paint(behind_wrappers(env), at_end=False)
         while not ended:
             outcome, observed = env.step(act(env, observed))
             heed(outcome)
             ended = bool(outcome.episode_ended[0])
+            played.add()
             yield painter.paint(behind_wrappers(env), at_end=ended)
 
 
@@ -225,13 +242,17 @@ def _write_film(frames: Sequence[_Packed], output: Path, fps: float) -> None:
     from PIL import Image
 
     palette = _palette(frames)
-    pictures = (
-        Image.fromarray(frame.unpacked()).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in frames
-    )
     pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
     try:
-        next(pictures).save(output, save_all=True, append_images=pictures, duration=pause, loop=0)
+        with Counted("frames written", len(frames)) as written:
+
+            def picture_of(frame: _Packed) -> Image.Image:
+                written.add()
+                whole = Image.fromarray(frame.unpacked())
+                return whole.quantize(palette=palette, dither=Image.Dither.NONE)
+
+            pictures = map(picture_of, frames)
+            next(pictures).save(output, save_all=True, append_images=pictures, duration=pause, loop=0)
     except OSError as error:
         raise _unwritten(output, error) from error
 

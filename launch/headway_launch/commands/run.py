@@ -8,6 +8,7 @@ examples:
   headway run experiment=bus_mappo seed=0..4 algo.lr=3e-4 env_steps=1e6
   headway run experiment=bus_mappo algo=ippo preset=paper
   headway run env=trivial algo=ippo backend=serial energy=off env_steps=50_000
+  headway run experiment=bus_mappo seed=0..9 --dry-run
 
 KEY=VALUE sets any key of the experiment: `headway list keys`, `headway list algos mappo`,
 `headway list envs bus`. GROUP=OPTION takes a file of configs/: env, algo, rollout, backend,
@@ -18,8 +19,18 @@ runs of its own; `headway sweep` trains only what the store does not have.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Overrides."""
+    """Overrides, and what to do with them."""
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
+    add_dry_run_argument(parser)
+
+
+def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
+    """The option of all commands that train what they are told to."""
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="list the runs, then estimate time and energy by some iterations of each cell; keeps nothing",
+    )
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -28,8 +39,15 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.composing import compose
-    from headway_launch.conducting import Conductor
     from headway_launch.planning import CellPlan, plan_jobs
 
     experiment = compose(arguments.overrides)
-    return Conductor([CellPlan(experiment, plan_jobs(experiment))], arguments.debug).conduct()
+    cells = [CellPlan(experiment, plan_jobs(experiment))]
+    if arguments.dry_run:
+        from headway_launch.estimating import print_estimate
+        from headway_launch.study_plan import Standing
+
+        return print_estimate([Standing.untouched(experiment)], cells)
+    from headway_launch.conducting import Conductor
+
+    return Conductor(cells, arguments.debug).conduct()

@@ -51,20 +51,20 @@ _FIELDS = (
     "run_id",
 )
 _ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
-# The identity names environment, algorithm and seed already.
+# The identity names environment and seed already, and the algorithm too, which is looked for most.
 _SPARE_ON_TERMINAL = (
     "duration_s",
     "iterations",
     "policies",
     "environment",
-    "algorithm",
     "seed",
     "kg_co2",
     "kwh",
     "cpu_seconds",
-    "study",
     "env_steps",
     "auc",
+    "study",
+    "algorithm",
 )
 _HEADINGS = {
     "env_steps": "env steps",
@@ -156,7 +156,7 @@ def _print(rows: Sequence["RunRow"], style: str) -> None:
     elif style == "csv":
         import csv
 
-        writer = csv.writer(sys.stdout)
+        writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(_FIELDS)
         writer.writerows(_cells(row, _FIELDS) for row in rows)
     else:

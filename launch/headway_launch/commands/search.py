@@ -6,6 +6,7 @@ from statistics import mean
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.commands.run import add_dry_run_argument
 
 if TYPE_CHECKING:
     from headway.config import ExperimentConfig
@@ -14,6 +15,7 @@ EXAMPLES = """\
 examples:
   headway search bus_line
   headway search bus_line env_steps=100_000 study=bus_line_quick
+  headway search bus_line --dry-run
 
 A search is a file of configs/search: an experiment, cells (what each gets its own winner for) and
 candidates (overrides tried in every cell). Every cell has the same candidates, seeds and budget; the
@@ -27,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The search and overrides of its base."""
     parser.add_argument("search", metavar="SEARCH", help="a file of configs/search, without .yaml")
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of every run")
+    add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
 
 
@@ -44,7 +47,12 @@ def execute(arguments: argparse.Namespace) -> int:
     search = read_search(arguments.search)
     points = search.points(arguments.overrides)
     labels = [": ".join(point) for point in points]
-    conductor = StudySession.plan(list(points.values()), labels, arguments.fresh).conductor(arguments.debug)
+    session = StudySession.plan(list(points.values()), labels, arguments.fresh)
+    if arguments.dry_run:
+        from headway_launch.estimating import print_estimate
+
+        return print_estimate(session.standings, session.cells)
+    conductor = session.conductor(arguments.debug)
     code = conductor.conduct()
     if code != EXIT_DONE:
         return code

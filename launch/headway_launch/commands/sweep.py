@@ -2,6 +2,8 @@
 
 import argparse
 
+from headway_launch.commands.run import add_dry_run_argument
+
 EXAMPLES = """\
 examples:
   headway sweep experiment=bus_mappo seed=0..49
@@ -20,9 +22,7 @@ Exit code: 0 all have finished, 2 some failed (the others have gone on), 130 sto
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Overrides, and what to do with them."""
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
-    parser.add_argument(
-        "--dry-run", action="store_true", help="list the runs and estimate time and energy; trains nothing"
-    )
+    add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
 
 

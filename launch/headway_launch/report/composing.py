@@ -67,13 +67,15 @@ def _best_learner(data: StudyData, task: str) -> str:
     seeds = counted(min(len(data.on(task)[name]) for name in names), "seed")
     where = f"On {task}, among" if len(data.tasks) > 1 else "Among"
     kind = "lowest" if data.lower_is_better else "highest"
+    days = f"the curves' {data.days_of_curves(task)}"
     if len(means) == 1:
         return (
-            f"{names[0]} has a mean final {data.what} of {figure(best * data.sign)} over {seeds} on {task}."
+            f"{names[0]} has a mean final {data.what} of {figure(best * data.sign)} over {seeds} on {task}, "
+            f"on {days}."
         )
     return (
         f"{where} the learners, {' and '.join(names)} {'has' if len(names) == 1 else 'have'} the {kind} mean "
-        f"final {data.what}: {figure(best * data.sign)} over {seeds}."
+        f"final {data.what}: {figure(best * data.sign)} over {seeds}, on {days}."
     )
 
 
@@ -99,7 +101,8 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
     said = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
     if not said:
         return [f"The best rule on {task} is `{rule}`; no learner was evaluated on its days."]
-    return [f"Against the best rule there, `{rule}`, on the last evaluation's days [95% intervals]: {said}."]
+    days = f"the last evaluation's {data.days_of_last(task)}"
+    return [f"Against the best rule there, `{rule}`, on {days} [95% intervals]: {said}."]
 
 
 def _cost(data: StudyData) -> str:

@@ -162,6 +162,20 @@ class StudyData:
         """A row a day of a run's last evaluation in the metric's mode, with all its figures."""
         return self.runs.evaluations(mode=self.mode, final=True)
 
+    def days_of_curves(self, task: str) -> str:
+        """`10 days`: how many a point of a task's curves, and so a final reward, is the mean of."""
+        asked = (configuration(row.directory)["evaluation"] for row in self._runs_on(task))
+        return _days({int(evaluation["episodes"]) for evaluation in asked})
+
+    def days_of_last(self, task: str) -> str:
+        """`100 days`: how many a task's last evaluations have; those of the curves are among them."""
+        on_task = self.days[self.days["task"] == task]
+        return _days(set(on_task.groupby("run_id").size().astype(int)))
+
+    def budgets(self, task: str) -> dict[str, list[int]]:
+        """The environment steps that seeds of each controller were trained for, each number once."""
+        return {name: sorted({row.env_steps for row in members}) for name, members in self.on(task).items()}
+
     @cached_property
     def rules(self) -> pd.DataFrame:
         """A row a day of a rule, of those rules that have the metric."""
@@ -238,11 +252,10 @@ class StudyData:
         return Against(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
 
     def _evaluation_seeds(self, task: str) -> set[int]:
-        return {
-            int(configuration(row.directory)["evaluation"]["seed"])
-            for members in self.on(task).values()
-            for row in members
-        }
+        return {int(configuration(row.directory)["evaluation"]["seed"]) for row in self._runs_on(task)}
+
+    def _runs_on(self, task: str) -> list["RunRow"]:
+        return [row for members in self.on(task).values() for row in members]
 
     @cached_property
     def metrics(self) -> list[str]:
@@ -271,3 +284,7 @@ class StudyData:
             f"some runs of {self.study} were evaluated greedily only and others sampled only, so no curve is "
             "of all; train them with a mode in common, such as evaluation.modes=[greedy]"
         )
+
+
+def _days(numbers: set[int]) -> str:
+    return drawing.counted(numbers.pop(), "day") if len(numbers) == 1 else "days that differ"

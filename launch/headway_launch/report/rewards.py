@@ -70,7 +70,7 @@ def published_form(data: StudyData) -> Section:
         body.append(
             "Some run has no training curve, as no episode ended in training: those columns are empty."
         )
-    body.append(table)
+    body += [table, *_unequal_budgets(data)]
     if (data.curves.groupby("run_id").size() < 3).any():
         body.append(
             "Some runs were evaluated fewer than three times. The AUC of a curve of two points says nothing: "
@@ -103,6 +103,7 @@ def sound_form(data: StudyData) -> Section:
         f"where the interval excludes 0 over at least {SEEDS_FOR_A_CLAIM} training seeds; with fewer there "
         "is no claim.",
         _sound_table(data),
+        *_unequal_budgets(data),
         *([data.narrow] if data.narrow else []),
     ]
     against = {(task, name): data.against_best_rule(task, name) for task, name in data.cells}
@@ -158,8 +159,8 @@ def _sound_table(data: StudyData) -> Table:
     return Table(
         "sound_form",
         f"Interquartile mean (IQM) of the final {data.what} with its 95% interval by the stratified "
-        "bootstrap over seeds; the mean of the last evaluation's days; its paired difference from the best "
-        "rule on those days, with the 95% interval by Student's t.",
+        f"bootstrap over seeds, on {_which_days(data)}; the mean of all days of the last evaluation; its "
+        "paired difference from the best rule on all of them, with the 95% interval by Student's t.",
         [*_environment(data), *names, "minus the best rule [95%]", "interval over", "reading"],
         rows,
         pd.DataFrame(exact),
@@ -256,6 +257,33 @@ def _one_seed(data: StudyData) -> list[str]:
         f"Of {', '.join(dict.fromkeys(alone))} there is one seed: how seeds differ is not known, and neither "
         "a deviation nor an interval over seeds is given."
     ]
+
+
+def _unequal_budgets(data: StudyData) -> list[str]:
+    """A line where controllers of a task were not trained for the same environment steps."""
+    said = []
+    for task in data.tasks:
+        budgets = data.budgets(task)
+        if len({steps for each in budgets.values() for steps in each}) > 1:
+            steps = ", ".join(
+                f"{name} {' or '.join(f'{number:,}' for number in each)}" for name, each in budgets.items()
+            )
+            said.append(f"{task}: {steps}" if len(data.tasks) > 1 else steps)
+    if not said:
+        return []
+    return [
+        "Seeds were not all trained for the same environment steps (a budget is rounded up to whole "
+        f"iterations): {'; '.join(said)}."
+    ]
+
+
+def _which_days(data: StudyData) -> str:
+    """Of which days the two kinds of figures are."""
+    kinds = {(data.days_of_curves(task), data.days_of_last(task)) for task in data.tasks}
+    if len(kinds) > 1:
+        return "the curves' days, which are the first of those of the last evaluation"
+    [(curves, last)] = kinds
+    return f"the curves' {curves}, the first of the last evaluation's {last}"
 
 
 def _environment(data: StudyData) -> list[str]:

@@ -1,5 +1,6 @@
 """What `headway render` draws of a service day."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -57,14 +58,40 @@ def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
         drive(env, 1)
         later = painter.paint(env, at_end=False)
     assert later.shape == first.shape
-    top, bottom = painter._diagram[1], painter._diagram[3]
-    strokes = (later[top:bottom] != first[top:bottom]).any(axis=-1)
-    hours = np.flatnonzero(strokes.any(axis=0))
-    left, right = painter._diagram[0], painter._diagram[2]
-    assert strokes.sum() > 2000
-    assert hours.max() <= left + (right - left) * 2 / 19 + 2  # two of nineteen hours
+    assert len(painter._panels) == 2
+    for left, top, right, bottom in painter._panels:
+        strokes = (later[top:bottom] != first[top:bottom]).any(axis=-1)
+        hours = np.flatnonzero(strokes.any(axis=0))
+        assert strokes.sum() > 1000
+        assert hours.max() <= left + (right - left) * 2 / 19 + 2  # two of nineteen hours
     above = slice(painter._map[1], painter._map[3])
     assert near(later[above], QUEUE) > near(first[above], QUEUE) + 50
+
+
+def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
+    """As the field draws it: with both directions in one, buses that meet look like buses that overtake."""
+    painter = BusPainter(line)
+    assert painter._directions == sorted(set(painter._places.directions))
+    for pattern, (first, last) in enumerate(pairwise(line.network.pattern_calls)):
+        up = painter._heights[first:last]
+        assert (np.diff(up) > 0).all()
+        assert up[0] == 0.0
+        longest = painter._longest[painter._directions.index(painter._places.directions[pattern])]
+        if longest.start == first:
+            assert up[-1] == 1.0
+
+
+def test_a_pattern_that_begins_on_the_way_is_drawn_from_there(line: Prepared) -> None:
+    """The way back, taken for a variant of the way there, begins where that ends."""
+    painter = BusPainter(line)
+    painter._places = replace(painter._places, directions=("I", "I"))
+    painter._directions = ["I"]
+    painter._longest = [painter._longest_of("I")]
+    heights = painter._of_diagram()
+    starts = sorted(heights[line.network.pattern_calls[:2]])
+    assert starts[0] == 0.0
+    assert starts[1] > 0.98
+    assert np.nanmax(heights) == 1.0
 
 
 def test_buses_at_a_centre_stand_out(line: Prepared) -> None:
@@ -85,7 +112,7 @@ def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
         before = painter.paint(env, at_end=False)
         ended = drive(env, 1)
     last, again = painter.paint(env, at_end=True), painter.paint(env, at_end=False)
-    below = slice(painter._diagram[1], painter._diagram[3])
+    below = slice(painter._panels[0][1], painter._panels[-1][3])
     np.testing.assert_array_equal(last[below], before[below])
     assert (again[below] != last[below]).any()
 

@@ -11,6 +11,7 @@ import pytest
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import prepare
+from headway_envs.bus.scenario.fitted import DOI
 from headway_launch.command_line import run
 
 PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
@@ -192,7 +193,9 @@ def test_a_description_counts_what_the_environment_runs(capsys: pytest.CaptureFi
     assert trips == sorted(trips, reverse=True)
 
 
-def test_realism_prints_simulated_beside_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_realism_prints_simulated_beside_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "recorded"
     assert run(["data", "synthetic", str(out)]) == 0
     (out / "meta.json").write_text('{"source": "records of a test"}')
@@ -205,6 +208,17 @@ def test_realism_prints_simulated_beside_measured(tmp_path: Path, capsys: pytest
     assert first["holds"] == "yes"
     assert first["measured on"] == "its own tables"
     assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
-    assert " figures hold\n" in capsys.readouterr().out
+    assert capsys.readouterr().out.endswith(" figures hold\n")
+    (out / "meta.json").write_text(json.dumps({"source": f"records of a test of doi:{DOI}"}))
+    assert run(["data", "realism", str(out), "--days", "1"]) == 0
+    *rows, counted, left_out = capsys.readouterr().out.splitlines()
+    cells = [row.split("\t") for row in rows[1:]]
+    own = [row for row in cells if row[7] == "its own tables"]
+    assert {row[6] for row in cells if row not in own} == {""}
+    assert counted == f"{sum(row[6] == 'yes' for row in own)} of {len(own)} figures hold"
+    assert left_out.startswith(f"not judged: {len(cells) - len(own)} figures that were measured over all 382")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
-    assert "there is no file od-YYYY-MM-DD.parquet below" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert told.startswith("\rdays simulated: 0 of 1\x1b[K")
+    assert "there is no file od-YYYY-MM-DD.parquet below" in told

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -118,6 +119,29 @@ def test_both_forms_have_the_figures_of_the_store(keep_run: KeepRun, root: Path)
     assert "no claim (worse)" in said(report)
     chances = table(report, "probability_of_improvement").set_index(["a", "b"])["probability"]
     assert chances["ippo, independent", "ia2c, independent"] == 1.0
+
+
+def test_every_figure_at_the_top_names_its_days(keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run)
+    report = made(root)
+    best, against, *_ = report.summary
+    assert best.endswith("the highest mean final reward: 6 over 3 seeds, on the curves' 2 days.")
+    assert "`optimal`, on the last evaluation's 4 days [95% intervals]" in against
+    assert "over seeds, on the curves' 2 days, the first of the last evaluation's 4 days; the" in said(report)
+    configured = keep_run((*TRACKING, "algo=ippo"), 3, 5.0) / "config.yaml"
+    configured.write_text(configured.read_text().replace("  episodes: 2\n", "  episodes: 3\n"))
+    assert "the curves' days that differ" in made(root).summary[0]
+
+
+def test_budgets_that_differ_by_rounding_are_said_beneath_the_tables(keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run)
+    assert "the same environment steps" not in said(made(root))
+    for seed in range(3):
+        longer = keep_run((*TRACKING, "algo=coma"), seed, 1.0, rules=RULES, energy=KNOWN)
+        record = json.loads((longer / "run.json").read_text())
+        (longer / "run.json").write_text(json.dumps({**record, "durable_env_steps": 1048}))
+    line = "coma, independent 1,048, ia2c, independent 40, ippo, independent 40."
+    assert said(made(root)).count(f"rounded up to whole iterations): {line}") == 2
 
 
 def test_intervals_over_few_seeds_are_said_to_be_too_narrow(keep_run: KeepRun, root: Path) -> None:

@@ -1,4 +1,4 @@
-"""The peer's program needs what Headway does not install: it says so."""
+"""The peer's program needs what Headway does not install, and says so; its values are the experiment's."""
 
 import sys
 
@@ -14,3 +14,34 @@ def test_without_stable_baselines3_one_line_says_what_to_install(
     monkeypatch.setattr(sys, "argv", ["spread_peer", "--seeds", "0"])
     assert spread_peer.main() == 2
     assert "pip install stable-baselines3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--seeds", "0", "-1"], "--seeds must be at least 0, not -1"),
+        (["--env-steps", "0"], "--env-steps must be at least 1, not 0"),
+        (["--episodes", "-3"], "--episodes must be at least 1, not -3"),
+        (["--episodes", "many"], "argument --episodes: invalid int value: 'many'; see --help"),
+    ],
+)
+def test_bad_numbers_are_one_line(
+    words: list[str], line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["spread_peer", *words])
+    assert spread_peer.main() == 2
+    told = capsys.readouterr()
+    assert told.err == f"headway: {line}\n"
+    assert told.out == ""
+
+
+def test_the_peer_has_the_values_of_the_experiment() -> None:
+    """As README's figures of it were made with."""
+    experiment = spread_peer.spread_experiment()
+    assert dict(experiment.config.env.args) == {"N": 3, "max_cycles": 25, "local_ratio": 0.5}
+    assert experiment.config.rollout.copies == 20
+    assert spread_peer.hyper_parameters(experiment) == {
+        "n_steps": 100, "batch_size": 750, "policy_kwargs": {"net_arch": [64, 64]}, "learning_rate": 5e-4,
+        "n_epochs": 5, "gamma": 0.99, "gae_lambda": 0.95, "clip_range": 0.2, "ent_coef": 0.01, "vf_coef": 1.0,
+        "max_grad_norm": 0.5,
+    }  # fmt: skip

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from headway.contracts import HeadwayError, Observed, Rule
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.prepared import Prepared
-from headway_envs.bus.scenario.network import patterns_by_line, trips_of_day
+from headway_envs.bus.scenario.network import pattern_rows
 from headway_envs.bus.scenario.sunt.records import find_days, read_day
 from headway_envs.bus.scenario.tables import Tables
 
@@ -133,8 +133,7 @@ def _by(rule: Rule, env: BusBatchedEnv) -> Callable[[Observed], NDArray[np.int64
 def _trips_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
     """line, dir, pattern, trip, seq0, calls, stop and visit of every entry of the trace."""
     network = prepared.network
-    lines = patterns_by_line(tables, trips_of_day(tables, prepared.config))
-    patterns = np.array([pattern for group in lines.values() for pattern in group])
+    patterns = np.array(pattern_rows(tables, prepared.config))
     stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"].apply(list)
     names = tables.patterns.set_index("pattern")
     counts = np.diff(network.pattern_calls)[network.trip_pattern]

@@ -1,6 +1,6 @@
 """Simulated beside measured figures."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import prepare_replay, source_of
 from headway_envs.bus.realism import figures
 from headway_envs.bus.realism.calls import recorded_day, simulated_days
-from headway_envs.bus.realism.measured import TOLERANCES, WHOLE_CITY
+from headway_envs.bus.realism.measured import CITY_LINES, NEARLY_ALL, TOLERANCES, WHOLE_CITY
 from headway_envs.bus.scenario.fitted import DOI, SYNTHETIC
+from headway_envs.bus.scenario.measures import metres_along
 from headway_envs.bus.scenario.network import trips_of_day
 from headway_envs.bus.scenario.tables import Tables
 
@@ -37,6 +38,8 @@ class Row:
     """The most that the mean may be off."""
     source: str
     """On what it was measured."""
+    judged: bool = True
+    """False: it was measured over a whole city, of which the scenario has too few lines to show it."""
 
     @property
     def off(self) -> float:
@@ -49,14 +52,23 @@ class Row:
         return bool(abs(self.off) <= self.tolerance)
 
 
-def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path | None = None) -> list[Row]:
+def compare_replay(
+    tables: Tables,
+    config: BusConfig,
+    days: int,
+    records: Path | None = None,
+    after_day: Callable[[], None] = lambda: None,
+) -> list[Row]:
     """The figures of `days` days replayed, always MOVE, beside the measured ones of `config.day_type`.
 
     Trips and boardings are measured by the scenario's tables. Headways along the route and loads are by
     records below the folder `records` where it is given (and holds fares, for loads), else those of the whole
-    city, if the tables are SUNT's; else they are left out, as are boardings that were made up. The hours of
-    `config` are replaced by `HOURS`. Raises HeadwayError for tables that are made up or scheduled, and as
-    `prepare_replay`, `simulated_days`, `recorded_day` and `figures.of_trips` do."""
+    city, if the tables are SUNT's, and are not judged where these are an extract of few lines; else they are
+    left out, as are boardings that were made up. The hours of `config` are replaced by `HOURS`. `after_day`
+    is called when a day has been simulated.
+
+    Raises HeadwayError for tables that are made up or scheduled, and as `prepare_replay`, `simulated_days`,
+    `recorded_day` and `figures.of_trips` do."""
     if made_up := _made_up(tables):
         raise HeadwayError(
             f"SCENARIO: {made_up}, nothing was measured there; give a scenario of recorded trips, "
@@ -72,7 +84,9 @@ def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path |
     for calls in simulated_days(tables, prepared, days):
         day = figures.of_trips(figures.trips_of(calls, km))
         found.append({**day, **figures.of_headways(calls), **figures.of_passengers(calls)})
+        after_day()
     simulated = pd.DataFrame(found)
+    is_city = lines_of(tables, config) >= NEARLY_ALL * CITY_LINES[config.day_type]
     rows = []
     for figure, tolerance in TOLERANCES.items():
         value, source = measured.get(figure, (np.nan, ""))
@@ -80,17 +94,21 @@ def compare_replay(tables: Tables, config: BusConfig, days: int, records: Path |
             continue
         mean = float(simulated[figure].mean())
         deviation = float(simulated[figure].std()) if days > 1 else None
-        rows.append(Row(figure, mean, deviation, value, tolerance.of(value), source))
+        rows.append(
+            Row(figure, mean, deviation, value, tolerance.of(value), source, source != CITY or is_city)
+        )
     return rows
+
+
+def lines_of(tables: Tables, config: BusConfig) -> int:
+    """How many lines have trips on the day."""
+    patterns = trips_of_day(tables, config)["pattern"]
+    return int(tables.patterns.set_index("pattern")["line"].reindex(patterns).nunique())
 
 
 def call_km(tables: Tables) -> "pd.Series[float]":
     """Distance from the pattern's first call along its links, by pattern and seq0, in order."""
-    calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
-    metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
-    legs = pd.Series(metres.to_numpy() / 1000.0, index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
-    legs[calls["seq0"].to_numpy() == 0] = 0.0
-    return legs.groupby("pattern").cumsum()
+    return metres_along(tables) / 1000.0
 
 
 def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:

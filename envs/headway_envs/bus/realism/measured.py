@@ -56,6 +56,11 @@ WHOLE_CITY: Mapping[str, Mapping[str, float]] = {
 }
 """By day type and name of the figure, as `figures` takes them, over all lines."""
 
+CITY_LINES: Mapping[str, int] = {"weekday": 382, "sunday": 253}
+"""Lines with trips on that day, by day type."""
+NEARLY_ALL = 0.9
+"""Share of the lines from which a scenario can show the city's figures."""
+
 
 @dataclass(frozen=True)
 class Tolerance:

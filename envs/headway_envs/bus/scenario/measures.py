@@ -23,6 +23,15 @@ def distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
     return np.asarray(np.hypot(north, east), dtype=np.float64)
 
 
+def metres_along(tables: Tables) -> "pd.Series[float]":
+    """Distance from the pattern's first call along its links, m, by pattern and seq0, in order."""
+    calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
+    metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
+    legs = pd.Series(metres.to_numpy(), index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
+    legs[calls["seq0"].to_numpy() == 0] = 0.0
+    return legs.groupby("pattern").cumsum()
+
+
 def link_loads(tables: Tables, day: str) -> pd.DataFrame:
     """One row a call (pattern, seq0, stop, link) with `load`: passengers a day on the way to it, when all
     board and alight as the tables say and no bus is too full."""

@@ -33,9 +33,9 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
     Raises HeadwayError where the day type has no trips, demand or travel times."""
     day = config.day_type
     trips = trips_of_day(tables, config)
-    lines = patterns_by_line(tables, trips)
+    lines = _patterns_by_line(tables, trips)
     patterns = [pattern for group in lines.values() for pattern in group]
-    calls = _calls(tables, patterns)
+    calls = calls_of(tables, patterns)
     call_counts = calls.groupby("p").size().to_numpy(np.int64)
     pattern_calls = _offsets(call_counts)
     spread = as_observed if replay else smooth
@@ -98,7 +98,14 @@ def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
     return trips
 
 
-def patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]]:
+def pattern_rows(tables: Tables, config: BusConfig) -> list[int]:
+    """The pattern, by its number in the tables, of each of the network's patterns. Raises as `trips_of_day`
+    does."""
+    lines = _patterns_by_line(tables, trips_of_day(tables, config))
+    return [pattern for group in lines.values() for pattern in group]
+
+
+def _patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]]:
     """Patterns that run, by line, in the network's order: {line: patterns}."""
     running = tables.patterns[tables.patterns["pattern"].isin(trips["pattern"])]
     lines: dict[str, list[int]] = {}
@@ -107,8 +114,9 @@ def patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]
     return lines
 
 
-def _calls(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
-    """One row a call (Q), pattern after pattern: p (index), pattern, seq0, stop, link, lat, lon."""
+def calls_of(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
+    """One row a call (Q), pattern after pattern in the order given: p (index), pattern, seq0, stop, link,
+    lat, lon."""
     place = pd.Series(range(len(patterns)), index=list(patterns))
     calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(patterns)].copy()
     calls["p"] = place.reindex(calls["pattern"]).to_numpy()

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.realism import figures
+from headway_envs.bus.realism import figures, measured
 from headway_envs.bus.realism.comparing import (
     CITY,
     HOURS,
@@ -77,6 +78,16 @@ def test_a_figure_that_no_simulated_day_has_does_not_hold(recorded: Tables) -> N
     rows = {row.figure: row for row in compare_replay(nobody, BusConfig(), 1)}
     assert np.isnan(rows[figures.RIDE].simulated), "nobody rode"
     assert not rows[figures.RIDE].holds
+
+
+def test_few_lines_are_not_held_to_the_whole_city(recorded: Tables, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = replace(recorded, meta={"source": f"a test of doi:{DOI}"})
+    days: list[int] = []
+    rows = compare_replay(few, BusConfig(), 2, after_day=lambda: days.append(1))
+    assert len(days) == 2
+    assert {row.source: row.judged for row in rows} == {OWN: True, CITY: False}
+    monkeypatch.setitem(cast(dict[str, int], measured.CITY_LINES), "weekday", 1)
+    assert all(row.judged for row in compare_replay(few, BusConfig(), 1))
 
 
 def test_trips_that_arrive_after_the_service_day_are_not_measured(recorded: Tables) -> None:
