@@ -76,7 +76,7 @@ def difference_of_means(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDEN
     if min(len(left), len(right)) < 2:
         raise ValueError("an interval needs at least two seeds of each")
     estimate, low, high = float(left.mean() - right.mean()), float("nan"), float("nan")
-    if left.std() > 0 or right.std() > 0:
+    if np.ptp(left) > 0 or np.ptp(right) > 0:
         found = stats.ttest_ind(left, right, equal_var=False).confidence_interval(confidence)
         low, high = float(found.low), float(found.high)
     return Interval(estimate, low, high, confidence, "Welch's t over seeds")

@@ -50,8 +50,9 @@ def keep_run(root: Path) -> Callable[..., Path]:
         parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
         env, algo = experiment.config.env.id, experiment.algo_name
         mapping = full_mapping(experiment, [seed])
+        policies = str(mapping["algo"]["policies"])
         elsewhere = replace(Process.current(), host="elsewhere")
-        record = RunRecord("", study, env, algo, seed, 4, now(), elsewhere, status, "independent")
+        record = RunRecord("", study, env, algo, seed, 4, now(), elsewhere, status, policies)
         run_id, directory = create_run_folder(root, study, replace(record, parameters=parameters).cell, seed)
         tags = {"version.headway": "0.1.0", "git.dirty": "true"}
         record = replace(record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40)
