@@ -93,8 +93,8 @@ def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module wi
     settings: dict[str, Any] = {
         "configure_logging": False,
         "log_to_driver": False,
-        # Workers find the modules that are found here, as processes do.
-        "job_config": ray.job_config.JobConfig(_py_driver_sys_path=[path for path in sys.path if path]),
+        # Workers find the modules that are found here, as processes do. Ray puts one path before the other.
+        "job_config": ray.job_config.JobConfig(_py_driver_sys_path=[path for path in sys.path[::-1] if path]),
     }
     if address == "local":
         _remove_left_folders()

@@ -1,8 +1,10 @@
 """Addresses of Ray clusters: what cannot be used is told in one line."""
 
+import importlib
 import socket
 import threading
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -29,6 +31,27 @@ def test_an_address_without_a_cluster_is_told_in_one_line(monkeypatch: pytest.Mo
     assert "no Ray cluster answers at backend.address=nowhere.invalid:1" in _refusal("nowhere.invalid:1")
     monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")
     assert "no Ray cluster answers" in _refusal("auto")
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
+def test_workers_find_the_modules_that_are_found_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two of a name, as where another checkout is installed, the same one."""
+    for place in ("installed", "first"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "crossroads.py").write_text(f"PLACE = {place!r}")
+        monkeypatch.syspath_prepend(tmp_path / place)
+    cluster.connect("local")
+    try:
+        import ray
+
+        def place() -> str:
+            return str(importlib.import_module("crossroads").PLACE)
+
+        assert ray.get(ray.remote(num_cpus=0)(place).remote()) == "first"
+    finally:
+        cluster.disconnect()
 
 
 def _answered(server: socket.socket, port: int) -> str:
