@@ -1,12 +1,16 @@
 """Addresses of Ray clusters: what cannot be used is told in one line."""
 
 import importlib
+import os
 import socket
+import subprocess
+import sys
 import threading
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from ray_processes import assert_gone, ray_processes
 
 from headway.config import BackendConfig
 from headway.contracts import HeadwayError
@@ -52,6 +56,31 @@ def test_workers_find_the_modules_that_are_found_here(
         assert ray.get(ray.remote(num_cpus=0)(place).remote()) == "first"
     finally:
         cluster.disconnect()
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
+def test_a_cluster_that_asks_for_a_token_says_so(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ray._private import ray_constants
+
+    monkeypatch.setattr(ray_constants, "NUM_REDIS_GET_RETRIES", 2)
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    before = ray_processes()
+    head = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--node-ip-address=127.0.0.1"]
+    head += [f"--port={port}", "--num-cpus=0", "--include-dashboard=false"]
+    head += [f"--temp-dir={tmp_path_factory.mktemp('ray')}", f"--object-store-memory={10**8}"]
+    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0" * 64, "RAY_USAGE_STATS_ENABLED": "0"}
+    try:
+        subprocess.run(head, env={**os.environ, **token}, check=True, capture_output=True, timeout=120)
+        refusal = _refusal(f"127.0.0.1:{port}")
+    finally:
+        for process in ray_processes() - before:
+            process.kill()
+    assert_gone(before)
+    assert f"the Ray cluster at 127.0.0.1:{port} asks for a token: set RAY_AUTH_MODE=token" in refusal
 
 
 def _answered(server: socket.socket, port: int) -> str:
