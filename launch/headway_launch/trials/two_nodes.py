@@ -224,17 +224,18 @@ def _start_ray(host: Host, environment: dict[str, str], told: Path, words: Seque
 def _until_at_work(
     session: "subprocess.Popen[bytes]", root: Path, node: Host, turn: Turn, errors: Path
 ) -> list[psutil.Process]:
-    """Wait until something is durable and the node has its part of the work; its actors."""
+    """Wait until the node has its part of the work and something of each run is durable; its actors."""
     actors: list[psutil.Process] = []
 
     def at_work() -> bool:
         actors[:] = [process for process in node.processes() if _calls_itself(process, turn.actor)]
         if session.poll() is not None:
             raise HeadwayError(f"the session ended before the second node had any work: {_last_line(errors)}")
-        return bool(actors) and _iterations(root) > 0
+        return bool(actors) and min(_iterations(root), default=0) > 0
 
     until(at_work)
-    print(f"{len(actors)} actors on the second node, {_iterations(root)} iterations done", flush=True)
+    done = sum(_iterations(root))
+    print(f"{len(actors)} actors on the second node, {done} iterations done", flush=True)
     return actors
 
 
@@ -296,8 +297,9 @@ def _calls_itself(process: psutil.Process, name: str) -> bool:
         return False
 
 
-def _iterations(root: Path) -> int:
-    return sum(row.iterations for row in RunIndex(root).rows(STUDY)) if root.exists() else 0
+def _iterations(root: Path) -> list[int]:
+    """Of each run that has begun, as far as durable."""
+    return [row.iterations for row in RunIndex(root).rows(STUDY)] if root.exists() else []
 
 
 def _figures(table: str) -> list[list[str]]:
