@@ -40,11 +40,12 @@ sweep: $(STAMP) ## train one experiment over many seeds: CONFIG=bus_mappo SEEDS=
 test: $(STAMP) ## run the tests
 	@$(BIN)/python -m pytest $(ARGS)
 
-check: $(STAMP) ## formatting, lint, types and tests, as CI does; with apt and root, installs Chromium for them
+check: $(STAMP) ## formatting, lint, types and tests, as CI does; with apt and root, installs Chromium and Slurm for them
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
 	@.ci/install_browser
+	@.ci/install_cluster
 	$(BIN)/python -m pytest -q $(ARGS)
 
 lint: $(STAMP) ## look for mistakes and bad style

@@ -75,7 +75,8 @@ class CellWork:
         """What the training process of a job is given."""
         directories = [run.directory for run in runs]
         resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
-        return planned.training_job(planned.config, workers_of(planned, shares), directories, resume)
+        gates = [run.gate for run in runs]
+        return planned.training_job(planned.config, workers_of(planned, shares), directories, gates, resume)
 
     def play_rules(self, played: dict[str, Rules]) -> None:
         """Let the rules play beside the finished seeds, once for all cells of the same environment (in

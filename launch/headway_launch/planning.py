@@ -43,9 +43,15 @@ class PlannedJob:
     """Rollout workers that its checkpoint knows; None for a new job, which takes its share of the cores."""
 
     def training_job(
-        self, config: ExperimentConfig, workers: int, directories: Sequence[Path], resume: bool = False
+        self,
+        config: ExperimentConfig,
+        workers: int,
+        directories: Sequence[Path],
+        gates: Sequence[Path] = (),
+        resume: bool = False,
     ) -> TrainingJob:
-        """What its training process is given: how it trains here and now, and the folder of each seed."""
+        """What its training process is given: how it trains here and now, and the folder of each seed, with
+        the gate to it if it has one."""
         experiment = self.experiment
         return TrainingJob(
             make_env=experiment.env.make,
@@ -59,6 +65,7 @@ class PlannedJob:
             config=replace(config, seed=self.seeds),
             workers=workers,
             directories=tuple(str(directory) for directory in directories),
+            gates=tuple(str(gate) for gate in gates),
             resume=resume,
             training_prepared=self.training_prepared,
             make_contributor=experiment.algo.contributor,

@@ -73,6 +73,9 @@ class TrainingJob:
     workers: int
     directories: tuple[str, ...]
     """Run folders, one a seed."""
+    gates: tuple[str, ...] = ()
+    """Through which the run folders are written, one a seed (see `headway.store.gate`); empty: there are
+    none."""
     resume: bool = False
     training_prepared: Any = None
     """What `prepare` gave for the training arguments; None: the same."""
@@ -85,6 +88,11 @@ class TrainingJob:
     def checkpoints(self) -> tuple[Path, ...]:
         """Folders of checkpoints, one a seed."""
         return tuple(Path(directory, CHECKPOINTS) for directory in self.directories)
+
+    @property
+    def ways(self) -> tuple[Path | None, ...]:
+        """Its gates, one a seed; None where there are none."""
+        return tuple(map(Path, self.gates)) or (None,) * len(self.directories)
 
     def plan(self) -> RolloutPlan:
         """What decides this job's draws."""
@@ -116,7 +124,8 @@ class _Training:
 
     def __init__(self, job: TrainingJob, report: Callable[[Event], None]) -> None:
         self.job, self.config, self.report = job, job.config, report
-        self.logs = [RunLog(Path(directory)) for directory in job.directories]
+        folders = zip(job.directories, job.ways, strict=True)
+        self.logs = [RunLog(Path(directory), gate) for directory, gate in folders]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
         self.collector, self.mode = _opened(job, self.learner, lambda line: report(Notice(line)))
         self.iteration = 0
@@ -154,7 +163,7 @@ class _Training:
             self._checkpoint()
         if self.iteration >= total:
             # Here, and not with the last checkpoint: the session before may have died just after that.
-            remove_experience(self.job.checkpoints[0])
+            remove_experience(self.job.checkpoints[0], self.job.ways[0])
         stopped = self.iteration < total
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
@@ -248,9 +257,10 @@ class _Training:
             log.commit(self.iteration)
         content = checkpoint_bytes(state)
         if experience is not None:
-            write_experience(self.job.checkpoints[0], self.iteration, checkpoint_bytes(experience))
-        for directory in self.job.checkpoints:
-            write_checkpoint(directory, self.iteration, content)
+            kept = checkpoint_bytes(experience)
+            write_experience(self.job.checkpoints[0], self.iteration, kept, self.job.ways[0])
+        for directory, gate in zip(self.job.checkpoints, self.job.ways, strict=True):
+            write_checkpoint(directory, self.iteration, content, gate)
         self.saved_iteration = self.iteration
         self.store_s += time.monotonic() - began
         self.report(CheckpointSaved(self.iteration))

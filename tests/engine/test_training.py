@@ -27,7 +27,8 @@ from headway.events import (
 )
 from headway.rollout.crew import WorkerFailedError
 from headway.rollout.episodes import evaluation_seeds
-from headway.store.checkpoint import write_checkpoint
+from headway.store.checkpoint import latest_iteration, write_checkpoint
+from headway.store.gate import open_gate
 from headway.store.log import RunLog, read_rows
 from headway.training import TrainingJob, train
 
@@ -260,9 +261,9 @@ def test_a_stack_killed_between_two_writes_loses_nothing(
         if written > writes:
             raise KeyboardInterrupt
 
-    def save(directory: Path, iteration: int, content: bytes) -> Path:
+    def save(directory: Path, iteration: int, content: bytes, gate: Path | None) -> Path:
         count()
-        return write_checkpoint(directory, iteration, content)
+        return write_checkpoint(directory, iteration, content, gate)
 
     class CountedLog(RunLog):
         def commit(self, iteration: int) -> None:
@@ -282,7 +283,7 @@ def test_a_stack_killed_between_two_writes_loses_nothing(
 def test_rows_of_a_session_that_died_before_its_first_checkpoint_are_not_doubled(
     whole: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def die(directory: Path, iteration: int, content: bytes) -> Path:
+    def die(directory: Path, iteration: int, content: bytes, gate: Path | None) -> Path:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -292,6 +293,34 @@ def test_rows_of_a_session_that_died_before_its_first_checkpoint_are_not_doubled
     assert log_of(tmp_path / "5")["curve"]
     trained(job := job_of(tmp_path))
     assert logs_of(job) == [whole]
+
+
+@pytest.mark.parametrize("asked", [0, 1, 3, 4, 5])
+def test_a_training_that_was_taken_over_changes_nothing_when_it_goes_on(
+    whole: Log, tmp_path: Path, asked: int
+) -> None:
+    """As on a machine that was cut off, given up for lost, and still works: it goes on when the other has
+    ended."""
+    (tmp_path / "5").mkdir()
+    job = job_of(tmp_path)
+
+    def gated(resume: bool) -> TrainingJob:
+        return replace(job, gates=(str(open_gate(tmp_path / "5")),), resume=resume)
+
+    questions = 0
+
+    def take_over() -> bool:
+        nonlocal questions
+        if questions == asked:
+            trained(gated(resume=asked > 1))
+        questions += 1
+        return False
+
+    with pytest.raises(HeadwayError, match="another training process has taken over"):
+        train(gated(resume=False), lambda event: None, take_over)
+    assert asked < questions <= asked + 3
+    assert logs_of(job) == [whole]
+    assert latest_iteration(job.checkpoints[0]) == 6
 
 
 def test_a_stack_resumes_from_whichever_of_its_folders_holds_the_newest_whole_checkpoint(

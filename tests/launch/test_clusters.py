@@ -41,6 +41,7 @@ TINY = (
     "store.checkpoint_every=4",
     "backend.workers=2",
 )
+LONG = (*TINY, "env_steps=5120")
 PATIENCE_S = 180.0
 
 
@@ -74,61 +75,62 @@ def _kept(folder: Path) -> int:
     return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
 
 
-@needs_ray
-def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(tmp_path: Path) -> None:
-    here, there = tmp_path / "process", tmp_path / "ray"
-    here.mkdir()
-    there.mkdir()
-    long = (*TINY, "env_steps=5120")
-    with _started("run", *long, folder=here) as process:
+def _until_kept(process: "subprocess.Popen[str]", folder: Path) -> None:
+    """Wait for the first checkpoint."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not _kept(folder):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the same was trained by processes."""
+    folder = tmp_path_factory.mktemp("process")
+    with _started("run", *LONG, folder=folder) as process:
         _, told = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, told
+    return folder
+
+
+@needs_ray
+def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
+    by_processes: Path, tmp_path: Path
+) -> None:
     before = ray_processes()
-    with _started("run", *long, "backend=ray", folder=there) as process:
-        deadline = time.monotonic() + PATIENCE_S
-        while not _kept(there):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+    with _started("run", *LONG, "backend=ray", folder=tmp_path) as process:
+        _until_kept(process, tmp_path)
         process.kill()
         process.communicate(timeout=PATIENCE_S)
     assert_gone(before)
-    killed = _runs(there)
-    assert 0 < _kept(there) < 40
-    with _started("resume", *(row.run_id for row in killed.values()), folder=there) as process:
+    killed = _runs(tmp_path)
+    assert 0 < _kept(tmp_path) < 40
+    with _started("resume", *(row.run_id for row in killed.values()), folder=tmp_path) as process:
         _, told = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, told
     assert "(raylet)" not in told
-    ended, expected = _runs(there), _runs(here)
+    ended, expected = _runs(tmp_path), _runs(by_processes)
     assert [row.status for row in ended.values()] == ["FINISHED"]
     assert _tables(ended[3]) == _tables(expected[3])
     assert_gone(before)
 
 
 @needs_ray
-def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(tmp_path: Path) -> None:
-    here, there = tmp_path / "process", tmp_path / "ray"
-    here.mkdir()
-    there.mkdir()
-    long = (*TINY, "env_steps=5120")
-    with _started("run", *long, folder=here) as process:
-        _, told = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, told
+def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
+    by_processes: Path, tmp_path: Path
+) -> None:
     before = ray_processes()
     sweep = (
         "sweep",
-        *long,
+        *LONG,
         "algo=ippo,ia2c",
         "backend=ray",
         "backend.learners=cluster",
         "backend.parallel=1",
     )
-    with _started(*sweep, folder=there) as process:
-        deadline = time.monotonic() + PATIENCE_S
-        while not _kept(there) > 0:
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+    with _started(*sweep, folder=tmp_path) as process:
+        _until_kept(process, tmp_path)
         hosts = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
         (host,) = hosts
         children = host.children(recursive=True)
@@ -139,9 +141,9 @@ def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(tmp_pat
         told.count("its training process was lost (its worker process has died); it goes on elsewhere") == 1
     )
     assert not any(child.is_running() for child in children)
-    ended = {row.algorithm: row for row in RunIndex(there / "runs").rows()}
+    ended = {row.algorithm: row for row in RunIndex(tmp_path / "runs").rows()}
     assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
-    assert _tables(ended["ippo"]) == _tables(_runs(here)[3])
+    assert _tables(ended["ippo"]) == _tables(_runs(by_processes)[3])
     assert_gone(before)
 
 
@@ -152,11 +154,7 @@ def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     with _started(
         "run", *TINY, "backend=ray", "backend.workers=2", "env_steps=1e8", folder=tmp_path
     ) as process:
-        deadline = time.monotonic() + PATIENCE_S
-        while not _kept(tmp_path):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        _until_kept(process, tmp_path)
         os.killpg(process.pid, signal.SIGINT)
         _, told = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 130, told

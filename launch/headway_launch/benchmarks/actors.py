@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 
 from headway.config import BackendConfig
 from headway.configuration import build
@@ -24,6 +25,8 @@ TASKS = {
 }
 """All of 4,000 environment steps an iteration."""
 _REPEATS = 50
+_LARGE = 16 * 2**20
+"""Bytes of an answer large enough for its size to be what it costs."""
 
 
 def report() -> None:
@@ -71,8 +74,28 @@ def _report_wire() -> None:
                 collector.close()
             size = sum(array.nbytes for array in parameters.values())
             print(f"| {name} | {sent:,.0f} | {size:,} | {put:.2f} | {collected:.1f} |", flush=True)
+        _report_messages()
     finally:
         disconnect()
+
+
+class _Answering:
+    """An actor that answers with as many bytes as it is asked for."""
+
+    def give(self, count: int) -> NDArray[np.uint8]:
+        return np.zeros(count, np.uint8)
+
+
+def _report_messages() -> None:
+    import ray
+
+    actor = ray.remote(num_cpus=0)(_Answering).remote()
+    small = _median_ms(lambda: ray.get(actor.give.remote(1)))
+    # Copied once, as experience is, to its place in the trajectory.
+    large = _median_ms(lambda: ray.get(actor.give.remote(_LARGE)).copy())
+    ray.kill(actor)
+    print("\n| a call and its answer, ms | each further MB of an answer, ms |\n|---:|---:|")
+    print(f"| {small:.2f} | {(large - small) / (_LARGE / 1e6):.2f} |", flush=True)
 
 
 def _plan_of(task: Task) -> RolloutPlan:

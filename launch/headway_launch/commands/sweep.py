@@ -2,7 +2,10 @@
 
 import argparse
 
+from headway.contracts.errors import HeadwayError
 from headway_launch.commands.run import add_dry_run_argument
+
+_OF_ALLOCATION = ("nodes", "cpus", "time", "partition")
 
 EXAMPLES = """\
 examples:
@@ -10,11 +13,14 @@ examples:
   headway sweep experiment=bus_mappo algo=ippo,mappo seed=0..9 backend.parallel=8
   headway sweep env=bus algo=ippo,mappo,ia2c 'algo.lr=choice(1e-3,3e-4)' 'seed=range(0,10)' study=rates
   headway sweep experiment=bus_mappo algo=ippo,mappo seed=0..9 --dry-run
+  headway sweep experiment=bus_mappo seed=0..49 --slurm --nodes 4 --cpus 32 --time 12:00:00
+  headway sweep experiment=bus_mappo seed=0..49 --slurm --array --cpus 8 --time 12:00:00
 
 KEY=VALUE as for `headway run`; several values, in Hydra's grammar, make a cell each: a,b, choice(a,b),
 range(0,5), for an option of a group glob(*). All cells and seeds train side by side, as many at once as
 there are cores. The same sweep given again goes on where it stopped: runs that have finished are left
 alone, those that stopped go on from their checkpoints. A changed configuration is a new cell of the study.
+With --slurm it trains nothing, but writes a script for sbatch and says where.
 Exit code: 0 all have finished, 2 some failed (the others have gone on), 130 stopped.
 """
 
@@ -24,10 +30,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
     add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
+    slurm = parser.add_argument_group("for Slurm")
+    slurm.add_argument(
+        "--slurm",
+        action="store_true",
+        help="write the script of a job that starts a Ray cluster in its allocation and sweeps on it",
+    )
+    slurm.add_argument(
+        "--array", action="store_true", help="of an array of jobs instead, a seed each, without Ray"
+    )
+    slurm.add_argument("--nodes", type=int, help="nodes of the allocation (1)")
+    slurm.add_argument("--cpus", type=int, help="CPUs of each node (1)")
+    slurm.add_argument("--time", help="such as 12:00:00; as the partition has it, if left out")
+    slurm.add_argument("--partition", help="where jobs go by themselves, if left out")
+    slurm.add_argument(
+        "--sbatch",
+        metavar="OPTION",
+        action="append",
+        help="a further option, such as --sbatch=--mem=8G; may be repeated",
+    )
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Train; returns the exit code."""
+    """Train, or write a script for Slurm; returns the exit code."""
+    if arguments.slurm:
+        return _write_script(arguments)
+    for name in ("array", *_OF_ALLOCATION, "sbatch"):
+        if getattr(arguments, name) not in (None, False):
+            raise HeadwayError(f"--{name} is for Slurm: give --slurm with it")
     from headway_launch.threads import limit_threads
 
     limit_threads()
@@ -41,3 +71,18 @@ def execute(arguments: argparse.Namespace) -> int:
 
         return print_estimate(session.standings, session.cells)
     return session.conductor(arguments.debug).conduct()
+
+
+def _write_script(arguments: argparse.Namespace) -> int:
+    from headway_launch.slurm import Allocation, write_array_script, write_cluster_script
+    from headway_launch.telling import tell
+
+    if arguments.dry_run or arguments.fresh:
+        raise HeadwayError("--slurm goes on where the store stops: leave --dry-run and --fresh out")
+    asked = {name: getattr(arguments, name) for name in _OF_ALLOCATION}
+    given = {name: value for name, value in asked.items() if value is not None}
+    write = write_array_script if arguments.array else write_cluster_script
+    path = write(arguments.overrides, Allocation(**given, further=tuple(arguments.sbatch or ())))
+    print(path)
+    tell(f"submit it, and again to go on where it stopped, with: sbatch {path}")
+    return 0

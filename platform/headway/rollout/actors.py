@@ -230,6 +230,8 @@ class ActorLink:
         self.arriving = actor.place.remote()
         self.place: Place | None = None
         self.asked: Any = None
+        self.lost_with_machine = False
+        """See `Link`."""
 
     @property
     def process_id(self) -> int | None:
@@ -253,6 +255,7 @@ class ActorLink:
             self._arrive()
             content, experience = ray.get(self.asked)
         except ray.exceptions.RayError as error:
+            self.lost_with_machine = is_loss_of_machine(error)
             return reason_of(error)
         answer: Done | Broken = pickle.loads(content)
         if isinstance(answer, Broken):
@@ -283,11 +286,19 @@ def reason_of(error: Exception) -> str:
         return type(error).__name__
     if "in its creation task" in lines[0]:
         return lines[-1].strip()
+    if isinstance(error, ray.exceptions.ActorUnavailableError):
+        return "its machine cannot be reached"
     text = " ".join(" ".join(lines).split())
     because, code = _BECAUSE.search(text), _EXIT_CODE.search(text)
     if because is None:
         return f"{type(error).__name__}: {text[:_REASON_LENGTH]}"
     return f"{because[1]}, exit code {code[1]}" if code else because[1]
+
+
+def is_loss_of_machine(error: Exception) -> bool:
+    """Whether it is said, or likely, that an actor, or what it answered, was lost with the machine."""
+    lost = (ray.exceptions.ActorUnavailableError, ray.exceptions.ObjectLostError)
+    return isinstance(error, lost) or reason_of(error).startswith("its node ")
 
 
 def experience_of(trajectory: Trajectory) -> Experience:

@@ -23,6 +23,8 @@ from headway.contracts import HeadwayError
 _REACHED_S = 5.0
 _FOLDER = "headway-ray-"
 _FIX = "start one with `ray start --head`, or set backend.address=HOST:PORT or local"
+_NO_TOKEN = "InvalidAuthToken"
+"""In what Ray says where a token is missing or another one."""
 _HTTP2_SETTINGS = b"\x04"
 _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _HTTP2_SETTINGS + b"\0\0\0\0\0"
 """How a client of gRPC, which Ray's head speaks, begins (RFC 9113, 3.4); the answer begins with settings."""
@@ -93,8 +95,8 @@ def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module wi
     settings: dict[str, Any] = {
         "configure_logging": False,
         "log_to_driver": False,
-        # Workers find the modules that are found here, as processes do.
-        "job_config": ray.job_config.JobConfig(_py_driver_sys_path=[path for path in sys.path if path]),
+        # Workers find the modules that are found here, as processes do. Ray puts one path before the other.
+        "job_config": ray.job_config.JobConfig(_py_driver_sys_path=[path for path in sys.path[::-1] if path]),
     }
     if address == "local":
         _remove_left_folders()
@@ -117,6 +119,11 @@ def _connect_anew(ray: Any, address: str) -> None:  # noqa: ANN401 - a module wi
                 f"backend.address=auto finds no Ray cluster on this machine; {_FIX}"
             ) from error
         where = "" if address == "local" else f" at {address}"
+        if _NO_TOKEN in f"{error} {error.__cause__}":
+            raise HeadwayError(
+                f"the Ray cluster{where} asks for a token: set RAY_AUTH_MODE=token, here and where nodes are "
+                "started, and RAY_AUTH_TOKEN unless ~/.ray/auth_token is the head's"
+            ) from error
         raise HeadwayError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error
 
 

@@ -22,6 +22,11 @@ class Link(Protocol):
         ...
 
     @property
+    def lost_with_machine(self) -> bool:
+        """What `receive` said last is that its machine was lost, or cannot be reached."""
+        ...
+
+    @property
     def waitable(self) -> Any:  # noqa: ANN401 - a pipe, or whatever else a workplace waits for
         """Ready, for `Workplace.wait`, once it has answered or died."""
         ...
@@ -56,6 +61,11 @@ class Workplace(Protocol):
         ...
 
 
+_LOST_MACHINES = 3
+"""How often in a row the machine under a worker may be lost: until that is known in the whole cluster, a new
+worker may be sent to the same one."""
+
+
 @dataclass
 class _Worker:
     """A worker and what is known of it."""
@@ -68,6 +78,8 @@ class _Worker:
     usage: Usage = field(default_factory=Usage)
     repeats: list[Command] = field(default_factory=list)
     """What it has yet to carry out in place of one that failed; the first is under way."""
+    lost_machines: int = 0
+    """Machines under those before it that were lost since a command was last carried out."""
 
     def remember(self, command: Command, done: Done) -> None:
         """Note what it says of itself after a command."""
@@ -145,12 +157,13 @@ class Crew:
         if isinstance(answer, Done):
             worker.remember(worker.repeats.pop(0) if worker.repeats else command, answer)
             if not worker.repeats:
+                worker.lost_machines = 0
                 return answer
             worker.link.send(worker.repeats[0])
             return None
         if isinstance(answer, Broken) and answer.is_users:
             raise HeadwayError(answer.line)
-        if not worker.repeats:
+        if not worker.repeats or (worker.link.lost_with_machine and worker.lost_machines < _LOST_MACHINES):
             self._replace(shard, command, answer)
             return None
         if isinstance(answer, Broken):
@@ -166,6 +179,7 @@ class Crew:
         worker = self.workers[shard] = _Worker(self.workplace.start(shard))
         # Where the repetition begins: a checkpoint may be written before it is over.
         worker.begun, worker.snapshot = old.begun, old.snapshot
+        worker.lost_machines = old.lost_machines + old.link.lost_with_machine
         worker.repeats = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
         if not isinstance(command, Begin | Restore) and old.begun:
@@ -177,7 +191,7 @@ class Crew:
 
 
 class WorkerFailedError(HeadwayError):
-    """A worker failed twice in a row; the details are its own traceback."""
+    """A worker failed twice in a row, losses of machines not counted; the details are its own traceback."""
 
 
 def standing(snapshot: Any, anew: str) -> Command:  # noqa: ANN401 - opaque

@@ -98,6 +98,9 @@ class SharedMemory(Processes):
 class ProcessLink:
     """A worker process and the pipe to it."""
 
+    lost_with_machine = False
+    """See `Link`: this process would be lost, too."""
+
     def __init__(self, process: ForkServerProcess, pipe: connection.Connection) -> None:
         self.process, self.pipe = process, pipe
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from headway.contracts import HeadwayError
-from headway.store.durable import make_folder, remove_partial, sync_folder, write_durably
+from headway.store.durable import make_folder, remove_partial, sync_folder
+from headway.store.gate import discard, write_through
 
 _MAGIC = b"headway checkpoint 1\n"
 _NAMES = {kind: re.compile(rf"{kind}-(\d{{6,}})\.pt") for kind in ("checkpoint", "experience")}
@@ -41,32 +42,33 @@ def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
     return b"".join((_MAGIC, hashlib.sha256(content).digest(), content))
 
 
-def write_checkpoint(directory: Path, iteration: int, content: bytes) -> Path:
-    """Write the checkpoint of `iteration` durably and keep the last two.
+def write_checkpoint(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
+    """Write the checkpoint of `iteration` durably, through a gate (see `headway.store.gate`) if there is one,
+    and keep the last two.
 
     Raises HeadwayError if it cannot be written, and then the earlier checkpoints are untouched.
     """
-    return _write(directory, "checkpoint", iteration, content)
+    return _write(directory, "checkpoint", iteration, content, gate)
 
 
-def write_experience(directory: Path, iteration: int, content: bytes) -> Path:
+def write_experience(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
     """The same for the experience that the checkpoint of `iteration`, to be written after it, needs."""
-    return _write(directory, "experience", iteration, content)
+    return _write(directory, "experience", iteration, content, gate)
 
 
-def remove_experience(directory: Path) -> None:
+def remove_experience(directory: Path, gate: Path | None = None) -> None:
     """Delete all experience: a run that has finished needs it no more."""
     for _, path in _files(directory, "experience"):
-        path.unlink(missing_ok=True)
+        discard(path, gate)
 
 
-def _write(directory: Path, kind: str, iteration: int, content: bytes) -> Path:
+def _write(directory: Path, kind: str, iteration: int, content: bytes, gate: Path | None) -> Path:
     path = directory / f"{kind}-{iteration:06d}.pt"
     make_folder(directory)
     remove_partial(directory, f"{kind}-")
-    write_durably(path, lambda stream: stream.write(content))
+    write_through(path, lambda stream: stream.write(content), gate)
     for _, older in _files(directory, kind)[_KEPT:]:
-        older.unlink(missing_ok=True)
+        discard(older, gate)
     sync_folder(directory)
     return path
 

@@ -16,14 +16,15 @@ _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used
 _PARTIAL = ".partial"
 
 
-def write_durably(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def write_durably(path: Path, write: Callable[[IO[bytes]], object], made_in: Path | None = None) -> None:
     """Let `write` fill a file that then takes the name `path`: a temporary name, fsync, rename, fsync of
-    the folder. Whatever had that name stays until the new file is whole.
+    the folder. Whatever had that name stays until the new file is whole. `made_in`: the folder of the
+    temporary name, on the same file system; None: that of `path`.
 
     Raises HeadwayError in one line if the file cannot be written (disk full, no permission, ...).
     """
     try:
-        descriptor, name = tempfile.mkstemp(_PARTIAL, f".{path.name}-", path.parent)
+        descriptor, name = tempfile.mkstemp(_PARTIAL, f".{path.name}-", made_in or path.parent)
         temporary = Path(name)
         try:
             with os.fdopen(descriptor, "wb") as stream:

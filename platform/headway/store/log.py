@@ -12,7 +12,8 @@ from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.durable import make_folder, remove_partial, sync_folder, write_durably
+from headway.store.durable import make_folder, remove_partial, sync_folder
+from headway.store.gate import discard, write_through
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,10 +25,11 @@ _SEGMENT = re.compile(r"(?P<table>[a-z]+)-(?P<iteration>\d{6,})\.parquet")
 
 
 class RunLog:
-    """Appends rows to the tables in a run's folder. One process writes; any number may read."""
+    """Appends rows to the tables in a run's folder, through a gate (see `headway.store.gate`) if there is
+    one. One process writes; any number may read."""
 
-    def __init__(self, directory: Path) -> None:
-        self.directory = directory
+    def __init__(self, directory: Path, gate: Path | None = None) -> None:
+        self.directory, self._gate = directory, gate
         make_folder(directory)
         for table in TABLES:
             remove_partial(directory, f"{table}-")
@@ -46,8 +48,8 @@ class RunLog:
         """Write all rows appended so far as the segments of `iteration`, durably.
 
         A further commit at the same iteration adds to its segments. Raises HeadwayError if they cannot be
-        written (disk full, say); then the rows are kept for a later commit. Raises ValueError for a column
-        that mixes text and numbers.
+        written (disk full, say, or the gate shut); then the rows are kept for a later commit. Raises
+        ValueError for a column that mixes text and numbers.
         """
         import pyarrow.parquet as pq
 
@@ -62,16 +64,17 @@ class RunLog:
             def write(stream: IO[bytes], content: "pa.Table" = content) -> None:
                 pq.write_table(content, stream, compression="zstd")
 
-            write_durably(path, write)
+            write_through(path, write, self._gate)
             rows.clear()
 
     def rewind(self, iteration: int) -> None:
-        """Drop what is newer than `iteration`: segments after it, and rows not committed."""
+        """Drop what is newer than `iteration`: segments after it, and rows not committed. Raises HeadwayError
+        if the gate has been shut."""
         for rows in self._rows.values():
             rows.clear()
         for _, newer, path in _segments(self.directory):
             if newer > iteration:
-                path.unlink(missing_ok=True)
+                discard(path, self._gate)
         sync_folder(self.directory)
 
 

@@ -24,6 +24,7 @@ from headway.store.folder import (
     rules_file,
 )
 from headway.store.following import RunFollower, behind, deliver
+from headway.store.gate import open_gate, shut_gates
 from headway.store.index import RunIndex
 from headway.store.log import read_rows
 from headway.store.provenance import provenance
@@ -71,7 +72,8 @@ class SessionStore:
 
     def resume(self, run_id: str, of_a_stack: bool = False) -> "Run":
         """Take up a run that was killed or failed. Raises HeadwayError if there is none, it has finished
-        (and is not of a stack, whose other seeds may not have), or another session runs it."""
+        (and is not of a stack, whose other seeds may not have), or another session runs it. A training
+        process of before that still lives somewhere can write to it no more."""
         directory = find_run(self.root, run_id)
         with locked(self.root / ".resume.lock", _LOCK_SECONDS, "a run was resumed"):
             record = RunRecord.read(directory)
@@ -88,8 +90,9 @@ class SessionStore:
                 tracking_uri=self.tracking_uri,
                 curve_points=self.curve_points,
             )
+            gate = open_gate(directory)
             record.write(directory)
-        return Run(self, directory, record)
+        return Run(self, directory, record, gate)
 
     @property
     def index(self) -> RunIndex:
@@ -164,7 +167,7 @@ class Cell:
         write_text(directory / "config.yaml", config_yaml)
         write_json(directory / "plan.json", plan)
         record.write(directory)
-        return Run(self._store, directory, record)
+        return Run(self._store, directory, record, open_gate(directory))
 
     def keep_rules(self, episodes: Mapping[str, Sequence[Row]]) -> None:
         """Keep what rules did on the evaluation days, beside the cell's runs: name -> one row a day. Rules
@@ -187,10 +190,11 @@ class Cell:
 
 
 class Run:
-    """One seed, as the session writes it; its training process writes the log in `directory` itself."""
+    """One seed, as the session writes it; its training process writes the log in `directory` itself, through
+    `gate`."""
 
-    def __init__(self, store: SessionStore, directory: Path, record: RunRecord) -> None:
-        self.directory = directory
+    def __init__(self, store: SessionStore, directory: Path, record: RunRecord, gate: Path) -> None:
+        self.directory, self.gate = directory, gate
         self.record = record
         self._store = store
         self._resumed_at = now()
@@ -248,9 +252,10 @@ class Run:
         return self._energy.last()
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
-        """End the run with its summary figures (`final_reward`, `auc`, `kwh`, `kg_co2`, ...; None where
-        not known) and what of it can be looked at. Raises HeadwayError if they cannot be written, or its log
-        cannot be read."""
+        """End the run, which nobody trains any more, with its summary figures (`final_reward`, `auc`, `kwh`,
+        `kg_co2`, ...; None where not known) and what of it can be looked at. Raises HeadwayError if they
+        cannot be written, or its log cannot be read."""
+        shut_gates(self.directory)
         self._energy.write()
         write_json(self.directory / SUMMARY, summary)
         write_views(self.directory, self.run_id)

@@ -1,0 +1,161 @@
+"""Sweeps as Slurm jobs: the script for sbatch, of a Ray cluster in the allocation or of seeds as an array."""
+
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from headway.contracts.errors import HeadwayError
+from headway.store.durable import make_folder, write_text
+from headway.store.folder import plans_folder
+from headway_launch.composing import Experiment
+from headway_launch.sweeping import compose_sweep
+
+_TIME = re.compile(r"(\d+-)?\d+(:\d{1,2}){0,2}")
+_WORD = re.compile(r"[\w.,-]+")
+_GRACE_S = 300
+"""Before its time is over a job is told to stop, so that it ends with a checkpoint."""
+
+_BEGINNING = """\
+# A job that is told to end tells its session, which stops with a checkpoint: sbatch this again to go on.
+set -euo pipefail
+stop() {
+    [ -n "${session:-}" ] || exit 143
+    kill -TERM "$session" 2> /dev/null || true
+}
+trap stop TERM INT
+finish() {
+    local code=0
+    wait "$session" || code=$?
+    # A signal ends `wait`, not what it waits for.
+    while kill -0 "$session" 2> /dev/null; do code=0; wait "$session" || code=$?; done
+    return "$code"
+}
+"""
+
+_CLUSTER = """
+# One Ray cluster in the allocation: the head here, on its first node, and a daemon on each of the others. Who
+# does not know the token, which goes to them with srun's environment, cannot use it.
+port=$((20000 + SLURM_JOB_ID % 20000))
+address=${HEADWAY_HEAD_ADDRESS:-$(hostname -I | cut -d ' ' -f 1)}
+RAY_AUTH_TOKEN=$("$python" -c 'import secrets; print(secrets.token_hex(32))')
+export RAY_AUTH_TOKEN RAY_AUTH_MODE=token RAY_USAGE_STATS_ENABLED=0
+folder=$(mktemp -d /tmp/headway-ray-XXXXXX)
+ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --block)
+on_nodes=(srun "--cpus-per-task=$SLURM_CPUS_PER_TASK" --ntasks-per-node=1 --kill-on-bad-exit=0)
+end_ray() { kill $(jobs -p) 2> /dev/null || true; wait || true; rm -rf "$folder"; }
+trap end_ray EXIT
+
+"${on_nodes[@]}" --nodes=1 --ntasks=1 "--nodelist=$SLURMD_NODENAME" \\
+    "${ray[@]}" --head "--node-ip-address=$address" "--port=$port" "--temp-dir=$folder" \\
+    --include-dashboard=false > "$logs/$SLURM_JOB_ID-head.out" 2>&1 &
+"$python" -m headway_launch.nodes "$address:$port" 1
+others=$((SLURM_JOB_NUM_NODES - 1))
+if [ "$others" -gt 0 ]; then
+    "${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME" \\
+        "${ray[@]}" "--address=$address:$port" > "$logs/$SLURM_JOB_ID-nodes.out" 2>&1 &
+fi
+"$python" -m headway_launch.nodes "$address:$port" "$SLURM_JOB_NUM_NODES"
+"$python" -m headway_launch sweep "${overrides[@]}" "backend.address=$address:$port" &
+session=$!
+finish
+"""
+
+_ARRAY = """
+# Each task of the array trains one seed, all cells of it, in a session of its own.
+"$python" -m headway_launch sweep "${overrides[@]}" "seed=${seeds[$SLURM_ARRAY_TASK_ID]}" &
+session=$!
+finish
+"""
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """What is asked of Slurm."""
+
+    nodes: int = 1
+    cpus: int = 1
+    """Of each node."""
+    time: str | None = None
+    """As Slurm has it: minutes, HH:MM:SS, DAYS-HH and so on; None: the partition's."""
+    partition: str | None = None
+    """None: the one that jobs go to by themselves."""
+    further: tuple[str, ...] = field(default=())
+    """Further options of sbatch, as they are."""
+
+    def __post_init__(self) -> None:
+        for name, number in (("nodes", self.nodes), ("cpus", self.cpus)):
+            if number < 1:
+                raise HeadwayError(f"--{name} must be at least 1, not {number}")
+        if self.time is not None and not _TIME.fullmatch(self.time):
+            raise HeadwayError(f"--time must be as Slurm's, such as 90, 12:00:00 or 2-00, not {self.time!r}")
+        if self.partition is not None and not _WORD.fullmatch(self.partition):
+            raise HeadwayError(f"--partition must be the name of one, not {self.partition!r}")
+        for option in self.further:
+            if not option.startswith("-") or "\n" in option:
+                raise HeadwayError(f"--sbatch takes an option of sbatch, such as --mem=8G, not {option!r}")
+
+    def lines(self, name: str, logs: Path, log: str) -> list[str]:
+        """The lines that sbatch reads; `log` names a job's output in a folder."""
+        asked = [
+            f"--job-name={name}",
+            f"--nodes={self.nodes}",
+            "--ntasks-per-node=1",
+            f"--cpus-per-task={self.cpus}",
+            f"--output={logs}/{log}",
+            f"--signal=B:TERM@{_GRACE_S}",
+        ]
+        asked += [f"--time={self.time}"] if self.time else []
+        asked += [f"--partition={self.partition}"] if self.partition else []
+        return [f"#SBATCH {option}" for option in (*asked, *self.further)]
+
+
+def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Path:
+    """The script of a sweep on one Ray cluster in the allocation. Raises HeadwayError as the sweep would."""
+    on_it = [*overrides, "backend=ray"]
+    experiments = compose_sweep([*on_it, "backend.address=HOST:1"])
+    variables = {"overrides": on_it}
+    return _write("cluster", experiments, allocation, (), "%j.out", variables, _CLUSTER)
+
+
+def write_array_script(overrides: Sequence[str], allocation: Allocation) -> Path:
+    """The script of a sweep as an array of a task a seed, each on one node. Raises HeadwayError as the sweep
+    would."""
+    if allocation.nodes > 1:
+        raise HeadwayError("with --array each seed has one node: leave --nodes out, or --array")
+    experiments = compose_sweep(overrides)
+    seeds = [str(seed) for seed in experiments[0].config.seed]
+    others = [word for word in overrides if word.partition("=")[0].lstrip("+") != "seed"]
+    array = [f"#SBATCH --array=0-{len(seeds) - 1}"]
+    variables = {"overrides": others, "seeds": seeds}
+    return _write("array", experiments, allocation, array, "%A-%a.out", variables, _ARRAY)
+
+
+def _write(
+    kind: str,
+    experiments: Sequence[Experiment],
+    allocation: Allocation,
+    further: Sequence[str],
+    log: str,
+    variables: dict[str, list[str]],
+    body: str,
+) -> Path:
+    config = experiments[0].config
+    folder = plans_folder(Path(config.store.root).resolve(), config.study).parent / "slurm"
+    name = re.sub(r"[^\w.-]", "-", f"headway-{config.study}")
+    lines = [
+        "#!/bin/bash",
+        *allocation.lines(name, folder, log),
+        *further,
+        f"python={shlex.quote(sys.executable)}",
+        f"logs={shlex.quote(str(folder))}",
+        *(f"{key}=({shlex.join(values)})" for key, values in variables.items()),
+        f"cd {shlex.quote(str(Path.cwd()))}",
+        "",
+    ]
+    make_folder(folder)
+    path = folder / f"{kind}.sbatch"
+    write_text(path, "\n".join(lines) + _BEGINNING + body)
+    return path

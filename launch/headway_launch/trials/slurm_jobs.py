@@ -1,0 +1,187 @@
+"""A study as Slurm jobs is the study of one machine: `headway sweep --slurm` for a real Slurm of two nodes.
+
+    python -m headway_launch.trials.slurm_jobs --root FOLDER
+
+starts munge, a controller and two nodes, each in a network namespace of its own, with all their files in a
+scratch folder; submits the scripts that the command writes, of a Ray cluster over both nodes and of an array
+of seeds, and waits for their end. Prints what differs from the same study trained here with worker processes,
+and ends with exit code 1 if anything does, with 2 where there is no Slurm (Debian: slurmctld slurmd
+slurm-client munge) or no namespaces.
+"""
+
+import argparse
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from headway.contracts import HeadwayError
+from headway.rollout.cluster import require_ray
+from headway.store import sync_each
+from headway_launch.trials.hosts import Host, two_hosts
+from headway_launch.trials.same_study import differences
+from headway_launch.trials.two_nodes import SMALL, end_by_signal, headway, to_the_end, until
+
+STUDY = "slurm_jobs"
+_PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
+_CONFIGURATION = """\
+ClusterName=trial
+SlurmctldHost={host}({one.address})
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge/socket
+SlurmUser=root
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool.%n
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.%n.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.%n.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+MpiDefault=none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core
+SlurmdParameters=config_overrides
+KillWait=5
+NodeName=node1 NodeHostname={host} NodeAddr={one.address} CPUs=2
+NodeName=node2 NodeHostname={host} NodeAddr={other.address} CPUs=2
+PartitionName=trial Nodes=ALL Default=YES State=UP
+"""
+_READY_S = 60.0
+_ENDED = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "BOOT_FAIL", "OUT_OF_MEMORY")
+
+
+@dataclass(frozen=True)
+class Slurm:
+    """A Slurm of two nodes, as it is spoken to from the first."""
+
+    host: Host
+    environment: dict[str, str]
+
+    def ask(self, *command: str) -> str:
+        """What one of its programs answers. Raises HeadwayError where that fails."""
+        with tempfile.TemporaryDirectory() as folder:
+            told, errors = Path(folder, "out"), Path(folder, "err")
+            code = self.host.start(command, self.environment, told, errors).wait(_READY_S)
+            if code:
+                raise HeadwayError(f"{command[0]} ends with code {code}: {errors.read_text().strip()}")
+            return told.read_text()
+
+    def run(self, script: Path) -> str:
+        """Submit a script and wait for its end: the states in which its jobs ended."""
+        job = self.ask("sbatch", "--parsable", str(script)).strip()
+        states: list[str] = []
+
+        def ended() -> bool:
+            words = self.ask("scontrol", "--oneliner", "show", "job", job).split()
+            states[:] = [word.removeprefix("JobState=") for word in words if word.startswith("JobState=")]
+            return all(state in _ENDED for state in states)
+
+        until(ended)
+        return " ".join(sorted(set(states)))
+
+
+def main() -> None:
+    """Run the trial; see the module."""
+    parser = argparse.ArgumentParser(description="Train by Slurm's jobs, and compare with one machine.")
+    parser.add_argument("--root", type=Path, required=True, help="an empty folder for the stores")
+    parser.add_argument("--steps", default="2000", help="environment steps of each seed")
+    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="further overrides of the sweep")
+    arguments = parser.parse_args()
+    sweep = [*SMALL, f"study={STUDY}", f"env_steps={arguments.steps}", *arguments.overrides]
+    signal.signal(signal.SIGTERM, end_by_signal)
+    try:
+        found = trial(arguments.root, sweep)
+    except HeadwayError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    print("\n".join(found) or "the study as Slurm jobs is that of one machine: curves, store and MLflow")
+    sys.exit(1 if found else 0)
+
+
+def trial(root: Path, sweep: Sequence[str]) -> list[str]:
+    """What differs between a study trained here and the same as Slurm jobs; empty if nothing does.
+
+    Raises HeadwayError where there can be no Slurm, no namespaces or no Ray, or a job cannot be submitted.
+    """
+    require_ray()
+    with slurm() as jobs:
+        to_the_end(root / "alone", sweep)
+        found: list[str] = []
+        for name, options in (("cluster", ["--nodes=2", "--cpus=2"]), ("array", ["--array", "--cpus=2"])):
+            command = [*headway(sweep, root / name), "--slurm", *options]
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+            script = Path(done.stdout.strip())
+            state = jobs.run(script)
+            print(f"{name}: {state}", flush=True)
+            if state != "COMPLETED":
+                logs = sorted(script.parent.glob("*.out"))
+                told = [f"{log.name}: {line}" for log in logs for line in log.read_text().splitlines()[-5:]]
+                found += [f"{name}: {line}" for line in (state, *told)]
+                continue
+            sync_each(root / name)
+            found += [f"{name}: {line}" for line in differences(root / "alone", root / name)]
+    return found
+
+
+@contextmanager
+def slurm() -> Iterator[Slurm]:
+    """A Slurm of two nodes of two CPUs, which ends with all that it runs. Raises HeadwayError where there can
+    be none."""
+    missing = [program for program in _PROGRAMS if shutil.which(program) is None]
+    if missing:
+        raise HeadwayError(
+            f"{missing[0]} is not here: apt-get install slurmctld slurmd slurm-client munge, to try Slurm"
+        )
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="headway-slurm-")))
+        one, other = stack.enter_context(two_hosts())
+        for name in ("munge", "state"):
+            (folder / name).mkdir(mode=0o700)
+        key = folder / "munge" / "key"
+        key.write_bytes(secrets.token_bytes(128))
+        key.chmod(0o400)
+        places = {"folder": folder, "host": socket.gethostname(), "one": one, "other": other}
+        (folder / "slurm.conf").write_text(_CONFIGURATION.format(**places))
+        environment = {"SLURM_CONF": str(folder / "slurm.conf")}
+        munge = [
+            f"--{name}={folder}/munge/{name}" for name in ("socket", "pid-file", "log-file", "seed-file")
+        ]
+        told = folder / "told.out"
+        for host, command in (
+            (one, ["munged", "--foreground", "--force", f"--key-file={key}", *munge]),
+            (one, ["slurmctld", "-D"]),
+            (one, ["slurmd", "-D", "-N", "node1"]),
+            (other, ["slurmd", "-D", "-N", "node2"]),
+        ):
+            host.start(command, environment, told, told)
+        found = Slurm(one, environment)
+        _until_idle(found, told)
+        yield found
+
+
+def _until_idle(found: Slurm, told: Path) -> None:
+    deadline = time.monotonic() + _READY_S
+    while True:
+        try:
+            if found.ask("sinfo", "--noheader", "--format=%T %D").split() == ["idle", "2"]:
+                return
+            reason = "its nodes do not answer"
+        except HeadwayError as error:
+            reason = str(error)
+        if time.monotonic() > deadline:
+            last = told.read_text().splitlines()[-1:]
+            raise HeadwayError(f"Slurm cannot be started here: {reason} {' '.join(last)}".strip())
+        time.sleep(0.5)
+
+
+if __name__ == "__main__":
+    main()

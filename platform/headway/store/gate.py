@@ -1,0 +1,80 @@
+"""One writer at a time in a run's folder, on any file system that machines share.
+
+A training process writes to a run's folder only through a gate: a folder inside it, of a name that was
+never there before. A file is made in the gate and moved out of it, and one that goes is moved into it. Who
+hands the run to another process removes the gate first. From then on whoever held it can change nothing,
+however late it wakes, because a file system moves nothing from or to a folder that is gone: there is no
+moment between looking and writing, and no clock or lock that a cut-off machine would have to agree about.
+"""
+
+import errno
+import secrets
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from headway.contracts import HeadwayError
+from headway.store.durable import make_folder, write_durably
+
+_PREFIX = ".gate-"
+_ATTEMPTS = 100
+_IN_USE = (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT)
+"""Of a folder in which something is just being made or moved."""
+
+
+def open_gate(directory: Path) -> Path:
+    """Shut out whoever may write to a run's folder, and open it for one other.
+
+    Raises HeadwayError if that is not possible.
+    """
+    shut_gates(directory)
+    gate = directory / f"{_PREFIX}{secrets.token_hex(8)}"
+    make_folder(gate)
+    return gate
+
+
+def shut_gates(directory: Path) -> None:
+    """Shut out whoever may write to a run's folder. Raises HeadwayError if that is not possible."""
+    for gate in directory.glob(f"{_PREFIX}*"):
+        for _ in range(_ATTEMPTS):
+            if not gate.exists():
+                break
+            try:
+                shutil.rmtree(gate)
+            except OSError as error:
+                if error.errno not in _IN_USE:
+                    raise HeadwayError(f"cannot remove {gate} ({error.strerror}): remove it") from error
+        else:
+            raise HeadwayError(f"cannot remove {gate}, which fills again and again: end what writes there")
+
+
+def write_through(path: Path, write: Callable[[IO[bytes]], object], gate: Path | None) -> None:
+    """`write_durably` by whoever holds the gate; no gate: by anybody. Raises HeadwayError as that does, and
+    if the gate has been shut."""
+    try:
+        write_durably(path, write, made_in=gate)
+    except HeadwayError as error:
+        _require_open(gate, error)
+        raise
+
+
+def discard(path: Path, gate: Path | None) -> None:
+    """Remove a file, by whoever holds the gate; no gate: by anybody. That it is gone already is no error.
+
+    Raises HeadwayError if the gate has been shut.
+    """
+    if gate is None:
+        path.unlink(missing_ok=True)
+        return
+    try:
+        path.replace(gate / path.name).unlink()
+    except FileNotFoundError as error:
+        _require_open(gate, error)
+
+
+def _require_open(gate: Path | None, error: Exception) -> None:
+    if gate is not None and not gate.is_dir():
+        raise HeadwayError(
+            f"another training process has taken over {gate.parent}: this one ends, and changes nothing there"
+        ) from error

@@ -1,0 +1,109 @@
+"""`headway sweep --slurm` writes a script that bash reads, of what was asked, and trains nothing."""
+
+import shlex
+import subprocess
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_launch.command_line import run
+from headway_launch.nodes import wait_for_nodes
+
+SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..6")
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
+def test_nodes_that_do_not_come_are_told_of() -> None:
+    with pytest.raises(HeadwayError, match=r"the Ray cluster at 127.0.0.1:1 does not answer after 0.1 s"):
+        wait_for_nodes("127.0.0.1:1", 2, patience_s=0.1)
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def _written(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Path, list[str]]:
+    assert run([*SWEEP, "--slurm", *words]) == 0
+    told = capsys.readouterr()
+    path = Path(told.out.strip())
+    assert told.err.endswith(f"with: sbatch {path}\n")
+    subprocess.run(["bash", "-n", path], check=True)
+    return path, path.read_text().splitlines()
+
+
+def _asked(lines: list[str]) -> list[str]:
+    return [line.removeprefix("#SBATCH ") for line in lines if line.startswith("#SBATCH ")]
+
+
+def _variable(lines: list[str], name: str) -> list[str]:
+    """As bash reads it."""
+    [line] = [line for line in lines if line.startswith(f"{name}=(")]
+    return shlex.split(line.removeprefix(f"{name}=(").removesuffix(")"))
+
+
+def test_a_cluster_in_the_allocation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    further = ("--time", "2-00", "--partition", "short,long", "--sbatch=--mem=8G", "--sbatch=--gpus=1")
+    path, lines = _written(capsys, "--nodes", "4", "--cpus", "32", *further)
+    assert path == tmp_path / "runs" / "a-study" / "slurm" / "cluster.sbatch"
+    assert _asked(lines) == [
+        "--job-name=headway-a-study",
+        "--nodes=4",
+        "--ntasks-per-node=1",
+        "--cpus-per-task=32",
+        f"--output={path.parent}/%j.out",
+        "--signal=B:TERM@300",
+        "--time=2-00",
+        "--partition=short,long",
+        "--mem=8G",
+        "--gpus=1",
+    ]
+    assert _variable(lines, "overrides") == [*SWEEP[1:], "backend=ray"]
+    assert not list((tmp_path / "runs").rglob("run.json"))
+
+
+def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
+    _, lines = _written(capsys, "--array", "--cpus", "8")
+    assert "--array=0-2" in _asked(lines)
+    assert _variable(lines, "seeds") == ["3", "5", "6"]
+    assert _variable(lines, "overrides") == ["env=visitors", "algo=ippo,ia2c", "study=a study"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--nodes", "2"), "--nodes is for Slurm: give --slurm with it"),
+        (("--array",), "--array is for Slurm: give --slurm with it"),
+        (("--slurm", "--nodes", "0"), "--nodes must be at least 1, not 0"),
+        (
+            ("--slurm", "--time", "soon"),
+            "--time must be as Slurm's, such as 90, 12:00:00 or 2-00, not 'soon'",
+        ),
+        (("--slurm", "--partition", "a b"), "--partition must be the name of one, not 'a b'"),
+        (("--slurm", "--sbatch", "x"), "--sbatch takes an option of sbatch, such as --mem=8G, not 'x'"),
+        (
+            ("--slurm", "--array", "--nodes", "2"),
+            "with --array each seed has one node: leave --nodes out, or --array",
+        ),
+        (
+            ("--slurm", "--dry-run"),
+            "--slurm goes on where the store stops: leave --dry-run and --fresh out",
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    words: tuple[str, ...], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*SWEEP, *words]) == 2
+    assert capsys.readouterr().err == f"headway: {line}\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_sweep_that_cannot_be_is_refused_now_and_not_by_the_job(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*SWEEP, "algo.learning=1", "--slurm"]) == 2
+    assert "learning" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
