@@ -4,13 +4,16 @@ The peer that IPPO and MAPPO stand beside in experiment mpe2_spread, from whose 
 environment's arguments, environment steps and batch, the network and hyper-parameters of `algo=ippo
 algo.policies=shared`, and how many episodes of greedy play there are at the end. What a library has of its
 own stays its own: SuperSuit makes agents into copies of one environment, so that all share a policy;
-normalisation is VecNormalize's. The episodes of its evaluation have other seeds than ours. Needs `pip install
-stable-baselines3`, which is no part of Headway.
+normalisation is VecNormalize's. SuperSuit hands the time limit of 25 steps over as an end like any other, of
+which PPO then takes the value to be 0; with `--time-limits` it is told, and bootstraps, as ours does. The
+episodes of its evaluation have other seeds than ours. Needs `pip install stable-baselines3`, which is no part
+of Headway.
 """
 
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -56,8 +59,11 @@ def hyper_parameters(experiment: "Experiment") -> dict[str, Any]:
     }
 
 
-def train(experiment: "Experiment", seed: int, env_steps: int, episodes: int) -> dict[str, float]:
+def train(
+    experiment: "Experiment", seed: int, env_steps: int, episodes: int, time_limits: bool
+) -> dict[str, float]:
     """One seed: `return` (mean over agents and greedy episodes), `cpu_seconds` and `seconds` of training.
+    With `time_limits` PPO knows that an episode ends by one, as every episode here does.
 
     Raises HeadwayError where something is not installed.
     """
@@ -78,6 +84,8 @@ def train(experiment: "Experiment", seed: int, env_steps: int, episodes: int) ->
     copies = supersuit.concat_vec_envs_v1(one, number, num_cpus=1, base_class="stable_baselines3")
     for index, copy in enumerate(copies.unwrapped.vec_envs):
         copy.reset(seed=seed * number + index)
+    if time_limits:
+        copies.step_wait = _with_time_limits(copies.step_wait)
     normalised = VecNormalize(VecMonitor(copies))
     began, cpu_began = time.perf_counter(), time.process_time()
     model = stable_baselines3.PPO("MlpPolicy", normalised, device="cpu", **hyper_parameters(experiment))
@@ -98,6 +106,18 @@ def train(experiment: "Experiment", seed: int, env_steps: int, episodes: int) ->
     return {"return": float(np.mean(totals)), "cpu_seconds": cpu_seconds, "seconds": seconds}
 
 
+def _with_time_limits(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple[Any, ...]]:
+    """A vector's `step_wait` that says of every end that it is a time limit, as Stable-Baselines3 asks."""
+
+    def step_wait() -> tuple[Any, ...]:
+        observations, rewards, ended, infos = wait()
+        for info, end in zip(infos, ended, strict=True):
+            info["TimeLimit.truncated"] = bool(end)
+        return observations, rewards, ended, infos
+
+    return step_wait
+
+
 def main() -> int:
     """Train the seeds asked for, one after another; a line each."""
     parser = _Parser(description="Stable-Baselines3's PPO on MPE2's simple_spread_v3.")
@@ -105,6 +125,9 @@ def main() -> int:
     parser.add_argument("--env-steps", type=int, help="(default: the experiment's)")
     parser.add_argument(
         "--episodes", type=int, help="greedy episodes after training (default: evaluation.final_episodes)"
+    )
+    parser.add_argument(
+        "--time-limits", action="store_true", help="tell PPO that episodes end by a time limit"
     )
     results = []
     try:
@@ -116,7 +139,7 @@ def main() -> int:
         episodes = asked.episodes or experiment.config.evaluation.final_episodes
         print("seed\tenv steps\treturn\tsteps/s\tsteps/CPU s", flush=True)
         for seed in seeds:
-            found = train(experiment, seed, env_steps, episodes)
+            found = train(experiment, seed, env_steps, episodes, asked.time_limits)
             results.append(found["return"])
             speeds = [f"{env_steps / found[name]:,.0f}" for name in ("seconds", "cpu_seconds")]
             print(f"{seed}\t{env_steps}\t{found['return']:.3f}", *speeds, sep="\t", flush=True)

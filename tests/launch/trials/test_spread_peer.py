@@ -45,3 +45,10 @@ def test_the_peer_has_the_values_of_the_experiment() -> None:
         "n_epochs": 5, "gamma": 0.99, "gae_lambda": 0.95, "clip_range": 0.2, "ent_coef": 0.01, "vf_coef": 1.0,
         "max_grad_norm": 0.5,
     }  # fmt: skip
+
+
+def test_ends_are_told_to_be_time_limits_and_nothing_else_is() -> None:
+    infos: list[dict[str, object]] = [{"episode": 1}, {}]
+    wait = spread_peer._with_time_limits(lambda: ("seen", "paid", [True, False], infos))
+    assert wait() == ("seen", "paid", [True, False], infos)
+    assert infos == [{"episode": 1, "TimeLimit.truncated": True}, {"TimeLimit.truncated": False}]
