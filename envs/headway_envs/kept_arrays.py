@@ -76,12 +76,11 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
         return
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[np.int64]:
-        """Actions (C, N) as the kernel takes them. Raises ValueError for another shape."""
-        actions = np.ascontiguousarray(actions, np.int64)
+        """A copy of actions (C, N), as a kernel may replace some. Raises ValueError for another shape."""
         wanted = (self.num_copies, len(self._spec.agents))
-        if actions.shape != wanted:
-            raise ValueError(f"actions must have shape {wanted}, not {actions.shape}")
-        return actions
+        if np.shape(actions) != wanted:
+            raise ValueError(f"actions must have shape {wanted}, not {np.shape(actions)}")
+        return np.array(actions, np.int64, order="C")
 
 
 def _named(arrays: NamedTuple) -> Mapping[str, NDArray[Any]]:

@@ -180,7 +180,7 @@ def _train_a_little(jobs: Sequence["TrainingJob"], report: Report, should_stop: 
 
 
 @dataclass
-class _Trial:
+class Trial:
     """One cell as it is measured, seen from the session."""
 
     name: str
@@ -189,12 +189,10 @@ class _Trial:
     uses_gpu: bool = False
     start_s: float = 0.0
     evaluation_s: float = 0.0
-    cpu_evaluated_s: float = 0.0
-    """CPU seconds after the first evaluation."""
     cpu_start_s: float = 0.0
-    """The same, of a process that begins with this cell."""
+    """CPU seconds to the end of the first evaluation, of a process that begins with this cell."""
     marks: list[tuple[float, float]] = field(default_factory=list)
-    """(seconds of the iteration, CPU seconds after it)."""
+    """(seconds, CPU seconds) of each iteration, without the evaluation that may have come before it."""
     used: Usage = field(default_factory=Usage)
     process_ids: tuple[int, ...] = ()
 
@@ -206,11 +204,11 @@ class _Trial:
             case EvaluationFinished(usage=usage):
                 if not self.marks:
                     self.evaluation_s = now - self.launched - self.start_s
-                    self.cpu_evaluated_s = self.cpu_start_s = usage.cpu_seconds
+                    self.cpu_start_s = usage.cpu_seconds
                 self.used = usage
             case IterationFinished(usage=usage, curve=curve):
                 seconds = float(curve[0]["time/collect_s"]) + float(curve[0]["time/learn_s"])
-                self.marks.append((seconds, usage.cpu_seconds))
+                self.marks.append((seconds, usage.cpu_seconds - self.used.cpu_seconds))
                 self.used = usage
 
     @property
@@ -220,13 +218,12 @@ class _Trial:
 
     def pace(self, kwh: float | None, kg_co2: float | None) -> Pace:
         counted = self.marks[1:] or self.marks
-        first = self.marks[0][1] if len(self.marks) > 1 else self.cpu_evaluated_s
         return Pace(
             start_s=self.start_s,
             evaluation_s=self.evaluation_s,
             iteration_s=max(sum(seconds for seconds, _ in counted) / len(counted), 1e-9),
             cpu_start_s=self.cpu_start_s,
-            cpu_iteration_s=(self.marks[-1][1] - first) / len(counted),
+            cpu_iteration_s=sum(cpu for _, cpu in counted) / len(counted),
             iterations=len(counted),
             kwh=kwh,
             kg_co2=kg_co2,
@@ -265,7 +262,7 @@ class _Lane:
             )
         return False
 
-    def next(self) -> tuple[CellPlan, _Trial]:
+    def next(self) -> tuple[CellPlan, Trial]:
         """The cell that has been measured; the lane goes on with the next."""
         trial = self.trial
         if self._start is None:
@@ -287,8 +284,8 @@ class _Lane:
         cell = self.waiting[0]
         return cell.label or cell.experiment.algo_name
 
-    def _begun(self) -> _Trial:
-        return _Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
+    def _begun(self) -> Trial:
+        return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
 
 
 def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:

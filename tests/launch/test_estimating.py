@@ -1,16 +1,20 @@
 """What a dry run says: the runs, and what they would take."""
 
+import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from headway.energy import Energy, EnergyMeter, JobUsage
+from headway.events import EvaluationFinished, IterationFinished, Started, Usage
 from headway.training import TrainingJob
-from headway_launch.calibrating import Pace
+from headway_launch.calibrating import Pace, Trial, calibrate
 from headway_launch.command_line import run
 from headway_launch.composing import compose
 from headway_launch.estimating import makespan, spans
+from headway_launch.planning import CellPlan, Shares
 from headway_launch.training_process import TrainingProcess, Work
 
 PACE = Pace(
@@ -84,16 +88,25 @@ def test_cells_share_the_processes_that_measure_them(
         started.append(process)
         start(process, job, work)
 
+    paces: dict[int, Pace] = {}
+
+    def kept(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace], str]:
+        found, modes = calibrate(cells, shares)
+        paces.update(found)
+        return found, modes
+
     monkeypatch.setattr(TrainingProcess, "__init__", counted)
+    monkeypatch.setattr("headway_launch.estimating.calibrate", kept)
     sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout=short",
              "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off")  # fmt: skip
     assert run([*sweep, f"store.root={tmp_path / 'runs'}", "--dry-run"]) == 0
     assert len(started) == 2
     estimated = capsys.readouterr().out.split("\n\n")[1].splitlines()[1:]
     assert [line.split("\t")[0] for line in estimated] == ["ippo", "ia2c", "mappo", "maa2c", "coma"]
-    seconds = [float(line.split("\t")[2]) for line in estimated]
-    # Each is told what starting a process took, though only the first of each process waited for it.
-    assert min(seconds) > 1.0
+    # Each has what starting a process took, though only the first of each process waited for torch.
+    assert len(paces) == 5
+    assert min(pace.start_s for pace in paces.values()) > 0.5
+    assert min(pace.cpu_start_s for pace in paces.values()) > 0.5
 
 
 @pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
@@ -113,3 +126,18 @@ def test_seeds_that_follow_each_other_are_a_span() -> None:
     assert spans([0, 1, 2, 3, 7]) == "0..3,7"
     assert spans([4, 5]) == "4,5"
     assert spans([3, 2, 1]) == "3,2,1"
+
+
+def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
+    trial = Trial("a cell", launched=time.monotonic())
+    spent = 5.0
+    trial.take(Started(0, (), False))
+    trial.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), ()))
+    for iteration in (1, 2, 3):
+        spent += 1.0
+        rows = ({"time/collect_s": 0.75, "time/learn_s": 0.25},)
+        trial.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), rows))
+        spent += 2.0
+        trial.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), ()))
+    pace = trial.pace(None, None)
+    assert (pace.iteration_s, pace.cpu_iteration_s, pace.cpu_start_s, pace.iterations) == (1.0, 1.0, 5.0, 2)

@@ -233,16 +233,17 @@ class StudyData:
         if task not in self.best_rules:
             return Against(None, "no rule was played")
         best = self.by_day(task, self.best_rules[task])
-        return self._paired(task, self.by_seed(task, controller, self.column), best)
+        return self.paired(task, self.by_seed(task, controller, self.column), best)
 
     def rule_against_best(self, task: str, rule: str) -> Against:
         """A rule's days minus the best rule's."""
         if rule == self.best_rules[task]:
             return Against(None)
         best = self.by_day(task, self.best_rules[task])
-        return self._paired(task, self.by_day(task, rule).to_frame().T, best)
+        return self.paired(task, self.by_day(task, rule).to_frame().T, best)
 
-    def _paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> Against:
+    def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> Against:
+        """A learner's figures (runs by days, as `by_seed` gives them) minus a rule's on the days of both."""
         if len(self._evaluation_seeds(task)) > 1:
             return Against(None, "the cells were evaluated on different days")
         common = [day for day in learned.columns if day in best.index]

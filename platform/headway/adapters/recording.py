@@ -88,9 +88,10 @@ def record(env: BatchedEnv, observed: Observed, play: RandomPlay, longest: int, 
     steps = 0
     while steps < longest and (ended.sum(axis=0) < episodes).any():
         actions = play.act(spec, observed)
-        outcome, observed = env.step(actions)
-        check_finite(spec, outcome, observed, step=steps + 1)
         track.actions[steps] = actions
+        outcome, observed = env.step(actions)
+        assert np.array_equal(track.actions[steps], actions), "step changes the actions that it is given"
+        check_finite(spec, outcome, observed, step=steps + 1)
         for name in _GIVEN:
             _note(getattr(track, name)[steps], getattr(outcome, name), name)
         _note(ended[steps], outcome.episode_ended, "episode_ended")

@@ -121,6 +121,19 @@ def test_promised_masks_that_are_missing_are_caught() -> None:
         play(lambda copies: Broken(copies, keep, {"has_action_mask": False}))
 
 
+class Overruling(Visitors):
+    """Writes into the actions that it is given."""
+
+    def step(self, actions: Any) -> Any:  # noqa: ANN401 - the contract's types
+        actions[0] = 1 - actions[0].clip(0, 1)
+        return super().step(actions)
+
+
+def test_actions_that_step_replaces_in_place_are_caught() -> None:
+    with pytest.raises(AssertionError, match="step changes the actions that it is given"):
+        play(lambda copies: Overruling(VisitorsConfig(), copies))
+
+
 def test_nan_in_a_live_row_is_caught_while_playing() -> None:
     def spoil(outcome: Outcome, observed: Observed, call: int) -> None:
         if call == 4:

@@ -1,11 +1,11 @@
 """The section that sets a study of the crossing beside its paper's figures and beside human drivers."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference
+from headway_launch.comparison import SEEDS_FOR_A_CLAIM
 from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import MISSING, Part, Section, Table, with_interval
 from headway_launch.report.published.episodes import (
@@ -17,6 +17,9 @@ from headway_launch.report.published.episodes import (
     tasks_of,
     written,
 )
+
+if TYPE_CHECKING:
+    from headway.stats import Interval
 
 ENVIRONMENT = "intersection"
 HUMANS = "human"
@@ -75,8 +78,9 @@ def _beside(data: StudyData, task: str, number: str) -> Table:
     rows += [[str(name), MISSING, *written(row, FIGURES)] for name, row in rules.iterrows()]
     return Table(
         f"crossing{number}",
-        f"The paper's figures, ours and the rules'{data.where(task)}. Efficiency is outflow over inflow; "
-        "fairness is Jain's index of the times spent by approach, 1 where they are equal.",
+        f"The paper's figures, ours and the rules'{data.where(task)}. Efficiency is outflow over inflow, "
+        "but not in the published rows, whose figures do not fit each other; DDPG's inflow there is derived "
+        "from the two. Fairness is Jain's index of the times spent by approach, 1 where they are equal.",
         ["controller", "seeds", *(each.heading for each in FIGURES)],
         rows,
         pd.concat([theirs, learners, rules]).rename_axis("controller").reset_index(),
@@ -94,22 +98,19 @@ def _against_humans(data: StudyData, task: str, number: str) -> list[Part]:
     humans = of_rule.set_index("episode_seed")
     rows, exact = [], []
     for name, members in data.on(task).items():
-        found: dict[str, Any] = {}
-        shown = []
-        for each in COMPARED:
-            days = data.by_seed(task, name, each.metric)
-            common = [day for day in days.columns if day in humans.index]
-            if len(common) < 2 or each.metric not in humans:
-                shown.append(MISSING)
-                continue
-            of_days = days[common].to_numpy().tolist()
-            against = difference(of_days, humans.loc[common, each.metric].tolist())
-            shown.append(with_interval(against.estimate, against.low, against.high, sign=True))
-            found[each.metric] = against
-        rows.append([name, str(len(members)), *shown, _reading(found, len(members))])
+        found = {
+            each.metric: data.paired(
+                task, data.by_seed(task, name, each.metric), humans[each.metric]
+            ).interval
+            for each in COMPARED
+            if each.metric in humans
+        }
+        known = {metric: interval for metric, interval in found.items() if interval is not None}
+        shown = [_shown(known.get(each.metric)) for each in COMPARED]
+        rows.append([name, str(len(members)), *shown, _reading(known, len(members))])
         ends = {
             f"{metric}{part}": value
-            for metric, against in found.items()
+            for metric, against in known.items()
             for part, value in (("", against.estimate), ("_low", against.low), ("_high", against.high))
         }
         exact.append({"controller": name, "seeds": len(members), **ends})
@@ -126,14 +127,20 @@ def _against_humans(data: StudyData, task: str, number: str) -> list[Part]:
     ]
 
 
-def _reading(found: dict[str, Any], seeds: int) -> str:
+def _shown(against: "Interval | None") -> str:
+    if against is None:
+        return MISSING
+    return with_interval(against.estimate, against.low, against.high, sign=True)
+
+
+def _reading(found: "dict[str, Interval]", seeds: int) -> str:
     """Whether more vehicles leave, and whether more crash."""
     if len(found) < len(COMPARED):
         return MISSING
     flow, crashes = found["outflow_vph"], found["collisions"]
-    flow_said = "more leave" if flow.low > 0 else "fewer leave" if flow.high < 0 else "as many leave"
-    crash_said = "more crash" if crashes.low > 0 else "fewer crash" if crashes.high < 0 else "as many crash"
-    said = f"{flow_said}, {crash_said}"
+    flow_said = "more leave" if flow.low > 0 else "fewer leave" if flow.high < 0 else "outflow not told apart"
+    crash_said = "more crash" if crashes.low > 0 else "fewer crash" if crashes.high < 0 else ""
+    said = f"{flow_said}, {crash_said or 'collisions not told apart'}"
     return said if seeds >= SEEDS_FOR_A_CLAIM else f"no claim ({said})"
 
 
