@@ -5,7 +5,7 @@ import sys
 import time
 
 from headway.contracts.errors import HeadwayError
-from headway.rollout.cluster import connect, disconnect
+from headway.rollout.cluster import connect, disconnect, require_ray
 from headway_launch.telling import tell
 
 _PATIENCE_S = 300.0
@@ -13,21 +13,27 @@ _POLL_S = 0.5
 
 
 def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -> None:
-    """Return as soon as the cluster has so many nodes. Raises HeadwayError where it has not for so long."""
+    """Return as soon as the cluster has so many nodes. Raises HeadwayError where it has not for so long, with
+    why it cannot be used, or at once where Ray is not installed."""
+    require_ray()
     deadline = time.monotonic() + patience_s
-    while (found := _nodes_of(address)) is None or found < number:
+    while True:
+        try:
+            found = _nodes_of(address)
+        except HeadwayError as error:
+            missing = str(error)
+        else:
+            if found >= number:
+                return
+            missing = f"the Ray cluster at {address} has {found} of {number} nodes"
         if time.monotonic() > deadline:
-            has = "does not answer" if found is None else f"has {found} of {number} nodes"
-            raise HeadwayError(f"the Ray cluster at {address} {has} after {patience_s:g} s")
+            raise HeadwayError(f"after {patience_s:g} s: {missing}")
         time.sleep(_POLL_S)
 
 
-def _nodes_of(address: str) -> int | None:
-    """How many live nodes there are; None where nobody answers."""
-    try:
-        connect(address)
-    except HeadwayError:
-        return None
+def _nodes_of(address: str) -> int:
+    """How many live nodes there are. Raises HeadwayError as `connect` does."""
+    connect(address)
     import ray
 
     try:

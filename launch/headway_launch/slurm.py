@@ -126,6 +126,8 @@ def write_array_script(overrides: Sequence[str], allocation: Allocation) -> Path
     if allocation.nodes > 1:
         raise HeadwayError("with --array each seed has one node: leave --nodes out, or --array")
     experiments = compose_sweep(overrides)
+    if len({frozenset(experiment.config.seed) for experiment in experiments}) > 1:
+        raise HeadwayError("with --array all cells have the same seeds: give seed=..., or leave --array out")
     seeds = [str(seed) for seed in experiments[0].config.seed]
     others = [word for word in overrides if word.partition("=")[0].lstrip("+") != "seed"]
     array = [f"#SBATCH --array=0-{len(seeds) - 1}"]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from platform import node
 
 from headway.store.index import RunIndex
 from headway_launch.composing import Experiment
@@ -48,7 +49,8 @@ class StudySession:
 
 
 def tell_standing(study: str, standings: Sequence[Standing]) -> None:
-    """A line on what the store has already; nothing where that is nothing."""
+    """A line on what the store has already, nothing where that is nothing; and one on what is held by
+    sessions of other hosts, of which nobody can tell from here that they are gone."""
     counts = {
         "have finished and are left alone": sum(len(standing.finished) for standing in standings),
         "go on": sum(len(standing.unfinished) for standing in standings),
@@ -58,3 +60,9 @@ def tell_standing(study: str, standings: Sequence[Standing]) -> None:
     if any(counts[kind] for kind in list(counts)[:3]):
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
         tell(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
+    hosts = {run.record.session.host for standing in standings for run in standing.elsewhere} - {node()}
+    if hosts:
+        tell(
+            f"headway: runs are held by sessions on {', '.join(sorted(hosts))}: where such a session was "
+            'killed, give this command there, or set "status": "KILLED" in the run.json of its runs'
+        )

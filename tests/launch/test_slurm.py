@@ -16,8 +16,15 @@ SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_nodes_that_do_not_come_are_told_of() -> None:
-    with pytest.raises(HeadwayError, match=r"the Ray cluster at 127.0.0.1:1 does not answer after 0.1 s"):
+    with pytest.raises(HeadwayError, match=r"^after 0.1 s: .*127.0.0.1:1 \(Connection refused\)"):
         wait_for_nodes("127.0.0.1:1", 2, patience_s=0.1)
+
+
+def test_without_ray_nodes_are_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("headway.rollout.cluster.find_spec", lambda name: None)
+    monkeypatch.setattr("time.sleep", lambda _: pytest.fail("it waited"))
+    with pytest.raises(HeadwayError, match=r"^backend=ray needs Ray, which is an extra"):
+        wait_for_nodes("127.0.0.1:1", 2)
 
 
 @pytest.fixture(autouse=True)
@@ -99,6 +106,17 @@ def test_what_cannot_be_is_one_line(
     assert run([*SWEEP, *words]) == 2
     assert capsys.readouterr().err == f"headway: {line}\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_an_array_of_cells_of_different_seeds_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = ("sweep", "experiment=toy_trivial,matrix_nine", "study=both", "--slurm", "--array")
+    assert run(cells) == 2
+    line = "with --array all cells have the same seeds: give seed=..., or leave --array out"
+    assert capsys.readouterr().err == f"headway: {line}\n"
+    assert not list(tmp_path.iterdir())
+    assert run([*cells, "seed=0..2"]) == 0
 
 
 def test_a_sweep_that_cannot_be_is_refused_now_and_not_by_the_job(

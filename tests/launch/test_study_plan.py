@@ -17,6 +17,7 @@ from headway_launch.command_line import run
 from headway_launch.composing import Experiment
 from headway_launch.planning import Shares, cell_parameters, full_mapping, workers_of
 from headway_launch.study_plan import Standing, keep_plan, kept_plans, plan_cells
+from headway_launch.studying import tell_standing
 from headway_launch.sweeping import compose_sweep
 
 BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
@@ -210,3 +211,20 @@ def test_a_finished_sweep_is_left_alone_and_its_table_shown(
     assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0
     assert run(["resume", "--study", "tyos", "--store", str(tmp_path)]) == 2
     assert "did you mean toys?" in capsys.readouterr().err
+
+
+def test_how_to_go_on_with_runs_of_a_killed_session_elsewhere_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    held = keep_run(tmp_path, experiment, 0, "RUNNING")
+    tell_standing("toys", [standing(tmp_path, "algo=ippo", "seed=0..1")])
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        "headway: of 2 runs of study toys, 1 are left to the session that trains them, 1 begin",
+        "headway: runs are held by sessions on elsewhere: where such a session was killed, give this command "
+        'there, or set "status": "KILLED" in the run.json of its runs',
+    ]
+    [record] = tmp_path.rglob(f"{held}/run.json")
+    record.write_text(record.read_text().replace('"RUNNING"', '"KILLED"'))
+    assert [run.record.run_id for run in standing(tmp_path, "algo=ippo", "seed=0").unfinished] == [held]

@@ -78,8 +78,10 @@ class _Worker:
     usage: Usage = field(default_factory=Usage)
     repeats: list[Command] = field(default_factory=list)
     """What it has yet to carry out in place of one that failed; the first is under way."""
+    failures: int = 0
+    """Failures of those before it since a command was last carried out, losses of machines aside."""
     lost_machines: int = 0
-    """Machines under those before it that were lost since a command was last carried out."""
+    """Machines under those before it that were lost since then."""
 
     def remember(self, command: Command, done: Done) -> None:
         """Note what it says of itself after a command."""
@@ -157,18 +159,26 @@ class Crew:
         if isinstance(answer, Done):
             worker.remember(worker.repeats.pop(0) if worker.repeats else command, answer)
             if not worker.repeats:
-                worker.lost_machines = 0
+                worker.failures = worker.lost_machines = 0
                 return answer
             worker.link.send(worker.repeats[0])
             return None
         if isinstance(answer, Broken) and answer.is_users:
             raise HeadwayError(answer.line)
-        if not worker.repeats or (worker.link.lost_with_machine and worker.lost_machines < _LOST_MACHINES):
-            self._replace(shard, command, answer)
-            return None
-        if isinstance(answer, Broken):
-            raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
-        raise WorkerFailedError(f"worker {shard} failed twice ({answer})", "the worker left no traceback")
+        self._require_replaceable(shard, answer)
+        self._replace(shard, command, answer)
+        return None
+
+    def _require_replaceable(self, shard: int, answer: Broken | str) -> None:
+        worker, untraced = self.workers[shard], "the worker left no traceback"
+        if worker.link.lost_with_machine:
+            if worker.lost_machines == _LOST_MACHINES:
+                times = f"{_LOST_MACHINES + 1} times in a row"
+                raise WorkerFailedError(f"worker {shard} lost its machine {times} ({answer})", untraced)
+        elif worker.failures:
+            if isinstance(answer, Broken):
+                raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
+            raise WorkerFailedError(f"worker {shard} failed twice ({answer})", untraced)
 
     def _replace(self, shard: int, command: Command, first: Broken | str) -> None:
         """Replace a worker that failed, and have its command repeated from where it stood."""
@@ -179,7 +189,8 @@ class Crew:
         worker = self.workers[shard] = _Worker(self.workplace.start(shard))
         # Where the repetition begins: a checkpoint may be written before it is over.
         worker.begun, worker.snapshot = old.begun, old.snapshot
-        worker.lost_machines = old.lost_machines + old.link.lost_with_machine
+        lost = old.link.lost_with_machine
+        worker.failures, worker.lost_machines = old.failures + (not lost), old.lost_machines + lost
         worker.repeats = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
         if not isinstance(command, Begin | Restore) and old.begun:
@@ -191,7 +202,7 @@ class Crew:
 
 
 class WorkerFailedError(HeadwayError):
-    """A worker failed twice in a row, losses of machines not counted; the details are its own traceback."""
+    """A worker failed twice in a row, or lost its machine too often; the details are its own traceback."""
 
 
 def standing(snapshot: Any, anew: str) -> Command:  # noqa: ANN401 - opaque

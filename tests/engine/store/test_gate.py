@@ -1,7 +1,11 @@
 """One writer at a time: whoever was shut out changes nothing in a run's folder, whenever that was."""
 
+import errno
 import multiprocessing
+import os
+import shutil
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -9,7 +13,7 @@ import pytest
 
 from headway.contracts import HeadwayError
 from headway.store.checkpoint import latest_iteration, load_latest, save_checkpoint, write_checkpoint
-from headway.store.gate import open_gate, shut_gates, write_through
+from headway.store.gate import discard, open_gate, shut_gates, write_through
 from headway.store.log import RunLog, read_rows
 
 TAKEN_OVER = "another training process has taken over"
@@ -77,6 +81,50 @@ def test_other_errors_are_told_as_without_a_gate(tmp_path: Path) -> None:
     gate = open_gate(tmp_path)
     with pytest.raises(HeadwayError, match=r"cannot write .*nowhere/file"):
         write_through(tmp_path / "nowhere" / "file", lambda stream: stream.write(b""), gate)
+
+
+def _failing(number: int) -> Callable[..., None]:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
+def test_a_gate_that_cannot_be_removed_yet_is_shut_and_goes_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = open_gate(tmp_path)
+    (before / ".nfs0001").write_bytes(b"open on this machine")
+    with monkeypatch.context() as nfs:
+        nfs.setattr(shutil, "rmtree", _failing(errno.EBUSY))
+        after = open_gate(tmp_path)
+    with pytest.raises(HeadwayError, match=TAKEN_OVER):
+        write_through(tmp_path / "file", lambda stream: stream.write(b"late"), before)
+    write_through(tmp_path / "file", lambda stream: stream.write(b"good"), after)
+    shut_gates(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_removal_waits_between_its_attempts_and_says_what_fills(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_gate(tmp_path)
+    pauses: list[float] = []
+    monkeypatch.setattr("time.sleep", pauses.append)
+    monkeypatch.setattr(shutil, "rmtree", _failing(errno.ENOTEMPTY))
+    with pytest.raises(HeadwayError, match="which fills again and again"):
+        shut_gates(tmp_path)
+    assert sum(pauses) >= 0.5
+
+
+def test_a_stale_handle_is_a_gate_that_was_shut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = open_gate(tmp_path)
+    (tmp_path / "file").write_bytes(b"kept")
+    monkeypatch.setattr(Path, "replace", _failing(errno.ESTALE))
+    with pytest.raises(HeadwayError, match=TAKEN_OVER):
+        write_through(tmp_path / "file", lambda stream: stream.write(b"late"), gate)
+    with pytest.raises(HeadwayError, match=TAKEN_OVER):
+        discard(tmp_path / "file", gate)
 
 
 def _write_on_and_on(directory: Path, gate: Path) -> None:
