@@ -243,7 +243,9 @@ class Conductor:
         if where:
             tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
         if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
-            tell(f"beside the rules, with intervals: {own_name()} compare {study}{option}")
+            environments = {repr((cell.config.env.id, cell.config.env.args)) for cell in self._cells}
+            command = "compare" if len(environments) == 1 else "report"
+            tell(f"beside the rules, with intervals: {own_name()} {command} {study}{option}")
         self._say_what_tracking_took()
         self._say_what_failed()
         unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]

@@ -12,6 +12,7 @@ from headway.store.durable import make_folder, write_text
 from headway.store.folder import plans_folder
 from headway_launch.composing import Experiment
 from headway_launch.sweeping import compose_sweep
+from headway_launch.telling import tell
 
 _TIME = re.compile(r"(\d+-)?\d+(:\d{1,2}){0,2}")
 _WORD = re.compile(r"[\w.,-]+")
@@ -159,5 +160,8 @@ def _write(
     ]
     make_folder(folder)
     path = folder / f"{kind}.sbatch"
-    write_text(path, "\n".join(lines) + _BEGINNING + body)
+    script = "\n".join(lines) + _BEGINNING + body
+    if path.exists() and path.read_text(encoding="utf-8") != script:
+        tell(f"replaces a script of {config.study} that was not the same: {path}")
+    write_text(path, script)
     return path

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
+from headway_launch.telling import tell
 
 PAGE = "report.html"
 _PARTS = ("tables", "pictures", "configs")
@@ -27,18 +28,26 @@ class Report:
 
 
 def write_report(report: Report, folder: Path) -> Path:
-    """Write the page and its parts into `folder`, which is made if need be; returns the page. Raises
-    HeadwayError if it cannot be written."""
+    """Write the page and its parts into `folder`, which is made if need be; returns the page. Files of an
+    earlier report that this one has not are told, and left. Raises HeadwayError if it cannot be written."""
     try:
         for name in _PARTS:
             (folder / name).mkdir(parents=True, exist_ok=True)
-        for section in report.sections:
-            for part in section.body:
-                _write_part(part, folder)
+        written = {
+            path for section in report.sections for part in section.body for path in _write_part(part, folder)
+        }
         page = folder / PAGE
         page.write_text(html(report), encoding="utf-8")
     except OSError as error:
         raise HeadwayError(f"--output: {folder} cannot be written ({error.strerror or error})") from error
+    others = sorted(
+        str(path.relative_to(folder))
+        for name in _PARTS
+        for path in (folder / name).iterdir()
+        if path not in written
+    )
+    if others:
+        tell(f"not of this report, but still in {folder}: {', '.join(others)}")
     return page
 
 
@@ -67,15 +76,24 @@ def markdown(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_part(part: Part, folder: Path) -> None:
+def _write_part(part: Part, folder: Path) -> list[Path]:
+    """The files that it is now."""
     match part:
         case Table(name=name, data=data):
-            (folder / "tables" / f"{name}.md").write_text(markdown(part), encoding="utf-8")
-            data.to_csv(folder / "tables" / f"{name}.csv", index=False)
+            table, figures = (folder / "tables" / f"{name}.{kind}" for kind in ("md", "csv"))
+            table.write_text(markdown(part), encoding="utf-8")
+            data.to_csv(figures, index=False)
+            return [table, figures]
         case Picture(name=name, figure=figure):
-            figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
+            picture = folder / "pictures" / f"{name}.png"
+            figure.savefig(picture, dpi=200)
+            return [picture]
         case Listing(text=text, file=file) if file:
-            (folder / file).write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")
+            listing = folder / file
+            listing.write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")
+            return [listing]
+        case _:
+            return []
 
 
 def _inline(picture: Picture) -> str:

@@ -18,7 +18,7 @@ from headway.store import Status
 from headway_launch.command_line import run as run_command
 from headway_launch.report.composing import report_of
 from headway_launch.report.gather import StudyData
-from headway_launch.report.page import Report, html
+from headway_launch.report.page import Report, html, write_report
 from headway_launch.report.parts import Listing, Picture, Section, Table
 
 
@@ -353,3 +353,16 @@ def test_runs_evaluated_in_different_modes_are_told_what_to_train_with(keep_run:
     keep_run((*TRACKING, "evaluation.modes=[sampled]"), 1, 1.0)
     with pytest.raises(HeadwayError, match=r"no curve is of all; train .* evaluation.modes=\[greedy\]$"):
         StudyData(root, "study")
+
+
+def test_files_of_an_earlier_report_are_told(
+    keep_run: KeepRun, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two_algorithms(keep_run)
+    write_report(made(root), tmp_path / "report")
+    assert "not of this report" not in capsys.readouterr().err
+    (tmp_path / "report" / "tables" / "scaling.md").write_text("of before")
+    write_report(made(root), tmp_path / "report")
+    assert "still in" in (told := capsys.readouterr().err)
+    assert "tables/scaling.md" in told
+    assert told.count("\n") == 1

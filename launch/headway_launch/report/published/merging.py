@@ -1,5 +1,6 @@
 """The section that answers the merging study's question: who scales from one ramp lane to two."""
 
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
@@ -7,7 +8,7 @@ import pandas as pd
 from headway.stats import difference_of_means
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM
 from headway_launch.report.gather import StudyData
-from headway_launch.report.parts import MISSING, Part, Section, Table, with_interval
+from headway_launch.report.parts import MISSING, Part, Section, Table
 from headway_launch.report.published.episodes import (
     Figure,
     env_of,
@@ -89,7 +90,8 @@ def _beside(data: StudyData, tasks: list[str]) -> Table:
         "merging",
         "An episode's reward (the sum over its steps of the vehicles' mean), the share of episodes with a "
         "crash, the share of CAVs past the ramp's end on the highway, their mean speed, and actions that "
-        "the supervisor replaced: the last evaluation, mean ± standard deviation over seeds.",
+        "the supervisor replaced: the last evaluation, mean ± standard deviation over seeds. The "
+        "published runs had the supervisor on.",
         ["environment", "controller", "seeds", "published: reward", *(each.heading for each in FIGURES)],
         rows,
         pd.DataFrame(exact),
@@ -118,7 +120,7 @@ def _scaling(data: StudyData, one: str, two: str, number: str) -> list[Part]:
         seeds = min(len(members), len(data.on(two)[name]))
         changes = {each.metric: _change(data, one, two, name, each.metric) for each in CHANGES}
         said = PUBLISHED_ANSWER.get(members[0].algorithm, MISSING)
-        shown = [_shown(changes[each.metric]) for each in CHANGES]
+        shown = [_shown(changes[each.metric], each.decimals) for each in CHANGES]
         rows.append([name, str(seeds), *shown, said, _reading(changes["reward"], seeds)])
         exact.append({"controller": name, "seeds": seeds, **_whole(changes)})
     if not rows:
@@ -143,8 +145,12 @@ def _change(data: StudyData, one: str, two: str, name: str, metric: str) -> "Int
     return difference_of_means(of_two, of_one)
 
 
-def _shown(change: "Interval | None") -> str:
-    return MISSING if change is None else with_interval(change.estimate, change.low, change.high, sign=True)
+def _shown(change: "Interval | None", decimals: int) -> str:
+    if change is None:
+        return MISSING
+    if math.isnan(change.low):
+        return f"{change.estimate:+.{decimals}f}"
+    return f"{change.estimate:+.{decimals}f} [{change.low:.{decimals}f}, {change.high:.{decimals}f}]"
 
 
 def _reading(change: "Interval | None", seeds: int) -> str:
