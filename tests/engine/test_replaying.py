@@ -116,7 +116,7 @@ def test_experience_goes_where_the_session_died_just_after_the_last_checkpoint(
     assert _files(tmp_path) == left
 
 
-def _die(directory: Path) -> None:
+def _die(directory: Path, gate: Path | None) -> None:
     raise KeyboardInterrupt
 
 

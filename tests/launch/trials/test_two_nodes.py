@@ -19,7 +19,7 @@ from ray_processes import assert_gone, ray_processes
 SWEEP = (
     *SMALL,
     f"study={STUDY}",
-    "env_steps=8000",
+    "env_steps=16000",
     "backend.workers=2",
     "store.checkpoint_every=2",
     "evaluation.rules=[]",
