@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any, Self
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -13,6 +12,7 @@ from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.acting import actor_outputs
 from headway_algos.config import ModelConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks import acting_arrays
 from headway_algos.normalisation import RunningMoments
 from headway_algos.recurrent import RecurrentNetwork, make_network
 from headway_algos.timeline import Timeline
@@ -80,4 +80,4 @@ class Actor(nn.Module):
             tensors |= {f"gru_{name}": getattr(self.network, name) for name in units}
         if self.log_std is not None:
             tensors["log_std"] = self.log_std
-        return {name: np.asarray(tensor.detach().cpu()) for name, tensor in tensors.items()}
+        return acting_arrays(tensors)

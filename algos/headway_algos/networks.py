@@ -6,7 +6,7 @@ for 10 x 512 rows, 240 us with rows first).
 """
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,12 @@ def stacked_matrices(
         for k in range(networks_per_seed)
     ]
     return nn.Parameter(torch.tensor(np.stack(stack), dtype=dtype))
+
+
+def acting_arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
+    """Tensors as what `Learner.acting_parameters` gives: in C order, whatever order torch keeps them in.
+    OpenBLAS rounds a product of a transposed matrix otherwise than of its copy."""
+    return {name: np.ascontiguousarray(tensor.detach().cpu().numpy()) for name, tensor in tensors.items()}
 
 
 class StackedMLP(nn.Module):

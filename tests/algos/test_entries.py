@@ -67,8 +67,9 @@ def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, spac
         return
     assert entry.refuses(config, spec) is None
     learner, acting = entry.learner(config, spec, (0, 1), "cpu"), entry.acting_policy(config, spec)
-    shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
-    assert shapes == acting.parameter_shapes(2)
+    given = learner.acting_parameters()
+    assert {name: (a.shape, a.dtype) for name, a in given.items()} == acting.parameter_shapes(2)
+    assert all(a.flags.c_contiguous for a in given.values())
 
 
 @pytest.mark.parametrize("name", ON_POLICY)

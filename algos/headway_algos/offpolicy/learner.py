@@ -12,7 +12,7 @@ from torch import Tensor
 from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.experience import Layout, zero_where_absent
 from headway_algos.grouping import Grouping
-from headway_algos.networks import StackedMLP
+from headway_algos.networks import StackedMLP, acting_arrays
 from headway_algos.normalisation import RunningMoments
 from headway_algos.offpolicy.config import ReplayConfig
 from headway_algos.offpolicy.memory import Batch, ReplayMemory
@@ -92,7 +92,7 @@ class ReplayLearner:
         }
         for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
             tensors[f"weight_{i}"], tensors[f"bias_{i}"] = weight, bias
-        return {name: np.asarray(tensor.detach().cpu()) for name, tensor in tensors.items()}
+        return acting_arrays(tensors)
 
     def update(
         self, trajectory: Trajectory, iteration: int, progress: float

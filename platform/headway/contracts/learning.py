@@ -15,7 +15,8 @@ class Learner(Protocol):
     """All learnable tensors of R replicas x K policies, and how experience changes them."""
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """What the acting policy needs, each with leading axis P. The caller copies them."""
+        """What the acting policy needs, each with leading axis P and in C order, so that products of them are
+        rounded alike wherever they go. The caller copies them."""
         ...
 
     def update(

@@ -229,8 +229,10 @@ def test_noisy_actions_stay_within_the_bounds() -> None:
 def test_parameters_have_the_shapes_that_workers_make_room_for(algorithm: str) -> None:
     for policies in ("independent", "shared", "groups"):
         learner, acting = _learner(algorithm, policies, "float32", (0, 1))  # type: ignore[arg-type]  # a literal
-        shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
+        given = learner.acting_parameters()
+        shapes = {name: (a.shape, a.dtype) for name, a in given.items()}
         assert shapes == acting.parameter_shapes(2)
+        assert all(a.flags.c_contiguous for a in given.values())
         assert isinstance(acting, EpsilonGreedyPolicy if algorithm == "madqn" else WanderingPolicy)
 
 

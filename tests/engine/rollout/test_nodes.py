@@ -42,7 +42,7 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
 def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(
     nodes: "Cluster", tmp_path: Path, lost: int
 ) -> None:
-    """Nor does a second one, to which its work went."""
+    """Nor does a second one, to which its work went. The other worker is lost with a node that it is on."""
 
     def plan(times: int) -> RolloutPlan:
         return plan_of(FaultyVisitors, FaultConfig("kill parent", str(tmp_path), 30, copies=2, times=times))
@@ -57,7 +57,7 @@ def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(
         finally:
             collector.close()
     assert_same(given["process"], given["ray"])
-    assert len(notices) == lost
+    assert lost <= len(notices) <= 2 * lost
     for notice in notices:
         assert "node" in notice
         assert notice.endswith("replaced, repeating its part from where it stood")
