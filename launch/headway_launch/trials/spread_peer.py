@@ -4,10 +4,12 @@ The peer that IPPO and MAPPO stand beside in experiment mpe2_spread, from whose 
 environment's arguments, environment steps and batch, the network and hyper-parameters of `algo=ippo
 algo.policies=shared`, and how many episodes of greedy play there are at the end. What a library has of its
 own stays its own: SuperSuit makes agents into copies of one environment, so that all share a policy;
-normalisation is VecNormalize's. SuperSuit hands the time limit of 25 steps over as an end like any other, of
-which PPO then takes the value to be 0; with `--time-limits` it is told, and bootstraps, as ours does. The
-episodes of its evaluation have other seeds than ours. Needs `pip install stable-baselines3`, which is no part
-of Headway.
+normalisation is VecNormalize's. SuperSuit says which episodes end in integers, which VecNormalize takes for
+places: returns of copies 0 and 1 alone would begin anew, and rewards be scaled by sums over many episodes,
+so they are made truth values here; `--as-supersuit` leaves them. SuperSuit hands the time limit of 25 steps
+over as an end like any other, of which PPO then takes the value to be 0; with `--time-limits` it is told, and
+bootstraps, as ours does. The episodes of its evaluation have other seeds than ours. Needs `pip install
+stable-baselines3`, which is no part of Headway.
 """
 
 import argparse
@@ -60,10 +62,11 @@ def hyper_parameters(experiment: "Experiment") -> dict[str, Any]:
 
 
 def train(
-    experiment: "Experiment", seed: int, env_steps: int, episodes: int, time_limits: bool
+    experiment: "Experiment", seed: int, env_steps: int, episodes: int, time_limits: bool, mended: bool
 ) -> dict[str, float]:
     """One seed: `return` (mean over agents and greedy episodes), `cpu_seconds` and `seconds` of training.
-    With `time_limits` PPO knows that an episode ends by one, as every episode here does.
+    With `time_limits` PPO knows that an episode ends by one, as every episode here does. `mended`: ends are
+    truth values; see the module.
 
     Raises HeadwayError where something is not installed.
     """
@@ -84,6 +87,8 @@ def train(
     copies = supersuit.concat_vec_envs_v1(one, number, num_cpus=1, base_class="stable_baselines3")
     for index, copy in enumerate(copies.unwrapped.vec_envs):
         copy.reset(seed=seed * number + index)
+    if mended:
+        copies.step_wait = _with_truth_values(copies.step_wait)
     if time_limits:
         copies.step_wait = _with_time_limits(copies.step_wait)
     normalised = VecNormalize(VecMonitor(copies))
@@ -104,6 +109,16 @@ def train(
             total += sum(rewards.values()) / arguments["N"]
         totals.append(total)
     return {"return": float(np.mean(totals)), "cpu_seconds": cpu_seconds, "seconds": seconds}
+
+
+def _with_truth_values(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple[Any, ...]]:
+    """A vector's `step_wait` that says in truth values which copies' episodes have ended."""
+
+    def step_wait() -> tuple[Any, ...]:
+        observations, rewards, ended, infos = wait()
+        return observations, rewards, np.asarray(ended, dtype=bool), infos
+
+    return step_wait
 
 
 def _with_time_limits(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple[Any, ...]]:
@@ -129,6 +144,9 @@ def main() -> int:
     parser.add_argument(
         "--time-limits", action="store_true", help="tell PPO that episodes end by a time limit"
     )
+    parser.add_argument(
+        "--as-supersuit", action="store_true", help="leave ends as integers, which VecNormalize misreads"
+    )
     results = []
     try:
         asked = parser.parse_args()
@@ -139,7 +157,8 @@ def main() -> int:
         episodes = asked.episodes or experiment.config.evaluation.final_episodes
         print("seed\tenv steps\treturn\tsteps/s\tsteps/CPU s", flush=True)
         for seed in seeds:
-            found = train(experiment, seed, env_steps, episodes, asked.time_limits)
+            mended = not asked.as_supersuit
+            found = train(experiment, seed, env_steps, episodes, asked.time_limits, mended)
             results.append(found["return"])
             speeds = [f"{env_steps / found[name]:,.0f}" for name in ("seconds", "cpu_seconds")]
             print(f"{seed}\t{env_steps}\t{found['return']:.3f}", *speeds, sep="\t", flush=True)

@@ -2,6 +2,7 @@
 
 import sys
 
+import numpy as np
 import pytest
 
 from headway_launch.trials import spread_peer
@@ -52,3 +53,12 @@ def test_ends_are_told_to_be_time_limits_and_nothing_else_is() -> None:
     wait = spread_peer._with_time_limits(lambda: ("seen", "paid", [True, False], infos))
     assert wait() == ("seen", "paid", [True, False], infos)
     assert infos == [{"episode": 1, "TimeLimit.truncated": True}, {"TimeLimit.truncated": False}]
+
+
+def test_ends_are_handed_on_as_truth_values() -> None:
+    """SuperSuit's integers are places to numpy: those of copies 0 and 1, whoever's episode has ended."""
+    given = np.array([0, 1, 1, 0], dtype=np.uint8)
+    _, _, ended, _ = spread_peer._with_truth_values(lambda: ("seen", "paid", given, []))()
+    returns = np.ones(4)
+    returns[ended] = 0
+    assert returns.tolist() == [1, 0, 0, 1]
