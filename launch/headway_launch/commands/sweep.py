@@ -1,6 +1,7 @@
 """`headway sweep`: train every combination of values and seeds, as far as the store does not have them."""
 
 import argparse
+import shlex
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.run import add_dry_run_argument
@@ -84,5 +85,5 @@ def _write_script(arguments: argparse.Namespace) -> int:
     write = write_array_script if arguments.array else write_cluster_script
     path = write(arguments.overrides, Allocation(**given, further=tuple(arguments.sbatch or ())))
     print(path)
-    tell(f"submit it, and again to go on where it stopped, with: sbatch {path}")
+    tell(f"submit it, and again to go on where it stopped, with: sbatch {shlex.quote(str(path))}")
     return 0
