@@ -70,20 +70,30 @@ port=$((20000 + SLURM_JOB_ID % 20000))
 address=${HEADWAY_HEAD_ADDRESS:-$(hostname -I | cut -d ' ' -f 1)}
 RAY_AUTH_TOKEN=$("$python" -c 'import secrets; print(secrets.token_hex(32))')
 export RAY_AUTH_TOKEN RAY_AUTH_MODE=token RAY_USAGE_STATS_ENABLED=0
-folder=$(mktemp -d /tmp/headway-ray-XXXXXX)
+folder=$(mktemp -d "${HEADWAY_RAY_TMP:-/tmp}/headway-ray-XXXXXX")
 ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --block)
+others=$((SLURM_JOB_NUM_NODES - 1))
 on_nodes=(srun "--cpus-per-task=$SLURM_CPUS_PER_TASK" --ntasks-per-node=1 --kill-on-bad-exit=0)
-end_ray() { kill $(jobs -p) 2> /dev/null || true; wait || true; rm -rf "$folder"; }
+on_others=("${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME")
+# Each node has a folder of Ray's. Where the job is cancelled no step can begin that would remove it, but all
+# that runs is told to end; where the job ends by itself the daemons may be killed, and a step removes it.
+and_tidy=(bash -c '"$@" & ray=$!; trap : TERM INT
+    while kill -0 "$ray" 2> /dev/null; do wait "$ray" || true; done; rm -rf "$0"' "$folder")
+end_ray() {
+    kill $(jobs -p) 2> /dev/null || true
+    wait || true
+    [ "$others" -eq 0 ] || "${on_others[@]}" rm -rf "$folder" || true
+    rm -rf "$folder"
+}
 trap end_ray EXIT
 
-"${on_nodes[@]}" --nodes=1 --ntasks=1 "--nodelist=$SLURMD_NODENAME" \\
+"${on_nodes[@]}" --nodes=1 --ntasks=1 "--nodelist=$SLURMD_NODENAME" "${and_tidy[@]}" \\
     "${ray[@]}" --head "--node-ip-address=$address" "--port=$port" "--temp-dir=$folder" \\
     --include-dashboard=false > "$logs/$SLURM_JOB_ID-head.out" 2>&1 &
 "$python" -m headway_launch.nodes "$address:$port" 1
-others=$((SLURM_JOB_NUM_NODES - 1))
 if [ "$others" -gt 0 ]; then
-    "${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME" \\
-        "${ray[@]}" "--address=$address:$port" > "$logs/$SLURM_JOB_ID-nodes.out" 2>&1 &
+    "${on_others[@]}" "${and_tidy[@]}" "${ray[@]}" "--address=$address:$port" \\
+        > "$logs/$SLURM_JOB_ID-nodes.out" 2>&1 &
 fi
 "$python" -m headway_launch.nodes "$address:$port" "$SLURM_JOB_NUM_NODES"
 "$python" -m headway_launch sweep "${overrides[@]}" "backend.address=$address:$port" &

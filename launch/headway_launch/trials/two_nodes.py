@@ -287,7 +287,8 @@ def _cut_off(
     wake(actors)
     until(lambda: not any(_workers(actor) for actor in actors))
     found = _wrongs_of_the_cut_off(nodes, actors)
-    found += [f"what was cut off has written: {path}" for path, _ in sorted(there ^ _contents(root))]
+    if changed := sorted({path for path, _ in there ^ _contents(root)}):
+        found.append(f"what was cut off has changed {len(changed)} files, {changed[-1]} among them")
     wake(others)
     print(f"what was cut off woke, at {done[seed]} iterations, when its replacement was at {at}", flush=True)
     return found
@@ -364,7 +365,7 @@ def _contents(root: Path) -> set[tuple[str, tuple[int, int, int]]]:
 
 
 def headway(sweep: Sequence[str], root: Path) -> list[str]:
-    return [sys.executable, "-m", "headway_launch", "sweep", *sweep, f"store.root={root}"]
+    return [sys.executable, "-m", "headway_launch", "sweep", *sweep, f"store.root='{root}'"]
 
 
 def _calls_itself(process: psutil.Process, name: str) -> bool:
