@@ -82,7 +82,7 @@ and_tidy=(bash -c '"$@" & ray=$!; trap : TERM INT
 end_ray() {
     kill $(jobs -p) 2> /dev/null || true
     wait || true
-    [ "$others" -eq 0 ] || "${on_others[@]}" rm -rf "$folder" || true
+    [ "$others" -eq 0 ] || timeout 60 "${on_others[@]}" rm -rf "$folder" || true
     rm -rf "$folder"
 }
 trap end_ray EXIT
