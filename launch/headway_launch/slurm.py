@@ -16,6 +16,33 @@ from headway_launch.telling import tell
 
 _TIME = re.compile(r"(\d+-)?\d+(:\d{1,2}){0,2}")
 _WORD = re.compile(r"[\w.,-]+")
+_PLAIN = re.compile(r"[\w/.,:=@%+-]+")
+"""What sbatch reads in a script as it stands."""
+_MANGLED = ("packjob", "hetjob")
+"""Words that sbatch cuts out of a line, wherever they stand."""
+_OURS = {
+    "time": "give --time",
+    "nodes": "give --nodes",
+    "cpus-per-task": "give --cpus",
+    "partition": "give --partition",
+    "array": "give --array",
+    "job-name": "it is named after the study",
+    "output": "it lies beside the script",
+    "signal": "it stops a job with a checkpoint",
+    "ntasks-per-node": "a node has one task",
+    "ntasks": "a node has one task",
+}
+"""Options of sbatch that a script has already, and what to do instead of giving them."""
+_LETTERS = {
+    "t": "time",
+    "N": "nodes",
+    "c": "cpus-per-task",
+    "p": "partition",
+    "a": "array",
+    "J": "job-name",
+    "o": "output",
+    "n": "ntasks",
+}
 _GRACE_S = 300
 """Before its time is over a job is told to stop, so that it ends with a checkpoint."""
 
@@ -43,20 +70,30 @@ port=$((20000 + SLURM_JOB_ID % 20000))
 address=${HEADWAY_HEAD_ADDRESS:-$(hostname -I | cut -d ' ' -f 1)}
 RAY_AUTH_TOKEN=$("$python" -c 'import secrets; print(secrets.token_hex(32))')
 export RAY_AUTH_TOKEN RAY_AUTH_MODE=token RAY_USAGE_STATS_ENABLED=0
-folder=$(mktemp -d /tmp/headway-ray-XXXXXX)
+folder=$(mktemp -d "${HEADWAY_RAY_TMP:-/tmp}/headway-ray-XXXXXX")
 ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --block)
+others=$((SLURM_JOB_NUM_NODES - 1))
 on_nodes=(srun "--cpus-per-task=$SLURM_CPUS_PER_TASK" --ntasks-per-node=1 --kill-on-bad-exit=0)
-end_ray() { kill $(jobs -p) 2> /dev/null || true; wait || true; rm -rf "$folder"; }
+on_others=("${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME")
+# Each node has a folder of Ray's. Where the job is cancelled no step can begin that would remove it, but all
+# that runs is told to end; where the job ends by itself the daemons may be killed, and a step removes it.
+and_tidy=(bash -c '"$@" & ray=$!; trap : TERM INT
+    while kill -0 "$ray" 2> /dev/null; do wait "$ray" || true; done; rm -rf "$0"' "$folder")
+end_ray() {
+    kill $(jobs -p) 2> /dev/null || true
+    wait || true
+    [ "$others" -eq 0 ] || timeout 60 "${on_others[@]}" rm -rf "$folder" || true
+    rm -rf "$folder"
+}
 trap end_ray EXIT
 
-"${on_nodes[@]}" --nodes=1 --ntasks=1 "--nodelist=$SLURMD_NODENAME" \\
+"${on_nodes[@]}" --nodes=1 --ntasks=1 "--nodelist=$SLURMD_NODENAME" "${and_tidy[@]}" \\
     "${ray[@]}" --head "--node-ip-address=$address" "--port=$port" "--temp-dir=$folder" \\
     --include-dashboard=false > "$logs/$SLURM_JOB_ID-head.out" 2>&1 &
 "$python" -m headway_launch.nodes "$address:$port" 1
-others=$((SLURM_JOB_NUM_NODES - 1))
 if [ "$others" -gt 0 ]; then
-    "${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME" \\
-        "${ray[@]}" "--address=$address:$port" > "$logs/$SLURM_JOB_ID-nodes.out" 2>&1 &
+    "${on_others[@]}" "${and_tidy[@]}" "${ray[@]}" "--address=$address:$port" \\
+        > "$logs/$SLURM_JOB_ID-nodes.out" 2>&1 &
 fi
 "$python" -m headway_launch.nodes "$address:$port" "$SLURM_JOB_NUM_NODES"
 "$python" -m headway_launch sweep "${overrides[@]}" "backend.address=$address:$port" &
@@ -95,8 +132,7 @@ class Allocation:
         if self.partition is not None and not _WORD.fullmatch(self.partition):
             raise HeadwayError(f"--partition must be the name of one, not {self.partition!r}")
         for option in self.further:
-            if not option.startswith("-") or "\n" in option:
-                raise HeadwayError(f"--sbatch takes an option of sbatch, such as --mem=8G, not {option!r}")
+            _require_further(option)
 
     def lines(self, name: str, logs: Path, log: str) -> list[str]:
         """The lines that sbatch reads; `log` names a job's output in a folder."""
@@ -105,16 +141,67 @@ class Allocation:
             f"--nodes={self.nodes}",
             "--ntasks-per-node=1",
             f"--cpus-per-task={self.cpus}",
-            f"--output={logs}/{log}",
+            f"--output={_as_pattern(logs)}/{log}",
             f"--signal=B:TERM@{_GRACE_S}",
         ]
         asked += [f"--time={self.time}"] if self.time else []
         asked += [f"--partition={self.partition}"] if self.partition else []
-        return [f"#SBATCH {option}" for option in (*asked, *self.further)]
+        given = [" ".join(map(_quoted, shlex.split(option))) for option in self.further]
+        return [f"#SBATCH {option}" for option in (*map(_quoted, asked), *given)]
+
+
+def _require_further(option: str) -> None:
+    """Raises HeadwayError for what is no option of sbatch, or one that the script has already."""
+    try:
+        words = shlex.split(option)
+    except ValueError:
+        words = []
+    is_one = len(words) == 1 or (len(words) == 2 and "=" not in words[0])
+    if not is_one or not re.match("-+[^-]", words[0]) or "\n" in option:
+        raise HeadwayError(
+            f"--sbatch takes an option of sbatch, such as --mem=8G or '--comment=\"a b\"', not {option!r}"
+        )
+    name = words[0].lstrip("-").partition("=")[0]
+    if words[0].startswith("--"):
+        # sbatch takes a name's beginning for the name.
+        ours = [long for long in _OURS if name and long.startswith(name)]
+    else:
+        ours = [_LETTERS[name[0]]] if name[:1] in _LETTERS else []
+    if ours:
+        raise HeadwayError(f"--sbatch={option}: the script has its own --{ours[0]} ({_OURS[ours[0]]})")
+
+
+def _quoted(word: str) -> str:
+    """A word as sbatch reads it in a script: quotes hold it together, a backslash takes the next character as
+    it is, and a bare `#` begins a comment."""
+    return word if _PLAIN.fullmatch(word) else '"' + re.sub(r'(["\\])', r"\\\1", word) + '"'
+
+
+def _as_pattern(folder: Path) -> str:
+    """A folder in the pattern of a job's output, where `%` begins what is replaced. Raises HeadwayError for
+    one that sbatch cannot be told."""
+    text = str(folder)
+    for unwanted in ("\\", "\n", *_MANGLED):
+        if unwanted in text.lower():
+            raise HeadwayError(
+                f"sbatch cannot write to a folder with {unwanted!r} in its name: set store.root to another "
+                f"than {text!r}"
+            )
+    return text.replace("%", "%%")
 
 
 def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Path:
-    """The script of a sweep on one Ray cluster in the allocation. Raises HeadwayError as the sweep would."""
+    """The script of a sweep on one Ray cluster in the allocation. Raises HeadwayError as the sweep would, and
+    for overrides of what the script sets."""
+    for override in overrides:
+        key, _, value = override.partition("=")
+        key = key.lstrip("+~")
+        if key in ("backend", "backend.name") and value != "ray":
+            raise HeadwayError(
+                f"{override}: the script starts a Ray cluster; leave it out, or give --array, which has none"
+            )
+        if key == "backend.address":
+            raise HeadwayError(f"{override}: the script starts a Ray cluster of its own; leave it out")
     on_it = [*overrides, "backend=ray"]
     experiments = compose_sweep([*on_it, "backend.address=HOST:1"])
     variables = {"overrides": on_it}

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from platform import node
 
+from headway.contracts.errors import HeadwayError
+from headway.store import RunRecord
 from headway.store.index import RunIndex
 from headway_launch.composing import Experiment
 from headway_launch.conducting import Conductor
@@ -47,10 +49,14 @@ class StudySession:
         tell_standing(config.study, self.standings)
         return conductor
 
+    def require_all_ended(self) -> None:
+        """See `require_all_ended`."""
+        left = [run.directory for standing in self.standings for run in standing.elsewhere]
+        require_all_ended(self.experiments[0].config.study, left)
+
 
 def tell_standing(study: str, standings: Sequence[Standing]) -> None:
-    """A line on what the store has already, nothing where that is nothing; and one on what is held by
-    sessions of other hosts, of which nobody can tell from here that they are gone."""
+    """A line on what the store has already, nothing where that is nothing."""
     counts = {
         "have finished and are left alone": sum(len(standing.finished) for standing in standings),
         "go on": sum(len(standing.unfinished) for standing in standings),
@@ -60,9 +66,21 @@ def tell_standing(study: str, standings: Sequence[Standing]) -> None:
     if any(counts[kind] for kind in list(counts)[:3]):
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
         tell(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
-    hosts = {run.record.session.host for standing in standings for run in standing.elsewhere} - {node()}
-    if hosts:
-        tell(
-            f"headway: runs are held by sessions on {', '.join(sorted(hosts))}: where such a session was "
-            'killed, give this command there, or set "status": "KILLED" in the run.json of its runs'
-        )
+
+
+def require_all_ended(study: str, left: Sequence[Path]) -> None:
+    """Raise HeadwayError, with what to do, where runs in these folders, which were left to other sessions,
+    have not finished. Of a session on another host nobody can tell from here that it is gone."""
+    from headway.drawing import counted
+
+    records = [record for record in map(RunRecord.read, left) if record.settled_status != "FINISHED"]
+    if not records:
+        return
+    held = {record.session for record in records if record.settled_status == "RUNNING"}
+    who = [f"process {session.pid} on {session.host}" for session in sorted(held, key=str)]
+    line = f"{counted(len(records), 'run')} of study {study} left to other sessions and not finished"
+    line += f" (held by {', '.join(who)})" if who else ""
+    line += ": give this command again when these have ended"
+    if any(session.host != node() for session in held):
+        line += '; where one was killed, on its host, or with "status": "KILLED" in the run.json of its runs'
+    raise HeadwayError(line)

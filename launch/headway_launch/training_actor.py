@@ -27,6 +27,7 @@ from headway.events import (
 from headway.rollout.actors import PATIENCE_S, Place, pickled_whole, reason_of
 from headway.training import TrainingJob
 from headway_launch.planning import gpus_of
+from headway_launch.telling import tell
 from headway_launch.threads import ONE_THREAD
 from headway_launch.training_process import train_and_tell
 
@@ -56,11 +57,17 @@ class TrainingHost:
                 )
                 self.events.put(Failed(line, ""))
                 return
-            train_and_tell(job, self.events.put, self.stop.is_set)
+            train_and_tell(job, self._tell, self.stop.is_set)
         except Exception as error:
             self.events.put(Failed(f"{type(error).__name__}: {error}".splitlines()[0], ""))
         finally:
             self.events.put(None)
+
+    def _tell(self, event: Event) -> None:
+        """A failure also to Ray's log on this machine: its session may have lost it, and hear nothing."""
+        if isinstance(event, Failed):
+            tell(f"headway: {event.line}")
+        self.events.put(event)
 
     def next_events(self) -> list[Event | None]:
         """What has happened since the last call, after a moment where that is nothing; None: all is told."""

@@ -89,7 +89,42 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
             "--time must be as Slurm's, such as 90, 12:00:00 or 2-00, not 'soon'",
         ),
         (("--slurm", "--partition", "a b"), "--partition must be the name of one, not 'a b'"),
-        (("--slurm", "--sbatch", "x"), "--sbatch takes an option of sbatch, such as --mem=8G, not 'x'"),
+        (
+            ("--slurm", "--sbatch", "x"),
+            "--sbatch takes an option of sbatch, such as --mem=8G or '--comment=\"a b\"', not 'x'",
+        ),
+        (
+            ("--slurm", "--sbatch=--mem=8G --gpus=1"),
+            "--sbatch takes an option of sbatch, such as --mem=8G or '--comment=\"a b\"', "
+            "not '--mem=8G --gpus=1'",
+        ),
+        (
+            ("--slurm", "--sbatch=--time=5", "--time", "9"),
+            "--sbatch=--time=5: the script has its own --time (give --time)",
+        ),
+        (("--slurm", "--sbatch=--tim=5"), "--sbatch=--tim=5: the script has its own --time (give --time)"),
+        (("--slurm", "--sbatch=-N4"), "--sbatch=-N4: the script has its own --nodes (give --nodes)"),
+        (
+            ("--slurm", "--sbatch=-o here"),
+            "--sbatch=-o here: the script has its own --output (it lies beside the script)",
+        ),
+        (
+            ("--slurm", "--array", "--sbatch=--array=0-9%2"),
+            "--sbatch=--array=0-9%2: the script has its own --array (give --array)",
+        ),
+        (
+            ("--slurm", "backend=process"),
+            "backend=process: the script starts a Ray cluster; leave it out, or give --array, which has none",
+        ),
+        (
+            ("--slurm", "++backend.name=serial"),
+            "++backend.name=serial: the script starts a Ray cluster; leave it out, or give --array, "
+            "which has none",
+        ),
+        (
+            ("--slurm", "backend=ray", "backend.address=head:6379"),
+            "backend.address=head:6379: the script starts a Ray cluster of its own; leave it out",
+        ),
         (
             ("--slurm", "--array", "--nodes", "2"),
             "with --array each seed has one node: leave --nodes out, or --array",
@@ -105,6 +140,34 @@ def test_what_cannot_be_is_one_line(
 ) -> None:
     assert run([*SWEEP, *words]) == 2
     assert capsys.readouterr().err == f"headway: {line}\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_sbatch_reads_is_held_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its way of reading a line is the shell's, but that `%` is replaced in the name of the output."""
+    words = ('--sbatch=--comment="a #1"', "--sbatch=-A ours", "store.root='a store, 50%/b\"c'")
+    assert run([*SWEEP, "--slurm", "--array", "backend=process", *words]) == 0
+    told = capsys.readouterr()
+    path = Path(told.out.strip())
+    assert path == tmp_path / "a store, 50%" / 'b"c' / "a-study" / "slurm" / "array.sbatch"
+    subprocess.run(["bash", "-n", path], check=True)
+    [*_, submitted] = shlex.split(told.err)
+    assert submitted == str(path)
+    asked = [shlex.split(line, comments=True) for line in _asked(path.read_text().splitlines())]
+    output = str(path.parent).replace("%", "%%")
+    assert [f"--output={output}/%A-%a.out"] in asked
+    assert ["--comment=a #1"] in asked
+    assert ["-A", "ours"] in asked
+
+
+@pytest.mark.parametrize("name", ["a\\\\b", "Packjobs"])
+def test_a_folder_that_sbatch_cannot_be_told_is_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*SWEEP, "--slurm", f"store.root='{name}'"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("headway: sbatch cannot write to a folder with ")
+    assert told.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 

@@ -17,7 +17,7 @@ from headway_launch.command_line import run
 from headway_launch.composing import Experiment
 from headway_launch.planning import Shares, cell_parameters, full_mapping, workers_of
 from headway_launch.study_plan import Standing, keep_plan, kept_plans, plan_cells
-from headway_launch.studying import tell_standing
+from headway_launch.studying import require_all_ended
 from headway_launch.sweeping import compose_sweep
 
 BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
@@ -213,18 +213,47 @@ def test_a_finished_sweep_is_left_alone_and_its_table_shown(
     assert "did you mean toys?" in capsys.readouterr().err
 
 
-def test_how_to_go_on_with_runs_of_a_killed_session_elsewhere_is_told(
+HELD = (
+    "headway: 1 run of study toys left to other sessions and not finished (held by process 1 on "
+    "elsewhere): give this command again when these have ended; where one was killed, on its host, or with "
+    '"status": "KILLED" in the run.json of its runs'
+)
+
+
+def test_what_a_session_elsewhere_holds_is_refused_with_a_way_to_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    [experiment] = compose_sweep([*BASE, "algo=ippo"])
-    held = keep_run(tmp_path, experiment, 0, "RUNNING")
-    tell_standing("toys", [standing(tmp_path, "algo=ippo", "seed=0..1")])
+    sweep = [*BASE, "algo=ippo", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
+    [experiment] = compose_sweep(sweep)
+    keep_run(tmp_path, experiment, 0, "FINISHED")
+    held = keep_run(tmp_path, experiment, 1, "RUNNING")
+    store = ("--store", str(tmp_path))
+    assert run(["sweep", *sweep]) == 2
+    counts = "1 have finished and are left alone, 1 are left to the session that trains them"
     told = capsys.readouterr().err.splitlines()
-    assert told == [
-        "headway: of 2 runs of study toys, 1 are left to the session that trains them, 1 begin",
-        "headway: runs are held by sessions on elsewhere: where such a session was killed, give this command "
-        'there, or set "status": "KILLED" in the run.json of its runs',
-    ]
+    assert f"headway: of 2 runs of study toys, {counts}" in told
+    assert told[-1] == HELD
+    assert run(["resume", "--study", "toys", *store]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == HELD
+    assert run(["resume", held, *store]) == 2
+    assert capsys.readouterr().err == (
+        f"headway: run {held} is being run by process 1 on elsewhere: stop that one first, or, where it was "
+        'killed, set "status": "KILLED" in the run\'s run.json\n'
+    )
     [record] = tmp_path.rglob(f"{held}/run.json")
     record.write_text(record.read_text().replace('"RUNNING"', '"KILLED"'))
-    assert [run.record.run_id for run in standing(tmp_path, "algo=ippo", "seed=0").unfinished] == [held]
+    assert [run.record.run_id for run in standing(tmp_path, "algo=ippo", "seed=1").unfinished] == [held]
+    assert run(["sweep", *sweep]) == 0
+    assert [row.status for row in RunIndex(tmp_path).rows()] == ["FINISHED", "FINISHED"]
+
+
+def test_what_another_session_has_finished_meanwhile_is_no_error(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    held = keep_run(tmp_path, experiment, 0, "RUNNING")
+    [record] = tmp_path.rglob(f"{held}/run.json")
+    with pytest.raises(HeadwayError, match=r"^1 run of study toys left to other sessions and not finished"):
+        require_all_ended("toys", [record.parent])
+    assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 2  # of no sweep
+    record.write_text(record.read_text().replace('"RUNNING"', '"FINISHED"'))
+    require_all_ended("toys", [record.parent])
+    assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0

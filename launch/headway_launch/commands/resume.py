@@ -39,8 +39,9 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway_launch.conducting import EXIT_DONE, conduct_sessions
+    from headway_launch.conducting import EXIT_STOPPED, conduct_sessions
     from headway_launch.stored import StoredRun
+    from headway_launch.studying import require_all_ended
     from headway_launch.telling import tell
 
     root = existing_store(arguments.store)
@@ -53,11 +54,16 @@ def execute(arguments: argparse.Namespace) -> int:
     for run in runs:
         if run.record.status == "FINISHED":
             raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
-    cells = _cells_of_study(root, arguments.study, runs) if arguments.study else _cells_of(runs)
+        run.record.require_free()
+    if not arguments.study:
+        return conduct_sessions(_cells_of(runs), arguments.debug)
+    cells, left = _cells_of_study(root, arguments.study, runs)
+    code = conduct_sessions(cells, arguments.debug, plan_kept=True)
+    if code != EXIT_STOPPED:
+        require_all_ended(arguments.study, left)
     if not cells:
         tell(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
-        return EXIT_DONE
-    return conduct_sessions(cells, arguments.debug, plan_kept=bool(arguments.study))
+    return code
 
 
 def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
@@ -74,8 +80,11 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
     ]
 
 
-def _cells_of_study(root: Path, study: str, named: Sequence["StoredRun"]) -> list["CellPlan"]:
-    """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it."""
+def _cells_of_study(
+    root: Path, study: str, named: Sequence["StoredRun"]
+) -> tuple[list["CellPlan"], list[Path]]:
+    """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it; and
+    the folders of runs that other sessions hold."""
     from headway.store.index import RunIndex
     from headway_launch.stored import StoredRun
     from headway_launch.study_plan import Standing, cell_labels, kept_plans, plan_cells
@@ -104,4 +113,7 @@ def _cells_of_study(root: Path, study: str, named: Sequence["StoredRun"]) -> lis
     }
     cells = [*plan_cells(standings), *_cells_of(list(others.values()))]
     labels = cell_labels([cell.experiment for cell in cells])
-    return [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]
+    labelled = [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]
+    left = [run.directory for standing in standings for run in standing.elsewhere]
+    left += [Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered]
+    return labelled, left

@@ -56,6 +56,7 @@ def execute(arguments: argparse.Namespace) -> int:
     code = conductor.conduct()
     if code != EXIT_DONE:
         return code
+    session.require_all_ended()
     results = {}
     for (point, experiment), rewards in zip(points.items(), conductor.final_rewards(), strict=True):
         if len(rewards) < len(experiment.config.seed):

@@ -1,6 +1,7 @@
 """`headway sweep`: train every combination of values and seeds, as far as the store does not have them."""
 
 import argparse
+import shlex
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.run import add_dry_run_argument
@@ -21,7 +22,8 @@ range(0,5), for an option of a group glob(*). All cells and seeds train side by 
 there are cores. The same sweep given again goes on where it stopped: runs that have finished are left
 alone, those that stopped go on from their checkpoints. A changed configuration is a new cell of the study.
 With --slurm it trains nothing, but writes a script for sbatch and says where.
-Exit code: 0 all have finished, 2 some failed (the others have gone on), 130 stopped.
+Exit code: 0 all have finished, 2 some failed (the others have gone on) or are left to another session that
+holds them, 130 stopped.
 """
 
 
@@ -61,6 +63,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
+    from headway_launch.conducting import EXIT_STOPPED
     from headway_launch.study_plan import distinct
     from headway_launch.studying import StudySession
     from headway_launch.sweeping import compose_sweep
@@ -70,7 +73,10 @@ def execute(arguments: argparse.Namespace) -> int:
         from headway_launch.estimating import print_estimate
 
         return print_estimate(session.standings, session.cells)
-    return session.conductor(arguments.debug).conduct()
+    code = session.conductor(arguments.debug).conduct()
+    if code != EXIT_STOPPED:
+        session.require_all_ended()
+    return code
 
 
 def _write_script(arguments: argparse.Namespace) -> int:
@@ -84,5 +90,5 @@ def _write_script(arguments: argparse.Namespace) -> int:
     write = write_array_script if arguments.array else write_cluster_script
     path = write(arguments.overrides, Allocation(**given, further=tuple(arguments.sbatch or ())))
     print(path)
-    tell(f"submit it, and again to go on where it stopped, with: sbatch {path}")
+    tell(f"submit it, and again to go on where it stopped, with: sbatch {shlex.quote(str(path))}")
     return 0

@@ -4,9 +4,9 @@
 
 starts munge, a controller and two nodes, each in a network namespace of its own, with all their files in a
 scratch folder; submits the scripts that the command writes, of a Ray cluster over both nodes and of an array
-of seeds, and waits for their end. Prints what differs from the same study trained here with worker processes,
-and ends with exit code 1 if anything does, with 2 where there is no Slurm (Debian: slurmctld slurmd
-slurm-client munge) or no namespaces.
+of seeds, and waits for their end; and one that it cancels. Prints what differs from the same study trained
+here with worker processes and what is left of Ray on a node, and ends with exit code 1 if anything is, with 2
+where there is no Slurm (Debian: slurmctld slurmd slurm-client munge) or no namespaces.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from pathlib import Path
 
 from headway.contracts import HeadwayError
 from headway.rollout.cluster import require_ray
-from headway.store import sync_each
+from headway.store import RunIndex, sync_each
 from headway_launch.trials.hosts import Host, two_hosts
 from headway_launch.trials.same_study import differences
 from headway_launch.trials.two_nodes import SMALL, end_by_signal, headway, to_the_end, until
@@ -50,7 +50,7 @@ MpiDefault=none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 SlurmdParameters=config_overrides
-KillWait=5
+KillWait=60
 NodeName=node1 NodeHostname={host} NodeAddr={one.address} CPUs=2
 NodeName=node2 NodeHostname={host} NodeAddr={other.address} CPUs=2
 PartitionName=trial Nodes=ALL Default=YES State=UP
@@ -65,6 +65,8 @@ class Slurm:
 
     host: Host
     environment: dict[str, str]
+    folders: tuple[Path, Path]
+    """Where Ray has its temporary files on each node."""
 
     def ask(self, *command: str) -> str:
         """What one of its programs answers. Raises HeadwayError where that fails."""
@@ -75,18 +77,23 @@ class Slurm:
                 raise HeadwayError(f"{command[0]} ends with code {code}: {errors.read_text().strip()}")
             return told.read_text()
 
-    def run(self, script: Path) -> str:
-        """Submit a script and wait for its end: the states in which its jobs ended."""
-        job = self.ask("sbatch", "--parsable", str(script)).strip()
-        states: list[str] = []
+    def submit(self, script: Path) -> str:
+        """Submit a script: its job."""
+        return self.ask("sbatch", "--parsable", str(script)).strip()
 
-        def ended() -> bool:
-            words = self.ask("scontrol", "--oneliner", "show", "job", job).split()
-            states[:] = [word.removeprefix("JobState=") for word in words if word.startswith("JobState=")]
-            return all(state in _ENDED for state in states)
+    def states(self, job: str) -> list[str]:
+        """Of its tasks, or itself."""
+        words = self.ask("scontrol", "--oneliner", "show", "job", job).split()
+        return [word.removeprefix("JobState=") for word in words if word.startswith("JobState=")]
 
-        until(ended)
-        return " ".join(sorted(set(states)))
+    def end(self, job: str) -> str:
+        """Wait for its end: the states in which it ended."""
+        until(lambda: all(state in _ENDED for state in self.states(job)))
+        return " ".join(sorted(set(self.states(job))))
+
+    def left(self) -> list[str]:
+        """A line for each thing that Ray has left on a node."""
+        return [f"left on a node: {path.name}" for folder in self.folders for path in folder.iterdir()]
 
 
 def main() -> None:
@@ -117,19 +124,44 @@ def trial(root: Path, sweep: Sequence[str]) -> list[str]:
         to_the_end(root / "alone", sweep)
         found: list[str] = []
         for name, options in (("cluster", ["--nodes=2", "--cpus=2"]), ("array", ["--array", "--cpus=2"])):
-            command = [*headway(sweep, root / name), "--slurm", *options]
-            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-            script = Path(done.stdout.strip())
-            state = jobs.run(script)
+            script = _written(root / name, sweep, options)
+            state = jobs.end(jobs.submit(script))
             print(f"{name}: {state}", flush=True)
+            found += [f"{name}: {line}" for line in jobs.left()]
             if state != "COMPLETED":
-                logs = sorted(script.parent.glob("*.out"))
-                told = [f"{log.name}: {line}" for log in logs for line in log.read_text().splitlines()[-5:]]
-                found += [f"{name}: {line}" for line in (state, *told)]
+                found += [f"{name}: {line}" for line in (state, *_told(script))]
                 continue
             sync_each(root / name)
             found += [f"{name}: {line}" for line in differences(root / "alone", root / name)]
+        found += [f"cancelled: {line}" for line in _cancel(jobs, root / "cancelled", sweep)]
     return found
+
+
+def _written(root: Path, sweep: Sequence[str], options: Sequence[str]) -> Path:
+    """The script of a sweep."""
+    command = [*headway(sweep, root), "--slurm", *options]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+    return Path(done.stdout.rstrip("\n"))
+
+
+def _told(script: Path) -> list[str]:
+    """The last lines of what jobs of a script have said."""
+    logs = sorted(script.parent.glob("*.out"))
+    return [f"{log.name}: {line}" for log in logs for line in log.read_text().splitlines()[-5:]]
+
+
+def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
+    """Cancel a job that trains on both nodes; what it leaves on them."""
+    script = _written(root, [*sweep, "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
+    job = jobs.submit(script)
+    until(lambda: bool(RunIndex(root).rows()) or jobs.states(job)[0] in _ENDED)
+    there = [any(folder.glob("headway-ray-*/session_*")) for folder in jobs.folders]
+    jobs.ask("scancel", job)
+    state = jobs.end(job)
+    print(f"cancelled: {state}", flush=True)
+    if not all(there) or state != "CANCELLED":
+        return [f"it ended as {state} before both nodes had files of Ray's", *_told(script)]
+    return jobs.left()
 
 
 @contextmanager
@@ -151,7 +183,12 @@ def slurm() -> Iterator[Slurm]:
         key.chmod(0o400)
         places = {"folder": folder, "host": socket.gethostname(), "one": one, "other": other}
         (folder / "slurm.conf").write_text(_CONFIGURATION.format(**places))
-        environment = {"SLURM_CONF": str(folder / "slurm.conf")}
+        # Sockets of Ray's, whose paths have to be short, lie in there.
+        rays = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp")))
+        folders = folder / "ray-of-the-first", folder / "ray-of-the-second"
+        for place in folders:
+            place.mkdir()
+        environment = {"SLURM_CONF": str(folder / "slurm.conf"), "HEADWAY_RAY_TMP": str(rays)}
         munge = [
             f"--{name}={folder}/munge/{name}" for name in ("socket", "pid-file", "log-file", "seed-file")
         ]
@@ -159,13 +196,26 @@ def slurm() -> Iterator[Slurm]:
         for host, command in (
             (one, ["munged", "--foreground", "--force", f"--key-file={key}", *munge]),
             (one, ["slurmctld", "-D"]),
-            (one, ["slurmd", "-D", "-N", "node1"]),
-            (other, ["slurmd", "-D", "-N", "node2"]),
+            (one, [*_with(folders[0], rays), "slurmd", "-D", "-N", "node1"]),
+            (other, [*_with(folders[1], rays), "slurmd", "-D", "-N", "node2"]),
         ):
             host.start(command, environment, told, told)
-        found = Slurm(one, environment)
+        found = Slurm(one, environment, folders)
         _until_idle(found, told)
         yield found
+
+
+def _with(folder: Path, place: Path) -> list[str]:
+    """Before a command: it finds a folder at that place, which to others is another."""
+    return [
+        "unshare",
+        "--mount",
+        "sh",
+        "-c",
+        'mount --bind "$0" "$1" && shift && exec "$@"',
+        str(folder),
+        str(place),
+    ]
 
 
 def _until_idle(found: Slurm, told: Path) -> None:

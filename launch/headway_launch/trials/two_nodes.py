@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -53,10 +53,15 @@ _HEALTH = {
     "RAY_health_check_period_ms": "1000",
     "RAY_health_check_timeout_ms": "2000",
     "RAY_health_check_failure_threshold": "3",
+    "RAY_gcs_rpc_server_reconnect_timeout_s": "3600",
 }
-"""A node that is silent is given up after some seconds, where Ray by itself takes up to a minute."""
+"""A node that is silent is given up after some seconds, where Ray by itself takes up to a minute; one that
+hears nothing of the head lives on, where Ray by itself ends it after a minute."""
 _LOST = re.compile(r"seed (?P<seed>\d+): its training process was lost")
+_TAKEN_OVER = "another training process has taken over"
+"""In what a training process says that may write to its run no more."""
 _PATIENCE_S = 3600.0
+_LAST_WORD_S = 60.0
 _POLL_S = 0.1
 _RAY_STARTS = 3
 """Ray gives its own daemons half a minute to start, which on a busy machine may be too short."""
@@ -168,7 +173,7 @@ def _on_two_nodes(root: Path, sweep: Sequence[str], turn: Turn) -> tuple[str, li
         if turn.mishap == "killed":
             print(f"{nodes.node.kill()} processes of the second node are killed", flush=True)
         elif turn.mishap == "cut off":
-            found = _cut_off(session, root, nodes.node, turn, there, errors)
+            found = _cut_off(session, root, nodes, turn, there, errors)
         session.wait(_PATIENCE_S)
     if session.returncode:
         raise HeadwayError(f"the session ends with code {session.returncode}: {_last_line(errors)}")
@@ -185,6 +190,13 @@ class Nodes:
     node: Host
     environment: dict[str, str]
     """What Ray needs to be told, on every node and in every driver."""
+    folder: Path
+    """Ray's temporary files, of both."""
+
+    def told_by(self, process: psutil.Process) -> str:
+        """What a process of Ray has printed on stderr, which Ray keeps."""
+        logs = self.folder.glob(f"session_*/logs/worker-*-{process.pid}.err")
+        return "".join(log.read_text(errors="replace") for log in logs)
 
 
 @contextmanager
@@ -201,7 +213,7 @@ def cluster() -> Iterator[Nodes]:
             "RAY_USAGE_STATS_ENABLED": "0",
             **_HEALTH,
         }
-        nodes = Nodes(head, node, environment)
+        nodes = Nodes(head, node, environment, Path(folder))
         address = f"{head.address}:{_PORT}"
         told = Path(folder, "ray.out")
         as_head = ["--head", f"--port={_PORT}", f"--temp-dir={folder}"]
@@ -224,17 +236,20 @@ def _start_ray(host: Host, environment: dict[str, str], told: Path, words: Seque
 def _until_at_work(
     session: "subprocess.Popen[bytes]", root: Path, node: Host, turn: Turn, errors: Path
 ) -> list[psutil.Process]:
-    """Wait until the node has its part of the work and something of each run is durable; its actors."""
+    """Wait until the node has its part of the work and something of each run is durable; its actors. They
+    stand still if something is to happen to them, so that it happens in mid-study, however short that is."""
     actors: list[psutil.Process] = []
 
     def at_work() -> bool:
-        actors[:] = [process for process in node.processes() if _calls_itself(process, turn.actor)]
+        actors[:] = [process for process in node.processes() if _works(process, turn)]
         if session.poll() is not None:
             raise HeadwayError(f"the session ended before the second node had any work: {_last_line(errors)}")
-        return bool(actors) and min(_iterations(root), default=0) > 0
+        return bool(actors) and _begun(root)
 
     until(at_work)
-    done = sum(_iterations(root))
+    if turn.mishap:
+        stand_still(actors)
+    done = sum(row.iterations for row in RunIndex(root).rows(STUDY))
     print(f"{len(actors)} actors on the second node, {done} iterations done", flush=True)
     return actors
 
@@ -242,32 +257,75 @@ def _until_at_work(
 def _cut_off(
     session: "subprocess.Popen[bytes]",
     root: Path,
-    node: Host,
+    nodes: Nodes,
     turn: Turn,
     actors: Sequence[psutil.Process],
     errors: Path,
 ) -> list[str]:
-    """Cut the wire, and wait until what was cut off has ended its training, and the session has gone on with
-    it elsewhere; a line if it went on to its end beside its replacement."""
-    node.cut_off()
-    until(lambda: not any(_workers(actor) for actor in actors))
-    noticed = turn.noticed in errors.read_text()
-    if not all(actor.is_running() for actor in actors):
-        raise HeadwayError("what was cut off has died of it, so nothing was tried")
+    """Cut the wire of actors that stand still, and wake them when their run is trained elsewhere: then all
+    else that trains stands still, and whatever changes in the store is theirs. A line for each thing that
+    they should not have done."""
     folders = {row.seed: Path(row.directory) for row in RunIndex(root).rows(STUDY)}
     done = {seed: latest_iteration(folder / CHECKPOINTS) or 0 for seed, folder in folders.items()}
+    nodes.node.cut_off()
     until(lambda: turn.noticed in errors.read_text() or session.poll() is not None)
     lost = _LOST.search(errors.read_text())
     if lost is None:
         raise HeadwayError("the session has not noticed that a node was cut off, so nothing was tried")
     seed = int(lost["seed"])
-    budget = RunRecord.read(folders[seed]).iterations
-    print(f"what was cut off has ended its training after {done[seed]} of {budget} iterations", flush=True)
-    if done[seed] < budget:
-        return []
-    if not noticed:
-        raise HeadwayError("what was cut off had ended before that was noticed: give more --steps")
-    return ["what was cut off trained on to its end beside its replacement"]
+    kept = folders[seed] / CHECKPOINTS
+    if done[seed] == RunRecord.read(folders[seed]).iterations:
+        raise HeadwayError("what was cut off had ended before, so nothing was tried: give more --steps")
+    until(lambda: (latest_iteration(kept) or 0) > done[seed] or session.poll() is not None)
+    others = [process for process in nodes.head.processes() if _calls_itself(process, turn.actor)]
+    if session.poll() is None:
+        others.append(psutil.Process(session.pid))
+    others += [child for process in others for child in _descendants(process)]
+    stand_still(others)
+    there = _contents(root)
+    at = latest_iteration(kept)
+    wake(actors)
+    until(lambda: not any(_workers(actor) for actor in actors))
+    found = _wrongs_of_the_cut_off(nodes, actors)
+    if changed := sorted({path for path, _ in there ^ _contents(root)}):
+        found.append(f"what was cut off has changed {len(changed)} files, {changed[-1]} among them")
+    wake(others)
+    print(f"what was cut off woke, at {done[seed]} iterations, when its replacement was at {at}", flush=True)
+    return found
+
+
+def _wrongs_of_the_cut_off(nodes: Nodes, actors: Sequence[psutil.Process]) -> list[str]:
+    """Of actors that train no more: empty if they live and have said why."""
+    deadline = time.monotonic() + _LAST_WORD_S
+    while not any(_TAKEN_OVER in nodes.told_by(actor) for actor in actors):
+        if not all(actor.is_running() for actor in actors):
+            raise HeadwayError("what was cut off has died of it, so nothing was tried")
+        if time.monotonic() > deadline:
+            return ["what was cut off has not noticed that its run had been taken over"]
+        time.sleep(_POLL_S)
+    return []
+
+
+def stand_still(processes: Sequence[psutil.Process]) -> None:
+    """Stop processes as they are, and wait until none does anything more."""
+
+    def still(process: psutil.Process) -> bool:
+        try:
+            return process.status() in (psutil.STATUS_STOPPED, psutil.STATUS_ZOMBIE)
+        except psutil.NoSuchProcess:
+            return True
+
+    for process in processes:
+        with suppress(psutil.NoSuchProcess):
+            process.suspend()
+    until(lambda: all(map(still, processes)))
+
+
+def wake(processes: Sequence[psutil.Process]) -> None:
+    """Let processes that stand still go on."""
+    for process in processes:
+        with suppress(psutil.NoSuchProcess):
+            process.resume()
 
 
 def until(happens: Callable[[], bool]) -> None:
@@ -278,6 +336,10 @@ def until(happens: Callable[[], bool]) -> None:
         time.sleep(_POLL_S)
 
 
+def _works(process: psutil.Process, turn: Turn) -> bool:
+    return _calls_itself(process, turn.actor) and (turn.learners == "here" or bool(_workers(process)))
+
+
 def _workers(actor: psutil.Process) -> list[psutil.Process]:
     """Its rollout workers, which are children of its fork server."""
     try:
@@ -286,8 +348,24 @@ def _workers(actor: psutil.Process) -> list[psutil.Process]:
         return []
 
 
+def _descendants(process: psutil.Process) -> list[psutil.Process]:
+    try:
+        return process.children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+
+
+def _contents(root: Path) -> set[tuple[str, tuple[int, int, int]]]:
+    """Every file and folder, as it is."""
+    found = set()
+    for path in root.rglob("*"):
+        kept = path.stat()
+        found.add((str(path.relative_to(root)), (kept.st_ino, kept.st_size, kept.st_mtime_ns)))
+    return found
+
+
 def headway(sweep: Sequence[str], root: Path) -> list[str]:
-    return [sys.executable, "-m", "headway_launch", "sweep", *sweep, f"store.root={root}"]
+    return [sys.executable, "-m", "headway_launch", "sweep", *sweep, f"store.root='{root}'"]
 
 
 def _calls_itself(process: psutil.Process, name: str) -> bool:
@@ -297,9 +375,11 @@ def _calls_itself(process: psutil.Process, name: str) -> bool:
         return False
 
 
-def _iterations(root: Path) -> list[int]:
-    """Of each run that has begun, as far as durable."""
-    return [row.iterations for row in RunIndex(root).rows(STUDY)] if root.exists() else []
+def _begun(root: Path) -> bool:
+    """Whether something of each run is durable, or one is half through, which waits for no other."""
+    rows = RunIndex(root).rows(STUDY) if root.exists() else []
+    halves = [2 * row.iterations >= RunRecord.read(Path(row.directory)).iterations for row in rows]
+    return any(halves) or min((row.iterations for row in rows), default=0) > 0
 
 
 def _figures(table: str) -> list[list[str]]:

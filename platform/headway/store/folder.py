@@ -99,6 +99,16 @@ class RunRecord:
         """Its status as `settled` has it."""
         return settled(self.status, self.session)
 
+    def require_free(self) -> None:
+        """Raise HeadwayError where a session runs it, or, on another host, may."""
+        if self.settled_status != "RUNNING":
+            return
+        killed = ', or, where it was killed, set "status": "KILLED" in the run\'s run.json'
+        raise HeadwayError(
+            f"run {self.run_id} is being run by process {self.session.pid} on {self.session.host}: "
+            f"stop that one first{killed if self.session.host != node() else ''}"
+        )
+
     def write(self, directory: Path) -> None:
         """Write `run.json` durably. Raises HeadwayError if that fails."""
         write_json(directory / RECORD, asdict(self))

@@ -77,9 +77,7 @@ class SessionStore:
         directory = find_run(self.root, run_id)
         with locked(self.root / ".resume.lock", _LOCK_SECONDS, "a run was resumed"):
             record = RunRecord.read(directory)
-            if record.settled_status == "RUNNING":
-                holder = f"process {record.session.pid} on {record.session.host}"
-                raise HeadwayError(f"run {record.run_id} is being run by {holder}: stop that one first")
+            record.require_free()
             if record.status == "FINISHED" and not of_a_stack:
                 raise HeadwayError(f"run {record.run_id} has finished: there is nothing to resume")
             record = replace(

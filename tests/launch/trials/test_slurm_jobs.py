@@ -18,8 +18,10 @@ def test_slurm_jobs_train_what_one_machine_does(tmp_path: Path, capsys: pytest.C
     except HeadwayError as error:
         pytest.skip(str(error))
     settings = ("env_steps=1024", "evaluation.rules=[]", "evaluation.modes=[greedy]", "energy=off")
-    assert trial(tmp_path, (*SMALL, f"study={STUDY}", *settings)) == []
+    root = tmp_path / "a store, 50% #1"
+    assert trial(root, (*SMALL, f"study={STUDY}", *settings)) == []
     told = capsys.readouterr().out
     assert "cluster: COMPLETED" in told
     assert "array: COMPLETED" in told
-    assert (tmp_path / "array" / STUDY / "slurm" / "array.sbatch").exists()
+    assert "cancelled: CANCELLED" in told
+    assert (root / "array" / STUDY / "slurm" / "array.sbatch").exists()
