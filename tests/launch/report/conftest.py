@@ -55,7 +55,10 @@ def keep_run(root: Path) -> Callable[..., Path]:
         record = RunRecord("", study, env, algo, seed, 4, now(), elsewhere, status, policies)
         run_id, directory = create_run_folder(root, study, replace(record, parameters=parameters).cell, seed)
         tags = {"version.headway": "0.1.0", "git.dirty": "true"}
-        record = replace(record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40)
+        preset = experiment.config.preset
+        record = replace(
+            record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40, preset=preset
+        )
         record.write(directory)
         write_text(directory / "config.yaml", yaml.safe_dump(mapping, sort_keys=False))
         summary = {"final_reward": final, "cpu_seconds": 3.0 + seed, "steps_per_second": 10.0}

@@ -41,9 +41,9 @@ def test_ranges_published_stand_beside_rewards_crashes_and_rules(keep_run: Keep,
     train(keep_run, "merge", [60.0], "algo=ippo")
     shown = tables(section(root))["merging"]
     rows = {row[1]: row for row in shown.rows}
-    assert rows["madqn, shared"][2:7] == ["2", "-100 to 50", "52.0 ± 2.8", "0.100 ± 0.000", "0.900 ± 0.000"]
-    assert rows["madqn, shared"][-1] == "\N{EN DASH}"  # nothing logged of a supervisor
-    assert rows["ippo, shared"][3] == "\N{EN DASH}"  # nobody published it
+    assert rows["madqn"][2:7] == ["2", "-100 to 50", "52.0 ± 2.8", "0.100 ± 0.000", "0.900 ± 0.000"]
+    assert rows["madqn"][-1] == "\N{EN DASH}"  # nothing logged of a supervisor
+    assert rows["ippo"][3] == "\N{EN DASH}"  # nobody published it
     assert [row[1] for row in shown.rows][-2:] == ["rule idm_mobil", "rule random"]
     assert shown.emphasised == {2, 3}
     assert "`merge` and on `merge_two_lane`" in words(section(root))
