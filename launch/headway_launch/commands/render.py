@@ -43,7 +43,9 @@ _SUFFIXES = (".gif", ".png")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Who plays, what and where to."""
     parser.add_argument("name", metavar="RUN|ENV", help="a run, or with --rule an environment of configs/env")
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="with --rule: env.args.density=3")
+    parser.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="with --rule: env.args.density=3"
+    )
     parser.add_argument("--rule", help="the rule that plays (default: the run's policy)")
     parser.add_argument(
         "--episode", type=int, default=0, help="which of the evaluation episodes (default: 0)"
