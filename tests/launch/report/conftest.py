@@ -1,5 +1,6 @@
 """Studies written by hand into a store: configurations are real, figures are chosen."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -14,6 +15,8 @@ from headway.store.durable import write_json, write_text
 from headway.store.folder import Process, create_run_folder, now, rules_file
 from headway_launch.composing import Experiment, compose
 from headway_launch.planning import cell_parameters, full_mapping
+
+sys.path.insert(0, str(Path(__file__).parent))  # for `sections`
 
 DAYS = 4
 

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from sections import section_of, tables, words
 
 from headway_launch.report.gather import StudyData
-from headway_launch.report.parts import Section, Table
+from headway_launch.report.parts import Section
 from headway_launch.report.published.busenv import busenv_section, published_figures
 
 TABLE3 = "experiment=bus_table3"
@@ -15,18 +16,7 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    found = busenv_section(StudyData(root, "study"))
-    assert found is not None
-    return found
-
-
-def table(found: Section, name: str) -> Table:
-    [part] = [part for part in found.body if isinstance(part, Table) and part.name == name]
-    return part
-
-
-def words(found: Section) -> str:
-    return "\n".join(part for part in found.body if isinstance(part, str))
+    return section_of(root, busenv_section)
 
 
 def test_the_nine_are_there_with_what_was_published() -> None:
@@ -46,12 +36,12 @@ def test_figures_are_of_training_summed_over_buses_and_ranked(keep_run: Keep, ro
             energy = {"kwh": kwh, "kg_co2": kwh / 10}
             keep_run((TABLE3, f"algo={algorithm}"), seed, final + seed, rules=RULES, energy=energy)
     found = section(root)
-    rows = table(found, "busenv_table3").data.set_index("algorithm")
+    rows = tables(found)["busenv_table3"].data.set_index("algorithm")
     assert rows.loc["maa2c", "final_reward"] == pytest.approx(5 * 16.5 / 2)
     assert rows.loc["maa2c", "final_reward_published"] == 77.41
     assert rows["final_reward_rank"].to_dict() == {"maa2c": 1.0, "ippo": 2.0, "coma": 3.0}
     assert rows["final_reward_published_rank"].to_dict() == {"maa2c": 1.0, "ippo": 2.0, "coma": 3.0}
-    ranks = table(found, "busenv_ranks").data.set_index("figure")
+    ranks = tables(found)["busenv_ranks"].data.set_index("figure")
     assert ranks.loc["final_reward", ["spearman", "kendall"]].tolist() == pytest.approx([1.0, 1.0])
     assert ranks.loc["kwh", "spearman"] == pytest.approx(1.0)
     assert ranks.loc["auc", "algorithms"] == 3
@@ -62,15 +52,15 @@ def test_figures_are_of_training_summed_over_buses_and_ranked(keep_run: Keep, ro
     assert "not public in full" in said
     assert "64 cores and 5 GPUs" in said
     assert "While training" not in said
-    assert "+1.00 (0.33)" in table(found, "busenv_ranks").rows[0]
+    assert "+1.00 (0.33)" in tables(found)["busenv_ranks"].rows[0]
 
 
 def test_two_algorithms_or_two_settings_of_one_have_no_correlation(keep_run: Keep, root: Path) -> None:
     for overrides in (("algo=ippo",), ("algo=ippo", "algo.lr=0.01"), ("algo=coma",)):
         keep_run((TABLE3, *overrides), 0, 10.0)
     found = section(root)
-    assert len(table(found, "busenv_table3").rows) == 3
-    assert table(found, "busenv_ranks").data["spearman"].isna().all()
+    assert len(tables(found)["busenv_table3"].rows) == 3
+    assert tables(found)["busenv_ranks"].data["spearman"].isna().all()
     assert "more than one setting of each: ippo." in words(found)
     assert "A rule that always moves" not in words(found)  # none was played
 

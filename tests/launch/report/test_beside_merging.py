@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from sections import section_of, tables, words
 
 from headway_launch.report.gather import StudyData
-from headway_launch.report.parts import Section, Table
+from headway_launch.report.parts import Section
 from headway_launch.report.published.merging import merging_section
 
 STUDY = "experiment=merge_study"
@@ -16,17 +17,7 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    found = merging_section(StudyData(root, "study"))
-    assert found is not None
-    return found
-
-
-def tables(found: Section) -> dict[str, Table]:
-    return {part.name: part for part in found.body if isinstance(part, Table)}
-
-
-def words(found: Section) -> str:
-    return "\n".join(part for part in found.body if isinstance(part, str))
+    return section_of(root, merging_section)
 
 
 def train(keep: Keep, env: str, rewards: list[float], *overrides: str, crash_rate: float = 0.1) -> None:
