@@ -42,6 +42,8 @@ _LINE_HEIGHT = 0.17
 _NAME_LENGTH = 44
 """Letters of a line of a name: names have settings in them."""
 _DOTS_PER_INCH = 150
+_SHADE, _SHADES = 0.18, 1.1
+"""Opacity of the band of an interval, and of all bands of a panel together."""
 
 
 def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -72,7 +74,8 @@ def learning_curves(
     """The frame of `mean_curves` or `efficiency` (column `mean` or `iqm`), one panel a task: each controller
     with its interval, and the task's `rules` (task -> rule -> value) as dashed lines, but for one so far away
     that nothing else could be seen. The axis is not stretched for a controller as far from most others: the
-    legend says where it is. `low` cuts the vertical axis below."""
+    legend says where it is; nor for intervals much wider than the curves are apart: they go on beyond the
+    picture. `low` cuts the vertical axis below."""
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
     figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
@@ -81,21 +84,25 @@ def learning_curves(
         of_task = means[means["task"] == task] if task else means
         by_name = {str(name): curve for name, curve in of_task.groupby("controller", sort=False)}
         off = far_off({name: curve[column].to_numpy() for name, curve in by_name.items()})
+        shade = min(_SHADE, _SHADES / len(by_name))
         for name, curve in by_name.items():
             if name not in off:
-                _draw_curve(axes, name, curve, column, "", styles[name])
-        draw_rules(axes, rules.get(task, {}))
+                _draw_curve(axes, name, curve, column, styles[name], shade)
+        beside = rules.get(task, {})
+        near = near_rules(beside, *axes.get_ylim())
+        draw_rules(axes, beside)
+        middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in off]
+        _bound_bands(axes, np.concatenate(middles), [beside[rule] for rule in near])
         if off:
             window = axes.get_ylim()
             for name, value in off.items():
-                _draw_curve(
-                    axes, name, by_name[name], column, f" (off, at {_four_digits(value)})", styles[name]
-                )
+                remark = f" (off, at {_four_digits(value)})"
+                _draw_curve(axes, name, by_name[name], column, styles[name], shade, remark)
             axes.set_ylim(window)
         if low is not None:
             axes.set_ylim(bottom=low)
         _finish(axes, "environment steps", label)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        _count_steps(axes)
         axes.yaxis.set_major_formatter(_SEPARATED)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
@@ -114,7 +121,7 @@ def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure
         marks = _marks(len(points))
         axes.plot(list(points), list(points.values()), color=_COLOURS[0], linewidth=1.4, **marks)
         _finish(axes, "", label)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        _count_steps(axes)
         axes.yaxis.set_major_formatter(_SEPARATED)
     axes.set_xlabel("environment steps")
     figure.suptitle(title, fontsize="medium")
@@ -122,14 +129,33 @@ def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure
 
 
 def _draw_curve(
-    axes: "Axes", name: str, curve: "pd.DataFrame", column: str, remark: str, style: Mapping[str, Any]
+    axes: "Axes",
+    name: str,
+    curve: "pd.DataFrame",
+    column: str,
+    style: Mapping[str, Any],
+    shade: float,
+    remark: str = "",
 ) -> None:
     """A controller's line and the band of its interval."""
     runs = f" ({counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
     axes.plot(steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_marks(len(steps)), **style)
     ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
-    axes.fill_between(steps, *ends, color=style["color"], alpha=0.18, linewidth=0)
+    axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
+
+
+def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]", rules: Sequence[float]) -> None:
+    """Let intervals stretch the vertical axis to twice the range of what they are around, no farther:
+    those of two seeds may be a hundred times as wide, and would flatten all curves."""
+    low, high = float(np.nanmin(middles)), float(np.nanmax(middles))
+    if not low < high:
+        return
+    beyond = 0.5 * (high - low)
+    shown = (low - beyond, high + beyond, *rules)
+    edge = 0.05 * (max(shown) - min(shown))
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(max(bottom, min(shown) - edge), min(top, max(shown) + edge))
 
 
 def _marks(points: int) -> dict[str, Any]:
@@ -385,6 +411,12 @@ def _name_rows(axes: "Axes", names: Sequence[str]) -> None:
 def _rows_height(names: Iterable[str]) -> float:
     """Inches of so many rows with names in lines."""
     return sum(max(0.36, 0.08 + _LINE_HEIGHT * (1 + name.count("\n"))) for name in names)
+
+
+def _count_steps(axes: "Axes") -> None:
+    """Environment steps along the horizontal axis, few enough that their digits do not touch."""
+    axes.locator_params(axis="x", nbins=6)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
 
 
 def _figure(width: float, height: float) -> "Figure":

@@ -33,6 +33,8 @@ def _whole_and_readable(figure: Figure) -> None:
         assert drawn.y1 <= figure.bbox.height
         legend = axes.get_legend()
         assert legend is None or legend.get_window_extent().x0 >= axes.bbox.x1
+        steps = [tick.get_window_extent() for tick in axes.get_xticklabels() if tick.get_text()]
+        assert all(left.x1 <= right.x0 for left, right in pairwise(steps))
         beside = [tick.get_window_extent() for tick in axes.get_yticklabels()]
         beside.sort(key=lambda box: box.y0)
         assert all(low.y1 <= high.y0 for low, high in pairwise(beside))
@@ -48,7 +50,7 @@ def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
             {"task": task, "controller": name, "runs": 10, "env_steps": steps, "mean": steps * place}
             for task in ("t", "another")
             for place, name in enumerate(names)
-            for steps in (0, 40_000)
+            for steps in (0, 400_000)
         ]
         means = pd.DataFrame(rows).assign(low=0.0, high=1.0)
         figure = learning_curves(means, {"t": rules}, "return", styles, title="study: mean over seeds")

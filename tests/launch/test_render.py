@@ -1,5 +1,6 @@
 """`headway render`: episodes by a rule and by a trained policy, and what it refuses."""
 
+import json
 import weakref
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,7 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
     assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
     assert len(frames(moving)) == 6
     [record] = (tmp_path / "runs").glob("*/*/run.json")
+    assert json.loads(record.read_text())["preset"] == "none"
     with Image.open(moving) as picture:
         said = picture.info["comment"].decode()
     assert said.startswith(
