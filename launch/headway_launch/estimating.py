@@ -115,8 +115,8 @@ def _print_totals(
     )
     if backend == "ray":
         print(
-            "It was measured on this machine, without Ray: on a cluster with other processors, or more of "
-            "them, trainings take other times."
+            "It was measured with training processes on this machine: placed on a cluster, with other "
+            "processors or more of them, trainings take other times."
         )
     if kwh is not None:
         print(f"Energy: what CodeCarbon gave a CPU second meanwhile; {modes}.")
