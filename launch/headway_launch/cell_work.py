@@ -67,6 +67,7 @@ class CellWork:
                 plan,
                 iterations=self.config.iterations,
                 policies=str(getattr(experiment.algo_config, "policies", "")),
+                preset=self.config.preset,
             )
             for seed in planned.seeds
         ]

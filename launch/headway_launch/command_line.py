@@ -122,7 +122,7 @@ def _only_prints(words: Sequence[str]) -> bool:
     command = _COMMANDS.get(words[0]) if words else None
     if command is not None and len(words) > 1:
         command = command.parts.get(words[1], command)
-    return command is None or command.only_prints or not {"-h", "--help"}.isdisjoint(words)
+    return command is None or command.only_prints or not {"-h", "--help", "--dry-run"}.isdisjoint(words)
 
 
 def _dispatch(words: Sequence[str], debug: bool) -> int:

@@ -139,8 +139,8 @@ def compose(overrides: Sequence[str]) -> Experiment:
     A preset's values stand below everything else but the defaults. Raises HeadwayError for whatever
     cannot be used.
     """
-    mapping = _compose_mapping([_prepared(override) for override in overrides])
-    return resolve(_with_preset(mapping))
+    mapping, preset = _compose_mapping([_prepared(override) for override in overrides])
+    return resolve({**_with_preset(mapping), "preset": preset})
 
 
 def resolve(mapping: Mapping[str, Any]) -> Experiment:
@@ -261,11 +261,12 @@ def _meant_experiment(word: str) -> str:
     return f"; did you mean experiment={near}?" if near else " (such as experiment=bus_mappo)"
 
 
-def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
+def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], str]:
+    """What the files and overrides come to, and the preset that was chosen."""
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
     from hydra.errors import HydraException
-    from omegaconf import OmegaConf
+    from omegaconf import OmegaConf, open_dict
     from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
     from yaml import YAMLError
 
@@ -275,7 +276,10 @@ def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
     )
     try:
         with initialize_config_dir(str(configs_folder()), version_base="1.3"):
-            composed = hydra_compose("config", overrides=list(overrides))
+            composed = hydra_compose("config", overrides=list(overrides), return_hydra_config=True)
+        chosen = composed.hydra.runtime.choices
+        with open_dict(composed):
+            del composed["hydra"]
         mapping = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     except MissingMandatoryValue as error:
         key = error.full_key
@@ -283,7 +287,7 @@ def _compose_mapping(overrides: Sequence[str]) -> dict[str, Any]:
     except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
-    return {str(key): value for key, value in mapping.items()}
+    return {str(key): value for key, value in mapping.items()}, str(chosen.get("preset") or "none")
 
 
 def _one_line(error: Exception) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from heapq import heapify, heapreplace
 
+from headway.drawing import counted
 from headway.store.provenance import usable_cores
 from headway_launch.calibrating import Expectation, Pace, calibrate
 from headway_launch.planning import CellPlan, share_cores
@@ -44,7 +45,14 @@ def print_estimate(standings: Sequence[Standing], cells: Sequence[CellPlan]) -> 
             expected += of_cell
     columns = ("cell", "trainings", "s each", "CPU s in all", "kWh in all", "kg CO2eq in all")
     print_table(columns, rows, spare=columns[:3:-1])
-    _print_totals(expected, shares.parallel, list(paces.values()), modes)
+    _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name)
+    runs = sum(len(job.seeds) for job in planned)
+    if runs != len(planned):
+        most = max(len(job.seeds) for job in planned)
+        print(
+            f"{counted(runs, 'run')} in {counted(len(planned), 'training')}: a training is a stack of up to "
+            f"{most} seeds (backend.stack), each a run of its own in the store."
+        )
     return 0
 
 
@@ -88,12 +96,15 @@ def _used(expected: Sequence[Expectation]) -> tuple[float, float | None, float |
     return cpu_s, sum(known) if known else None, sum(emitted) if emitted else None
 
 
-def _print_totals(expected: Sequence[Expectation], parallel: int, paces: Sequence[Pace], modes: str) -> None:
+def _print_totals(
+    expected: Sequence[Expectation], parallel: int, paces: Sequence[Pace], modes: str, backend: str
+) -> None:
     wall = makespan([each.seconds for each in expected], parallel)
     cpu_s, kwh, kg = _used(expected)
     energy = ", energy not measured" if kwh is None else f", {kwh:.3g} kWh, {kg or 0.0:.3g} kg CO2eq"
     print(
-        f"\n{len(expected)} trainings, {parallel} at once: about {duration(wall)}, {cpu_s:,.0f} CPU s{energy}"
+        f"\n{counted(len(expected), 'training')}, {parallel} at once: about {duration(wall)}, "
+        f"{cpu_s:,.0f} CPU s{energy}"
     )
     fewest = min(pace.iterations for pace in paces)
     cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
@@ -102,5 +113,10 @@ def _print_totals(expected: Sequence[Expectation], parallel: int, paces: Sequenc
         f" measured just now with {parallel} processes at once; later iterations are taken to be as long and "
         "this machine to be as busy."
     )
+    if backend == "ray":
+        print(
+            "It was measured with training processes on this machine: placed on a cluster, with other "
+            "processors or more of them, trainings take other times."
+        )
     if kwh is not None:
         print(f"Energy: what CodeCarbon gave a CPU second meanwhile; {modes}.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from headway.contracts.errors import HeadwayError
 from headway.store.durable import make_folder, read_json, write_json
 from headway.store.folder import cell_name, plans_folder
-from headway.store.naming import told_apart
+from headway.store.naming import CellChoice, names_among
 from headway_launch.composing import Experiment, PreparedEnv, resolve
 from headway_launch.planning import CellPlan, PlannedJob, cell_parameters, full_mapping, new_jobs
 from headway_launch.stored import StoredRun, identity, jobs_to_resume
@@ -122,21 +122,20 @@ def plan_cells(standings: Sequence[Standing], labels: Sequence[str] | None = Non
 
 
 def cell_labels(experiments: Sequence[Experiment]) -> list[str]:
-    """What cells of one session are called: by what they differ in. A single one needs no name."""
+    """What cells of one session are called, as where the store names them. A single one needs no name."""
     if len(experiments) < 2:
         return [""] * len(experiments)
-    several = len({experiment.config.env.id for experiment in experiments}) > 1
-    names = [
-        f"{experiment.algo_name} on {experiment.config.env.id}" if several else experiment.algo_name
-        for experiment in experiments
-    ]
-    kinds = {str(place): (name,) for place, name in enumerate(names)}
-    parameters = {
-        str(place): {name: str(value) for name, value in cell_parameters(experiment).items()}
+    cells = {
+        str(place): CellChoice(
+            experiment.config.env.id,
+            experiment.algo_name,
+            experiment.config.preset,
+            {name: str(value) for name, value in cell_parameters(experiment).items()},
+        )
         for place, experiment in enumerate(experiments)
     }
-    told = told_apart(kinds, parameters)
-    return [told[place] for place in kinds]
+    names = names_among(cells)
+    return [names[place].label for place in cells]
 
 
 def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:

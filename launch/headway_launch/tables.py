@@ -25,10 +25,11 @@ def print_table(
 ) -> None:
     """Print rows under a line of column names; a None is an empty cell.
 
-    Numbers, and the columns in `whole`, never break. Where they do not fit on the terminal, the columns in
-    `spare` are left out, the first one first, and a line says so; where that is not enough, each row is
-    printed as a list of all its cells. When stdout is no terminal: no title, one row a line, all columns,
-    cells separated by tabs, numbers of six significant digits.
+    Numbers never break, nor do the columns in `whole` where that can be helped. Where they do not fit on the
+    terminal, the columns in `spare` are left out, the first one first, and a line says so; where that is not
+    enough, those in `whole` break, too, or else each row is printed as a list of all its cells. When stdout
+    is no terminal: no title, one row a line, all columns, cells separated by tabs, numbers of six significant
+    digits.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
@@ -40,6 +41,8 @@ def print_table(
     console = Console()
     layout = _Layout(columns, rows, whole)
     left_out = layout.leave_out(spare, console.width)
+    if layout.least_width > console.width:
+        layout.break_whole()
     if layout.least_width > console.width:
         _print_as_lists(console, _Layout(columns, rows, whole), title)
         return
@@ -81,6 +84,11 @@ class _Layout:
             left_out.append(name)
         return left_out
 
+    def break_whole(self) -> None:
+        """Let text break in all columns."""
+        for column in self.columns:
+            column.may_break()
+
     @property
     def least_width(self) -> int:
         """Of the drawn table, with headings and text broken as far as they may be."""
@@ -110,6 +118,10 @@ class _Column:
         self.texts = [shown(cell) for cell in cells]
         self.numeric = all(isinstance(cell, int | float | None) for cell in cells)
         self._firm = self.numeric or whole
+
+    def may_break(self) -> None:
+        """Let its text break."""
+        self._firm = self.numeric
 
     @property
     def longest(self) -> int:

@@ -196,6 +196,9 @@ class ExperimentConfig:
     env: EnvConfig = field(default_factory=EnvConfig)
     algo: Mapping[str, Any] = field(default_factory=dict)
     """`name` and hyper-parameters; the algorithm's own record validates them."""
+    preset: str = ""
+    """The file of configs/preset whose values lie below all others; `none` leaves the defaults. It names the
+    cells of a study that has several; empty: not known, as of runs from before it was kept."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)

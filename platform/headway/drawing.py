@@ -4,7 +4,8 @@ Nothing is shown or kept globally, so these work alike in a command, a report an
 one colour in all pictures that are given the same `colours`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,8 @@ _COLOURS = (
 )  # fmt: skip
 _LINES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
 """The second and third round through the colours."""
+_MARKERS = ("o", "s", "^")
+"""The same where there are no lines."""
 _RULE_LINES: tuple[Any, ...] = ("--", ":", "-.")
 _FAR = 5.0
 """Times the range of all else: what is farther away does not stretch an axis, it is only named."""
@@ -32,7 +35,15 @@ _SEPARATED = "{x:,.10g}"
 _PARTS = {"cpu_kwh": "CPU", "gpu_kwh": "GPU", "ram_kwh": "RAM"}
 _PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA"}
 _WIDTH = 9.0
+_PANEL_WIDTH = 5.5
+"""At least, beside a legend."""
+_LINE_HEIGHT = 0.17
+"""Of text beside an axis."""
+_NAME_LENGTH = 44
+"""Letters of a line of a name: names have settings in them."""
 _DOTS_PER_INCH = 150
+_SHADE, _SHADES = 0.18, 1.1
+"""Opacity of the band of an interval, and of all bands of a panel together."""
 
 
 def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -63,7 +74,8 @@ def learning_curves(
     """The frame of `mean_curves` or `efficiency` (column `mean` or `iqm`), one panel a task: each controller
     with its interval, and the task's `rules` (task -> rule -> value) as dashed lines, but for one so far away
     that nothing else could be seen. The axis is not stretched for a controller as far from most others: the
-    legend says where it is. `low` cuts the vertical axis below."""
+    legend says where it is; nor for intervals much wider than the curves are apart: they go on beyond the
+    picture. `low` cuts the vertical axis below."""
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
     figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
@@ -72,25 +84,29 @@ def learning_curves(
         of_task = means[means["task"] == task] if task else means
         by_name = {str(name): curve for name, curve in of_task.groupby("controller", sort=False)}
         off = far_off({name: curve[column].to_numpy() for name, curve in by_name.items()})
+        shade = min(_SHADE, _SHADES / len(by_name))
         for name, curve in by_name.items():
             if name not in off:
-                _draw_curve(axes, name, curve, column, "", styles[name])
-        draw_rules(axes, rules.get(task, {}))
+                _draw_curve(axes, name, curve, column, styles[name], shade)
+        beside = rules.get(task, {})
+        near = near_rules(beside, *axes.get_ylim())
+        draw_rules(axes, beside)
+        middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in off]
+        _bound_bands(axes, np.concatenate(middles), [beside[rule] for rule in near])
         if off:
             window = axes.get_ylim()
             for name, value in off.items():
-                _draw_curve(
-                    axes, name, by_name[name], column, f" (off, at {_four_digits(value)})", styles[name]
-                )
+                remark = f" (off, at {_four_digits(value)})"
+                _draw_curve(axes, name, by_name[name], column, styles[name], shade, remark)
             axes.set_ylim(window)
         if low is not None:
             axes.set_ylim(bottom=low)
         _finish(axes, "environment steps", label)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        _count_steps(axes)
         axes.yaxis.set_major_formatter(_SEPARATED)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
-        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    _legends_beside(figure, panels)
     if title:
         figure.suptitle(title)
     return figure
@@ -105,7 +121,7 @@ def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure
         marks = _marks(len(points))
         axes.plot(list(points), list(points.values()), color=_COLOURS[0], linewidth=1.4, **marks)
         _finish(axes, "", label)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        _count_steps(axes)
         axes.yaxis.set_major_formatter(_SEPARATED)
     axes.set_xlabel("environment steps")
     figure.suptitle(title, fontsize="medium")
@@ -113,14 +129,33 @@ def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure
 
 
 def _draw_curve(
-    axes: "Axes", name: str, curve: "pd.DataFrame", column: str, remark: str, style: Mapping[str, Any]
+    axes: "Axes",
+    name: str,
+    curve: "pd.DataFrame",
+    column: str,
+    style: Mapping[str, Any],
+    shade: float,
+    remark: str = "",
 ) -> None:
     """A controller's line and the band of its interval."""
     runs = f" ({counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
     axes.plot(steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_marks(len(steps)), **style)
     ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
-    axes.fill_between(steps, *ends, color=style["color"], alpha=0.18, linewidth=0)
+    axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
+
+
+def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]", rules: Sequence[float]) -> None:
+    """Let intervals stretch the vertical axis to twice the range of what they are around, no farther:
+    those of two seeds may be a hundred times as wide, and would flatten all curves."""
+    low, high = float(np.nanmin(middles)), float(np.nanmax(middles))
+    if not low < high:
+        return
+    beyond = 0.5 * (high - low)
+    shown = (low - beyond, high + beyond, *rules)
+    edge = 0.05 * (max(shown) - min(shown))
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(max(bottom, min(shown) - edge), min(top, max(shown) + edge))
 
 
 def _marks(points: int) -> dict[str, Any]:
@@ -161,18 +196,25 @@ def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
 
 
 def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"]) -> dict[str, float]:
-    """Of those farther from what most controllers show than some times its range (one that diverged): the
-    farthest of each one's values. None is off where there are fewer than three, as there is no most."""
+    """Of those farther from what most controllers show (the more than half that lie closest together) than
+    some times its range (one that diverged): the farthest of each one's values. None is off where there are
+    fewer than three, as there is no most."""
     known = {name: of_name[np.isfinite(of_name)] for name, of_name in values.items()}
     known = {name: of_name for name, of_name in known.items() if len(of_name)}
     if len(known) < 3:
         return {}
-    low = float(np.median([of_name.min() for of_name in known.values()]))
-    high = float(np.median([of_name.max() for of_name in known.values()]))
+    ranges = sorted((float(of_name.min()), float(of_name.max())) for of_name in known.values())
+    most = len(ranges) // 2 + 1
+    together = [ranges[first : first + most] for first in range(len(ranges) - most + 1)]
+    low, high = min(
+        ((near[0][0], max(end for _, end in near)) for near in together), key=lambda ends: ends[1] - ends[0]
+    )
+    # Points of few seeds may agree by chance: then nothing can be said to be far.
+    usual = float(np.diff(np.median(ranges, axis=0))[0])
     off = {}
     for name, of_name in known.items():
         distances = np.maximum(np.maximum(low - of_name, of_name - high), 0.0)
-        if low < high and distances.max() > _FAR * (high - low):
+        if usual > 0 and distances.max() > _FAR * max(high - low, usual):
             off[name] = float(of_name[distances.argmax()])
     return off
 
@@ -182,15 +224,18 @@ def intervals(
 ) -> "Figure":
     """The frame of `summary`: a line a controller, its interquartile mean and its interval; rules as upright
     lines, those far away in the legend only."""
-    figure = _figure(_WIDTH, 0.9 + 0.36 * len(summary) + 0.2 * len(rules))
-    axes = figure.subplots()
     names = [str(name) for name in summary.index]
     ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
     off = far_off(dict(zip(names, ends, strict=True)))
+    beside = [
+        _in_lines(name) + (f"\n(off, at {_four_digits(float(own[0]))})" if name in off else "")
+        for name, own in zip(names, ends, strict=True)
+    ]
+    figure = _figure(_WIDTH, 0.9 + _rows_height(beside) + 0.2 * len(rules))
+    axes = figure.subplots()
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
         if name in off:
-            names[place] = f"{name}\n(off, at {_four_digits(float(ends[place, 0]))})"
             continue
         axes.barh(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
@@ -199,12 +244,11 @@ def intervals(
     draw_rules(axes, rules, upright=True)
     axes.use_sticky_edges = False  # or the bars would end at the frame
     axes.margins(x=0.05)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
+    _name_rows(axes, beside)
     _finish(axes, label, "")
     axes.xaxis.set_major_formatter(_SEPARATED)
     if rules:
-        axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+        _legends_beside(figure, [axes])
     return figure
 
 
@@ -221,7 +265,7 @@ def performance_profiles(
         axes.fill_between(points, *ends, step="post", color=styles[name]["color"], alpha=0.15, linewidth=0)
     axes.set_ylim(-0.02, 1.02)
     _finish(axes, f"{label} above", "share of runs")
-    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    _legends_beside(figure, [axes])
     return figure
 
 
@@ -232,9 +276,9 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     `energy` has `kg_co2`, `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds` and, of the first two and the
     last, `..._std`; `units` the unit and its factor of `kg_co2` and `kwh`.
     """
-    figure = _figure(_WIDTH, 1.4 + 0.36 * len(energy))
+    places, names = np.arange(len(energy)), [_in_lines(str(name)) for name in energy.index]
+    figure = _figure(_WIDTH, 1.4 + _rows_height(names))
     left, middle, right = figure.subplots(1, 3, sharey=True)
-    places, names = np.arange(len(energy)), [str(name) for name in energy.index]
     errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
     co2_unit, co2_factor = units["kg_co2"]
     kwh_unit, kwh_factor = units["kwh"]
@@ -256,8 +300,7 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     right.barh(
         places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
     )
-    left.set_yticks(places, names)
-    left.invert_yaxis()
+    _name_rows(left, names)
     for axes, label in (
         (left, f"(a) {co2_unit} CO2eq a run"),
         (middle, f"(b) {kwh_unit} a run"),
@@ -280,31 +323,35 @@ def reward_against_cost(
     mean; `labels` of the horizontal and the vertical axis. One panel a task."""
     tasks = list(dict.fromkeys(runs["task"]))
     figure = _figure(_WIDTH, 3.7 * len(tasks))
-    for task, axes in zip(tasks, figure.subplots(len(tasks), squeeze=False)[:, 0], strict=True):
+    panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
+    for task, axes in zip(tasks, panels, strict=True):
         grouped = runs[runs["task"] == task].groupby("controller", sort=False)
         by_name = {str(name): of_name for name, of_name in grouped}
         off = far_off({name: of_name["score"].to_numpy() for name, of_name in by_name.items()})
         for name, of_name in by_name.items():
             colour, spent = styles[name]["color"], of_name[cost] * factor
+            marker = _MARKERS[_LINES.index(styles[name]["linestyle"])]
             ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": colour, "linewidths": 2}
+            ring["marker"] = marker
             mean = (spent.mean(), of_name["score"].mean())
             if name in off:
                 axes.scatter([], [], label=f"{name} (off, at {_four_digits(mean[1])})", **ring)
                 continue
-            axes.scatter(spent, of_name["score"], s=18, color=colour, alpha=0.6, linewidths=0)
+            axes.scatter(spent, of_name["score"], s=18, color=colour, alpha=0.6, linewidths=0, marker=marker)
             axes.scatter(*mean, label=name, **ring)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
         _finish(axes, *labels)
         axes.yaxis.set_major_formatter(_SEPARATED)
-        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    _legends_beside(figure, panels)
     return figure
 
 
 def reward_components(components: "pd.DataFrame", label: str) -> "Figure":
     """Stacked bars, a bar a row (a controller or a rule) and a colour a column: what is paid to the right of
     0, what is charged to the left, and a mark at the sum."""
-    figure = _figure(_WIDTH, 1.0 + 0.36 * len(components))
+    names = [_in_lines(str(name)) for name in components.index]
+    figure = _figure(_WIDTH, 1.0 + _rows_height(names))
     axes, places = figure.subplots(), np.arange(len(components))
     paid, charged = np.zeros(len(components)), np.zeros(len(components))
     for place, name in enumerate(components.columns):
@@ -322,11 +369,54 @@ def reward_components(components: "pd.DataFrame", label: str) -> "Figure":
         paid, charged = paid + np.maximum(values, 0), charged + np.minimum(values, 0)
     axes.plot(paid + charged, places, "D", color="black", markersize=5, label="sum")
     axes.axvline(0, color="0.3", linewidth=0.8)
-    axes.set_yticks(places, [str(name) for name in components.index])
-    axes.invert_yaxis()
+    _name_rows(axes, names)
     _finish(axes, label, "")
-    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    _legends_beside(figure, [axes])
     return figure
+
+
+def _legends_beside(figure: "Figure", panels: Iterable["Axes"]) -> None:
+    """A legend to the right of each panel, with all names whole: the figure grows where they need more."""
+    legends = []
+    for axes in panels:
+        drawn, names = axes.get_legend_handles_labels()
+        legends.append(
+            axes.legend(
+                drawn,
+                [_in_lines(name) for name in names],
+                fontsize="small",
+                loc="center left",
+                bbox_to_anchor=(1.01, 0.5),
+                frameon=False,
+            )
+        )
+    extents = [legend.get_window_extent() for legend in legends]
+    width, height = figure.get_size_inches()
+    widest = max(extent.width for extent in extents) / figure.dpi
+    highest = max(extent.height for extent in extents) / figure.dpi
+    figure.set_size_inches(max(width, _PANEL_WIDTH + widest), max(height, len(legends) * (highest + 0.4)))
+
+
+def _in_lines(name: str) -> str:
+    """A name in lines of a bounded length."""
+    return "\n".join(wrap(name, _NAME_LENGTH))
+
+
+def _name_rows(axes: "Axes", names: Sequence[str]) -> None:
+    """A row a name, from above; `names` beside the axis, of one line or more."""
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+
+
+def _rows_height(names: Iterable[str]) -> float:
+    """Inches of so many rows with names in lines."""
+    return sum(max(0.36, 0.08 + _LINE_HEIGHT * (1 + name.count("\n"))) for name in names)
+
+
+def _count_steps(axes: "Axes") -> None:
+    """Environment steps along the horizontal axis, few enough that their digits do not touch."""
+    axes.locator_params(axis="x", nbins=6)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
 
 
 def _figure(width: float, height: float) -> "Figure":

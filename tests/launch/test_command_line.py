@@ -28,6 +28,10 @@ from headway_launch.commands import compare, evaluate
         (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
         (["evaluate", "x", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
         (["resume", "--store", "."], ["name a run or --study"]),
+        (["resume", "s0", "algo.lr=3"], ["algo.lr=3: a run goes on as it was configured; leave it out"]),
+        (["search"], ["required: SEARCH; see headway search --help"]),
+        (["render"], ["required: RUN|ENV; see headway render --help"]),
+        (["data", "realism"], ["required: SCENARIO; see headway data realism --help"]),
     ],
 )
 def test_errors_are_one_line_with_the_fix_and_exit_code_2(
@@ -83,3 +87,22 @@ def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
     rules = {rule for names in named for rule in names.split(",")}
     assert rules
     assert rules <= set(env_entry("bus").rules)
+
+
+def test_a_dry_run_whose_reader_has_gone_ends_quietly(tmp_path: Path) -> None:
+    words = ["sweep", "env=trivial", "algo=ippo", "seed=0..3", "energy=off", f"store.root={tmp_path}"]
+    command = [sys.executable, "-m", "headway_launch", *words, "--dry-run"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    assert process.returncode == 0
+    assert said == ""
+
+
+def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["data", "realism", "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "folder with recorded trips" in shown
+    assert "--seed" not in shown

@@ -42,6 +42,8 @@ def test_what_no_named_algorithm_is_can_be_composed() -> None:
 
 def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
     experiment = compose(["env=trivial", "preset=paper", "algo.clip=0.1", "rollout=short"])
+    assert experiment.config.preset == "paper"
+    assert compose(["env=trivial"]).config.preset == "none"
     assert experiment.algo_config.gae_lambda == 1.0
     assert experiment.algo_config.clip == 0.1
     assert experiment.config.rollout.steps == 128

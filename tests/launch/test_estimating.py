@@ -71,6 +71,8 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == ["", ""] for row in rows)
     assert "6 trainings" in told.out
+    assert "a training is a stack" not in told.out
+    assert "with training processes on this machine" not in told.out
     assert "energy not measured" in told.out
     assert "rests on" in told.out
     assert not (tmp_path / "runs").exists()
@@ -120,6 +122,17 @@ def test_whatever_trains_can_be_tried_dry(
     assert "begins" in told
     assert "rests on" in told
     assert not root.exists()
+
+
+def test_what_a_training_is_and_where_it_was_measured_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout=short", "env_steps=1e6", "energy=off"]
+    words += ["backend=ray", "backend.stack=3", "evaluation.episodes=1", f"store.root={tmp_path / 'runs'}"]
+    assert run([*words, "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert "5 runs in 2 trainings: a training is a stack of up to 3 seeds (backend.stack)" in told
+    assert "It was measured with training processes on this machine" in told
 
 
 def test_seeds_that_follow_each_other_are_a_span() -> None:

@@ -144,6 +144,30 @@ def test_a_cell_that_diverged_does_not_flatten_the_others() -> None:
     assert any("off, at" in tick.get_text() for tick in axes.get_yticklabels())
 
 
+def test_wide_intervals_do_not_flatten_the_curves() -> None:
+    """Of two seeds they may be hundreds of times as wide as what is between the curves."""
+    wide = _curves(ippo=[0.0, 9.0], mappo=[0.0, 10.0]).assign(low=-900.0, high=900.0)
+    styles = colours(["ippo", "mappo"])
+    [axes] = learning_curves(wide, {}, "", styles).axes
+    low, high = axes.get_ylim()
+    assert -7 < low < -5
+    assert 15 < high < 17
+    [axes] = learning_curves(wide, {"t": {"optimal": 40.0}}, "", styles).axes
+    assert 40 < axes.get_ylim()[1] < 45  # a rule that is near is seen
+    narrow = wide.assign(low=-1.0, high=11.0)
+    [axes] = learning_curves(narrow, {}, "", styles).axes
+    assert -2 < axes.get_ylim()[0] < -1  # and an axis grows no more than it has to
+
+
+def test_cells_that_lie_far_from_each_other_are_all_drawn() -> None:
+    """Each agrees with itself, and no two with each other: none is the one that diverged."""
+    means = (-28.0, 1.6, 17.0, 36.0, 49.0, 67.0)
+    assert far_off({str(mean): np.array([mean - 1, mean + 1]) for mean in means}) == {}
+    assert far_off({str(mean): np.array([mean - 1, mean + 1]) for mean in (*means, -9000.0)}) == {
+        "-9000.0": -9001.0
+    }
+
+
 def test_of_two_cells_or_of_wide_ones_none_is_off() -> None:
     near, away, third = np.array([0.0, 1.0]), np.array([0.0, -900.0]), np.array([-800.0, 1.0])
     assert far_off({"a": near, "b": away}) == {}

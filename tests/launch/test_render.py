@@ -1,5 +1,6 @@
 """`headway render`: episodes by a rule and by a trained policy, and what it refuses."""
 
+import json
 import weakref
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from PIL import Image
 
 from headway_envs.merge.picture import MergePainter
 from headway_launch.command_line import run
+from headway_launch.filming import caption_strip
 
 
 def frames(path: Path) -> list[tuple[int, int]]:
@@ -33,6 +35,29 @@ def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
         picture.seek(3)
         apart = np.abs(np.asarray(picture.convert("RGB"), int) - np.asarray(moment, int))
     assert np.quantile(apart, 0.9999) < 40  # the palette has the few yellow pixels of the obstacle, too
+
+
+@pytest.mark.parametrize("suffix", [".png", ".gif"])
+def test_a_picture_says_whose_it_is(tmp_path: Path, suffix: str) -> None:
+    """In its text and, beneath the episode, for people to read."""
+    strips = {}
+    for seed in ("5", "6"):
+        output = tmp_path / f"{seed}{suffix}"
+        words = ["render", "merge", "--rule", "idle", "env.args.steps=2", "--seed", seed, "--episode", "1"]
+        assert run([*words, "--output", str(output)]) == 0
+        with Image.open(output) as picture:
+            said = picture.info["Title"] if suffix == ".png" else picture.info["comment"].decode()
+            strips[seed] = np.asarray(picture.convert("L"))[-25:] < 128
+        assert said == f"rule idle on merge, env.args.steps=2: evaluation episode 1 of seed {seed}"
+    assert strips["5"].sum() > 500  # there is something to read
+    assert 0 < (strips["5"] != strips["6"]).any(axis=0).sum() < 15  # columns: one digit differs
+
+
+def test_a_long_caption_takes_more_lines_and_loses_nothing() -> None:
+    one, many = (caption_strip("word " * count, 200) for count in (2, 40))
+    assert one.shape[1] == many.shape[1] == 200
+    assert many.shape[0] > 5 * one.shape[0]
+    assert (many[:, -3:] == 255).all()
 
 
 @pytest.mark.parametrize("suffix", [".png", ".gif"])
@@ -84,6 +109,13 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
     moving = tmp_path / "policy.gif"
     assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
     assert len(frames(moving)) == 6
+    [record] = (tmp_path / "runs").glob("*/*/run.json")
+    assert json.loads(record.read_text())["preset"] == "none"
+    with Image.open(moving) as picture:
+        said = picture.info["comment"].decode()
+    assert said.startswith(
+        f"run {record.parent.name} after 1 iteration, greedy: evaluation episode 0 of seed"
+    )
     keep = ["render", "s0", "--store", str(tmp_path / "runs"), "--output", "end.png", "--keep"]
     assert run([*keep, "--step", "9"]) == 2
     assert list((tmp_path / "runs").glob("**/pictures")) == []  # made for a picture only
@@ -103,6 +135,7 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
     [
         (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
         (["s0"], "there is no store in 'runs'"),
+        (["buss"], "'buss' is no run and no environment; did you mean bus, with --rule RULE?"),
         (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
         (["trivial", "--rule", "random"], "trivial cannot be drawn; those that can are: bus, intersection"),
         (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),

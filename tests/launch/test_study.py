@@ -14,12 +14,18 @@ from headway_launch.study import configuration, finished_runs
 
 
 def keep_run(
-    root: Path, seed: int, status: Status, started: str = "", policies: str = "", **parameters: str
+    root: Path,
+    seed: int,
+    status: Status,
+    started: str = "",
+    policies: str = "",
+    preset: str = "",
+    **parameters: str,
 ) -> str:
     run_id, directory = create_run_folder(root, "bus", "cell", seed)
     elsewhere = replace(Process.current(), host="elsewhere")  # it may live
     record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started or now(), elsewhere, status, policies)
-    replace(record, parameters=parameters).write(directory)
+    replace(record, parameters=parameters, preset=preset).write(directory)
     return run_id
 
 
@@ -72,10 +78,10 @@ def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None
     keep_run(tmp_path, 0, "FINISHED", policies="shared", **{"algo.policies": "shared"})
     cells = labelled_cells(RunIndex(tmp_path).rows())
     assert {label: sorted(run.seed for run in members) for label, members in cells.items()} == {
-        "ippo, independent, bus": [0],
-        "ippo, shared, bus, algo.lr 0.001": [0, 1],
-        "ippo, shared, bus, algo.lr 0.01": [0],
-        "ippo, shared, bus, without algo.lr": [0],
+        "ippo, independent": [0],
+        "ippo, shared, algo.lr 0.001": [0, 1],
+        "ippo, shared, algo.lr 0.01": [0],
+        "ippo, shared, without algo.lr": [0],
     }
 
 
@@ -121,7 +127,7 @@ def test_of_many_settings_that_differ_a_name_has_the_first(tmp_path: Path) -> No
     for parameters in (many, dict.fromkeys(many, "2")):
         keep_run(tmp_path, 0, "FINISHED", policies="shared", **parameters)
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == [
-        f"ippo, shared, bus, algo.key_0 {value}, algo.key_1 {value}, algo.key_2 {value}, 6 settings more"
+        f"ippo, algo.key_0 {value}, algo.key_1 {value}, algo.key_2 {value}, 6 settings more"
         for value in (1, 2)
     ]
     # One that differs from the first in the last setting only: now all must be named.
@@ -129,3 +135,63 @@ def test_of_many_settings_that_differ_a_name_has_the_first(tmp_path: Path) -> No
     labels = list(labelled_cells(RunIndex(tmp_path).rows()))
     assert len(set(labels)) == 3
     assert all("algo.key_8" in label for label in labels)
+
+
+TUNED = {"algo.lr": "0.002", "algo.gamma": "0.98", "env.training_args.reward.scope": "regional"}
+PAPER = {"algo.lr": "0.0005", "algo.gamma": "0.99", "algo.clip": "0.2"}
+
+
+def test_cells_of_several_presets_are_named_by_these(tmp_path: Path) -> None:
+    """Not by what the presets bring, but by what was chosen beside them where that tells cells apart."""
+    keep_run(tmp_path, 0, "FINISHED", preset="merge_tuned", policies="shared", **TUNED)
+    keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", policies="independent", **PAPER)
+    keep_run(
+        tmp_path, 0, "FINISHED", preset="merge_paper", policies="independent", **PAPER | {"algo.lr": "1"}
+    )
+    keep_run(tmp_path, 0, "FINISHED", preset="none", policies="independent", **{"algo.lr": "0.1"})
+    names = cell_names(RunIndex(tmp_path).rows()).values()
+    assert [name.controller for name in names] == [
+        "ippo merge_tuned",
+        "ippo merge_paper, algo.lr 0.0005",
+        "ippo merge_paper, algo.lr 1",
+        "ippo without preset",
+    ]
+    assert {name.task for name in names} == {"bus"}
+
+
+def test_one_preset_needs_no_name(tmp_path: Path) -> None:
+    for rate in ("1", "2"):
+        keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **PAPER | {"algo.lr": rate})
+    names = cell_names(RunIndex(tmp_path).rows()).values()
+    assert [name.label for name in names] == ["ippo, algo.lr 1", "ippo, algo.lr 2"]
+
+
+def test_a_cell_of_which_one_run_knows_the_preset_is_named_by_it(tmp_path: Path) -> None:
+    keep_run(tmp_path, 0, "FINISHED", **PAPER)
+    keep_run(tmp_path, 1, "FINISHED", preset="merge_paper", **PAPER)
+    keep_run(tmp_path, 0, "FINISHED", preset="merge_tuned", **TUNED)
+    assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo merge_paper", "ippo merge_tuned"]
+
+
+def test_where_the_preset_of_a_cell_is_not_known_settings_are_named(tmp_path: Path) -> None:
+    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "1"})
+    keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **{"algo.lr": "2"})
+    assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo, algo.lr 1", "ippo, algo.lr 2"]
+
+
+def test_presets_tell_environments_apart_where_these_have_other_arguments(tmp_path: Path) -> None:
+    """Two presets of the same environment are on one task."""
+    aggregate, whole = {"env.args.state": "aggregate"}, {"env.args.state": "whole"}
+    keep_run(tmp_path, 0, "FINISHED", preset="bus_tuned", **aggregate)
+    keep_run(tmp_path, 0, "FINISHED", preset="paper", **whole)
+    assert {name.label for name in cell_names(RunIndex(tmp_path).rows()).values()} == {
+        "ippo on bus bus_tuned",
+        "ippo on bus paper",
+    }
+    keep_run(tmp_path, 0, "FINISHED", preset="bus_tuned_independent", **aggregate, **PAPER)
+    names = cell_names(RunIndex(tmp_path).rows()).values()
+    assert [(name.controller, name.task) for name in names] == [
+        ("ippo bus_tuned", "bus, env.args.state aggregate"),
+        ("ippo", "bus, env.args.state whole"),
+        ("ippo bus_tuned_independent", "bus, env.args.state aggregate"),
+    ]

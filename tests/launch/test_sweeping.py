@@ -45,6 +45,17 @@ def test_cells_are_experiments_named_by_what_differs() -> None:
     assert cell_labels(wrapped)[0] == "ippo, without env.wrappers"  # as where the store names cells
 
 
+def test_cells_of_several_presets_are_named_by_these() -> None:
+    words = ["experiment=merge_study", "preset=merge_tuned,merge_paper", "env=merge,merge_two_lane"]
+    cells = compose_sweep([*words, "algo=mappo"])
+    assert cell_labels(cells) == [
+        "mappo merge_tuned on merge", "mappo merge_tuned on merge_two_lane",
+        "mappo merge_paper on merge", "mappo merge_paper on merge_two_lane",
+    ]  # fmt: skip
+    rates = compose_sweep([*words[:2], "algo=mappo", "algo.lr=1e-3,2e-3"])
+    assert cell_labels(rates)[-1] == "mappo merge_paper, algo.lr 0.002"
+
+
 def test_a_cell_named_twice_is_one() -> None:
     twice = compose_sweep(["env=trivial", "algo=ippo,ippo", "seed=0..4"])
     assert len(distinct(twice)) == 1

@@ -63,6 +63,19 @@ def test_what_cannot_fit_is_printed_as_lists(
     assert not any("left out" in line for line in lines)
 
 
+def test_before_rows_become_lists_whole_columns_break(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_terminal(monkeypatch, 40)
+    identity = "merge_two_lane-mappo-bda0c7-s0-20261122-110412-cc57"
+    print_table(("run", "reward"), [(identity, 0.123)], whole=("run",))
+    lines = shown_lines(capsys)
+    assert max(map(len, lines)) <= 40
+    cells = [[cell.strip() for cell in line.split("│")[1:3]] for line in lines if line.startswith("│")]
+    assert "".join(cell for cell, _ in cells) == identity
+    assert [number for _, number in cells if number] == ["0.123"]
+
+
 def test_a_pipe_gets_every_column_and_six_digits(capsys: pytest.CaptureFixture[str]) -> None:
     print_table(
         ("a", "b", "c", "d", "e"), [(2 / 3, 20480.0, 1234567.0, 123456789, None), (1e-9, "x\ny", 0.0, 1, 2)]

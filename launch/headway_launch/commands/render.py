@@ -2,25 +2,24 @@
 
 import argparse
 import tempfile
-import zlib
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.configuration import suggestion
+from headway.configuration import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
-    from PIL import Image
 
     from headway.contracts import Observed, Outcome
     from headway_launch.composing import PreparedEnv
+    from headway_launch.filming import Frame
+    from headway_launch.stored import StoredRun
 
     Act = Callable[[Any, Observed], NDArray[Any]]
     Heed = Callable[[Outcome], None]
@@ -35,7 +34,8 @@ examples:
   headway render bus --rule even_headway --fps 25              the same, hour by hour
   headway render s0-20260101-1200 --keep                       kept with the run, in its folder
 
-A .gif moves; a .png is one step of the episode (its last, unless --step says which).
+A .gif moves; a .png is one step of the episode (its last, unless --step says which). Beneath it stand the
+rule or the run, and the seed and number of the episode.
 """
 _SUFFIXES = (".gif", ".png")
 
@@ -43,7 +43,9 @@ _SUFFIXES = (".gif", ".png")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Who plays, what and where to."""
     parser.add_argument("name", metavar="RUN|ENV", help="a run, or with --rule an environment of configs/env")
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="with --rule: env.args.density=3")
+    parser.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="with --rule: env.args.density=3"
+    )
     parser.add_argument("--rule", help="the rule that plays (default: the run's policy)")
     parser.add_argument(
         "--episode", type=int, default=0, help="which of the evaluation episodes (default: 0)"
@@ -70,25 +72,28 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
+    from headway_launch.filming import PackedFrame, write_film, write_picture
     from headway_launch.kernels import compile_kernels
 
-    found, root, act, heed = _player(arguments)
+    player = _player(arguments)
+    found = player.environment
     if found.entry.painter is None:
         from headway.registry import env_entries
 
         drawn = sorted(name for name, entry in env_entries().items() if entry.painter is not None)
         raise HeadwayError(f"{found.spec.name} cannot be drawn; those that can are: {', '.join(drawn)}")
     compile_kernels(found.entry)
-    root = root if arguments.seed is None else arguments.seed
-    with closing(_frames(found, root, arguments.episode, act, heed)) as frames:
+    root = player.root if arguments.seed is None else arguments.seed
+    caption = f"{player.name}: evaluation episode {arguments.episode} of seed {root}"
+    with closing(_frames(player, root, arguments.episode, caption)) as frames:
         if output.suffix == ".png":
             moment = _moment(frames, arguments.step)
             _make_folder(arguments, output)
-            _write_picture(moment, output)
+            write_picture(moment, output, caption)
         else:
-            packed = [_Packed.of(frame) for frame in frames]
+            packed = [PackedFrame.of(frame) for frame in frames]
             _make_folder(arguments, output)
-            _write_film(packed, output, arguments.fps)
+            write_film(packed, output, arguments.fps, caption)
     print(output)
     return 0
 
@@ -135,34 +140,40 @@ def _make_folder(arguments: argparse.Namespace, output: Path) -> None:
     """The run's folder of pictures, when there is one to keep; any other folder has to be there."""
     if not arguments.keep:
         return
+    from headway_launch.filming import unwritten
+
     try:
         output.parent.mkdir(exist_ok=True)
     except OSError as error:
-        raise _unwritten(output, error) from error
+        raise unwritten(output, error) from error
 
 
-def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "Heed"]:
-    """The environment, the root of its evaluation seeds, who plays it and who is told what came of it."""
+@dataclass(frozen=True)
+class _Player:
+    """Who plays, and what."""
+
+    name: str
+    environment: "PreparedEnv"
+    root: int
+    """Of its evaluation seeds."""
+    act: "Act"
+    heed: "Heed"
+    """Is told what came of it."""
+
+
+def _player(arguments: argparse.Namespace) -> _Player:
     if arguments.rule is None:
-        from headway.registry import env_entries
+        from headway.drawing import counted
         from headway.rollout.blockwise import BlockwiseActing
-        from headway_launch.composing import groups
-        from headway_launch.stored import StoredRun
         from headway_launch.trained import newest_policy
 
-        try:
-            run = StoredRun.find(existing_store(arguments.store), arguments.name)
-        except HeadwayError as error:
-            if arguments.name in {*env_entries(), *groups()["env"]}:
-                raise HeadwayError(
-                    f"{arguments.name} is an environment; add --rule RULE, or name a run"
-                ) from error
-            raise
+        run = _run(arguments)
         found = run.experiment.prepare()
         policy = newest_policy(run, found)
         acting = BlockwiseActing(policy.plan, 1, 1)
         root = run.experiment.config.evaluation.seed
-        return (
+        return _Player(
+            f"run {run.record.run_id} after {counted(policy.iteration, 'iteration')}, greedy",
             found,
             root,
             lambda env, observed: acting.act(policy.parameters, observed, None)[0],
@@ -175,30 +186,65 @@ def _player(arguments: argparse.Namespace) -> tuple["PreparedEnv", int, "Act", "
     if arguments.rule not in rules:
         raise HeadwayError(f"--rule: {arguments.rule!r} is no rule here; {suggestion(arguments.rule, rules)}")
     rule = rules[arguments.rule](found.prepared)
-    return found, experiment.config.evaluation.seed, rule.act, lambda outcome: None
+    settings = f", {' '.join(arguments.overrides)}" if arguments.overrides else ""
+    return _Player(
+        f"rule {arguments.rule} on {arguments.name}{settings}",
+        found,
+        experiment.config.evaluation.seed,
+        rule.act,
+        lambda outcome: None,
+    )
 
 
-def _frames(
-    found: "PreparedEnv", root: int, episode: int, act: "Act", heed: "Heed"
-) -> "Generator[NDArray[np.uint8]]":
-    """Pictures of one evaluation episode, from its beginning to its end, or until it is closed."""
+def _run(arguments: argparse.Namespace) -> "StoredRun":
+    """The run that is named. Raises HeadwayError if there is none, or an environment was meant."""
+    from headway.registry import env_entries
+    from headway_launch.composing import groups
+    from headway_launch.stored import StoredRun
+
+    try:
+        return StoredRun.find(existing_store(arguments.store), arguments.name)
+    except HeadwayError as error:
+        known = {*env_entries(), *groups()["env"]}
+        if arguments.name in known:
+            raise HeadwayError(
+                f"{arguments.name} is an environment; add --rule RULE, or name a run"
+            ) from error
+        if near := nearest(arguments.name, known):
+            raise HeadwayError(
+                f"{arguments.name!r} is no run and no environment; did you mean {near}, with --rule RULE? "
+                "`headway runs` shows the runs"
+            ) from error
+        raise
+
+
+def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generator[Frame]":
+    """Pictures of one evaluation episode over its caption, from its beginning to its end, or until it is
+    closed."""
+    import numpy as np
+
     from headway.rollout.episodes import evaluation_seeds
     from headway.wrappers.wrapping import behind_wrappers
+    from headway_launch.filming import caption_strip
 
+    found = player.environment
     assert found.entry.painter is not None
     painter = found.entry.painter(found.prepared)
     with Counted("steps played") as played, closing(found.entry.make(found.prepared, 1)) as env:
         observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
-        yield painter.paint(behind_wrappers(env), at_end=False)
+        first = painter.paint(behind_wrappers(env), at_end=False)
+        strip = caption_strip(caption, first.shape[1])
+        yield np.concatenate((first, strip))
+        del first
         while not ended:
-            outcome, observed = env.step(act(env, observed))
-            heed(outcome)
+            outcome, observed = env.step(player.act(env, observed))
+            player.heed(outcome)
             ended = bool(outcome.episode_ended[0])
             played.add()
-            yield painter.paint(behind_wrappers(env), at_end=ended)
+            yield np.concatenate((painter.paint(behind_wrappers(env), at_end=ended), strip))
 
 
-def _moment(frames: "Iterator[NDArray[np.uint8]]", step: int | None) -> "NDArray[np.uint8]":
+def _moment(frames: "Iterator[Frame]", step: int | None) -> "Frame":
     """The picture after `step` steps, or the last one. All before it are painted, too: a painter may show
     what happened lately."""
     last, played = next(frames), 0
@@ -210,61 +256,3 @@ def _moment(frames: "Iterator[NDArray[np.uint8]]", step: int | None) -> "NDArray
     if step is not None and played < step:
         raise HeadwayError(f"--step: the episode ends after {played} steps, before {step}")
     return last
-
-
-@dataclass(frozen=True)
-class _Packed:
-    """A frame in little memory: an episode may have thousands, of a megabyte each."""
-
-    content: bytes
-    shape: tuple[int, ...]
-
-    @classmethod
-    def of(cls, frame: "NDArray[np.uint8]") -> "_Packed":
-        return cls(zlib.compress(frame.tobytes(), 1), frame.shape)
-
-    def unpacked(self) -> "NDArray[np.uint8]":
-        import numpy as np
-
-        return np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
-
-
-def _write_picture(frame: "NDArray[np.uint8]", output: Path) -> None:
-    from PIL import Image
-
-    try:
-        Image.fromarray(frame).save(output)
-    except OSError as error:
-        raise _unwritten(output, error) from error
-
-
-def _write_film(frames: Sequence[_Packed], output: Path, fps: float) -> None:
-    from PIL import Image
-
-    palette = _palette(frames)
-    pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
-    try:
-        with Counted("frames written", len(frames)) as written:
-
-            def picture_of(frame: _Packed) -> Image.Image:
-                written.add()
-                whole = Image.fromarray(frame.unpacked())
-                return whole.quantize(palette=palette, dither=Image.Dither.NONE)
-
-            pictures = map(picture_of, frames)
-            next(pictures).save(output, save_all=True, append_images=pictures, duration=pause, loop=0)
-    except OSError as error:
-        raise _unwritten(output, error) from error
-
-
-def _unwritten(output: Path, error: OSError) -> HeadwayError:
-    return HeadwayError(f"--output: {output} cannot be written ({error})")
-
-
-def _palette(frames: Sequence[_Packed]) -> "Image.Image":
-    """One for all frames, so that what stands still is stored once; with rare colours, as that of a crash."""
-    import numpy as np
-    from PIL import Image
-
-    some = [frame.unpacked() for frame in (*frames[:: max(len(frames) // 8, 1)], frames[-1])]
-    return Image.fromarray(np.concatenate(some)).quantize(256, Image.Quantize.MAXCOVERAGE)

@@ -44,6 +44,12 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.studying import require_all_ended
     from headway_launch.telling import tell
 
+    for word in arguments.runs:
+        if "=" in word:
+            raise HeadwayError(
+                f"{word}: a run goes on as it was configured; leave it out, or train another run with it by "
+                "`headway run`"
+            )
     root = existing_store(arguments.store)
     if not arguments.runs and not arguments.study:
         raise HeadwayError(

@@ -28,8 +28,8 @@ examples:
   headway diff RUN RUN                             two runs: what was set otherwise, what came of it
 
 Fields are those of --format csv; parameters have dots, as algo.lr. On a narrow terminal columns are left
-out, and a line says which. The table is for reading, and numbers in it are rounded; csv and json have the
-fields' names and all digits.
+out, and a line says which; for the name of a run any part will do that only one has. The table is for
+reading, and numbers in it are rounded; csv and json have the fields' names and all digits.
 AUC is normalised by the range of each run's own curve: it says how early a run learns, not how well.
 """
 
@@ -38,6 +38,7 @@ _FIELDS = (
     "environment",
     "algorithm",
     "policies",
+    "preset",
     "seed",
     "status",
     "iterations",
@@ -55,6 +56,7 @@ _ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
 _SPARE_ON_TERMINAL = (
     "duration_s",
     "iterations",
+    "preset",
     "policies",
     "environment",
     "seed",

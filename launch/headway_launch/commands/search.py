@@ -28,7 +28,9 @@ than it is. `headway list searches` names them.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The search and overrides of its base."""
     parser.add_argument("search", metavar="SEARCH", help="a file of configs/search, without .yaml")
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of every run")
+    parser.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="overrides of every run"
+    )
     add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
 

@@ -3,45 +3,63 @@
 import json
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
+from headway.contracts.errors import HeadwayError
 from headway_launch.composing import compose
 from headway_launch.planning import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""
+_NO_PRESET = "none"
 _BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
-_ELSEWHERE = ("store.", "seed", *(f"backend.{key}" for key in _BACKEND))
-"""Keys that change no result: where runs are kept, and how machines are filled."""
+_ELSEWHERE = ("store.", "seed", "preset", *(f"backend.{key}" for key in _BACKEND))
+"""Keys that change no result: where runs are kept, how machines are filled, and where settings came from."""
 
 
 def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
-    """`headway run ...` with every key in which a stored configuration differs from today's defaults. `seeds`
-    as on the command line.
+    """`headway run ...` with the preset of a stored configuration, if that is known, and every key in which
+    it differs from today's values of that and from today's defaults. `seeds` as on the command line.
 
     Raises HeadwayError if this version cannot compose it: an environment that is not installed, say.
     """
-    changing_results = [
-        (key, value) for key, value in flat(mapping, with_empty=True) if not key.startswith(_ELSEWHERE)
-    ]
-    return f"{_line_without_seeds(json.dumps(changing_results))} seed={seeds}"
+    preset = mapping.get("preset") or _NO_PRESET
+    return f"{_line_without_seeds(json.dumps(_changing_results(mapping)), preset)} seed={seeds}"
 
 
 @lru_cache(maxsize=1024)
-def _line_without_seeds(keys: str) -> str:
+def _line_without_seeds(keys: str, preset: str) -> str:
     """Composing costs a third of a second, and the seeds of a cell share it. `keys`: pairs of key and value,
     as JSON."""
-    pairs = [(key, value) for key, value in json.loads(keys)]
-    values = dict(pairs)
-    words = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
-    defaults = dict(flat(full_mapping(compose(words), ()), with_empty=True))
-    words += [
-        f"{key}={_written(value)}" for key, value in pairs if key not in defaults or defaults[key] != value
-    ]
+    values = dict(json.loads(keys))
+    words = _words(values, "")
+    if preset != _NO_PRESET:
+        # Not if it is gone, or has values now that cannot be taken back key by key.
+        with suppress(HeadwayError):
+            by_preset = _words(values, preset)
+            if _composed(by_preset) == values:
+                words = by_preset
     compose(words)
     return " ".join(["headway run", *map(shlex.quote, words)])
+
+
+def _words(values: Mapping[str, Any], preset: str) -> list[str]:
+    words = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
+    words += [f"preset={preset}"] if preset else []
+    known = _composed(words)
+    differing = [key for key, value in values.items() if key not in known or known[key] != value]
+    return [*words, *(f"{key}={_written(values[key])}" for key in differing)]
+
+
+def _composed(words: Sequence[str]) -> dict[str, Any]:
+    return dict(_changing_results(full_mapping(compose(words), ())))
+
+
+def _changing_results(mapping: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return [(key, value) for key, value in flat(mapping, with_empty=True) if not key.startswith(_ELSEWHERE)]
 
 
 def _written(value: object) -> str:

@@ -88,6 +88,8 @@ class RunRecord:
     """Where MLflow is to know of it; None: SQLite in the store's root."""
     curve_points: int = StoreConfig.curve_points
     """Points of each metric's curve that MLflow is to have."""
+    preset: str = ""
+    """Of hyper-parameters, as it was chosen; empty where that is not known."""
 
     @property
     def cell(self) -> str:

@@ -212,7 +212,9 @@ def _cell_tags(record: RunRecord) -> dict[str, str]:
 
 
 def _run_tags(record: RunRecord) -> dict[str, str]:
-    return {**record.tags, **_cell_tags(record), "seed": str(record.seed), "policies": record.policies}
+    preset = {"preset": record.preset} if record.preset else {}
+    known = {**record.tags, **_cell_tags(record), **preset}
+    return {**known, "seed": str(record.seed), "policies": record.policies}
 
 
 def _figures(summary: Mapping[str, Any]) -> dict[str, float]:

@@ -26,7 +26,7 @@ from headway.store.folder import (
 )
 
 _NAME = "index.sqlite"
-_VERSION = 3
+_VERSION = 4
 _WAIT_SECONDS = 5.0
 
 
@@ -38,6 +38,8 @@ class RunRow:
     environment: str
     algorithm: str
     policies: str
+    preset: str
+    """Empty where it is not known."""
     cell: str
     """The same for all seeds of one environment, algorithm and parameters."""
     seed: int
@@ -145,6 +147,7 @@ def _row(folder: Path) -> RunRow:
         environment=record.environment,
         algorithm=record.algorithm,
         policies=record.policies,
+        preset=record.preset,
         cell=record.cell,
         seed=record.seed,
         status=record.status,

@@ -1,4 +1,4 @@
-"""What the cells of a study are called: what they are and, where that is the same, how they were set."""
+"""What the cells of a study are called: by what was chosen and, where that is the same, how they were set."""
 
 import ast
 from collections import defaultdict
@@ -13,9 +13,24 @@ _OF_TASK = "env."
 _NOT_OF_TASK = "env.training_args."
 """What is learned from, not what is reported on."""
 _WRAPPERS = "env.wrappers"
+_POLICIES = "algo.policies"
+"""Named by its value alone: `shared`."""
+_NO_PRESET = "none"
 _MOST_NAMED = 6
 """Settings that a name has, all of them; of more it has the first."""
 _FIRST_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class CellChoice:
+    """What makes a cell."""
+
+    environment: str
+    algorithm: str
+    preset: str
+    """Of hyper-parameters; empty where it is not known."""
+    parameters: Mapping[str, str]
+    """All its settings, by dotted names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +38,12 @@ class CellName:
     """One cell among others. Different cells have different labels, and different pairs of the rest."""
 
     label: str
-    """`ippo, shared, bus, algo.lr 0.001`."""
+    """The controller and, where there are several tasks, the task: `mappo merge_paper on merge`."""
     task: str
     """The environment, with those of its arguments that differ: `bus, env.args.scenario corridor`."""
     controller: str
-    """The algorithm, with those of its settings that differ: `ippo, shared, algo.lr 0.001`."""
+    """The algorithm, with as much more as tells it apart on its task: the preset (`mappo merge_paper`) where
+    presets differ, which policies (`ippo, shared`), settings (`ippo, algo.lr 0.001`)."""
 
 
 def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
@@ -44,47 +60,97 @@ def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
 def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
     """What each cell is called. Raises HeadwayError for a run whose record cannot be read."""
     first: dict[str, RunRow] = {}
+    presets: dict[str, str] = {}
     for run in runs:
         first.setdefault(run.cell, run)
-    parameters = {cell: RunRecord.read(Path(run.directory)).parameters for cell, run in first.items()}
-    of_task = {cell: _parted(every, of_task=True) for cell, every in parameters.items()}
-    of_controller = {cell: _parted(every, of_task=False) for cell, every in parameters.items()}
-    labels = told_apart(
-        {cell: (f"{run.algorithm}, {run.policies}, {run.environment}",) for cell, run in first.items()},
-        parameters,
+        presets[run.cell] = presets.get(run.cell) or run.preset
+    return names_among(
+        {
+            cell: CellChoice(run.environment, run.algorithm, presets[cell], _parameters(run))
+            for cell, run in first.items()
+        }
     )
-    tasks = told_apart({cell: (run.environment,) for cell, run in first.items()}, of_task)
+
+
+def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
+    """What each of some cells is called among the others."""
+    tasks = _told_apart({key: (cell.environment,) for key, cell in cells.items()}, cells, of_task=True)
     # A controller is told apart from those on its own task only: other tasks may need other settings.
-    controllers = told_apart({cell: (_kind(run), tasks[cell]) for cell, run in first.items()}, of_controller)
-    return {cell: CellName(labels[cell], tasks[cell], controllers[cell]) for cell in first}
+    kinds = {key: (cell.algorithm, tasks[key]) for key, cell in cells.items()}
+    controllers = _told_apart(kinds, cells, of_task=False)
+    several = len(set(tasks.values())) > 1
+    return {
+        key: CellName(
+            f"{controllers[key]} on {tasks[key]}" if several else controllers[key],
+            tasks[key],
+            controllers[key],
+        )
+        for key in cells
+    }
 
 
-def told_apart(
-    kinds: Mapping[str, tuple[str, ...]], parameters: Mapping[str, Mapping[str, str]]
+def _parameters(run: RunRow) -> dict[str, str]:
+    recorded = RunRecord.read(Path(run.directory)).parameters
+    return {_POLICIES: run.policies, **recorded} if run.policies else dict(recorded)
+
+
+def _told_apart(
+    kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice], of_task: bool
 ) -> dict[str, str]:
-    """Of each cell, the first of its `kinds` and, `name value`, the parameters that are not the same in all
-    cells of its kinds; `without name` where it has none. Of many the first few are named, if that will do to
-    tell the cells apart: settings of two presets differ in a dozen."""
+    """Of each cell, the first of its `kinds` and what tells it apart from others of its kinds: the preset,
+    then which policies, then the settings that are not the same in all that are still alike."""
+    settings = {key: _parted(cell.parameters, of_task) for key, cell in cells.items()}
     alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
-    for cell, kind in kinds.items():
-        alike[kind].append(cell)
+    for key, kind in kinds.items():
+        alike[kind].append(key)
     told: dict[str, str] = {}
-    for kind, cells in alike.items():
-        settings = _differing([parameters[cell] for cell in cells])
-        names = [", ".join((kind[0], *own)) for own in settings]
-        short = [", ".join((kind[0], *_first_few(own))) for own in settings]
-        told |= dict(zip(cells, short if len(set(short)) == len(set(names)) else names, strict=True))
+    for kind, of_kind in alike.items():
+        for preset, of_preset in _by_preset(of_kind, cells, settings).items():
+            for policies, members in _by_policies(of_preset, settings).items():
+                own = _settings([settings[key] for key in members])
+                name = f"{kind[0]}{preset}{policies}"
+                told |= {key: ", ".join((name, *named)) for key, named in zip(members, own, strict=True)}
     return told
+
+
+def _by_preset(
+    keys: Sequence[str], cells: Mapping[str, CellChoice], settings: Mapping[str, Mapping[str, str]]
+) -> dict[str, list[str]]:
+    """The cells of each preset by what their names have of it: nothing where it is not known of all, or is
+    the same, or where two presets set the same, as those are no different."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    owners: dict[tuple[tuple[str, str], ...], set[str]] = defaultdict(set)
+    for key in keys:
+        preset = cells[key].preset
+        groups[" without preset" if preset == _NO_PRESET else f" {preset}"].append(key)
+        owners[tuple(sorted(settings[key].items()))].add(preset)
+    known = all(cells[key].preset for key in keys)
+    if known and len(groups) > 1 and all(len(presets) == 1 for presets in owners.values()):
+        return groups
+    return {"": list(keys)}
+
+
+def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]]) -> dict[str, list[str]]:
+    """The cells of each kind of policies by what their names have of it: nothing where it is the same."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    for key in keys:
+        groups[f", {settings[key].get(_POLICIES, 'without ' + _POLICIES)}"].append(key)
+    return groups if len(groups) > 1 else {"": list(keys)}
+
+
+def _settings(cells: Sequence[Mapping[str, str]]) -> list[Sequence[str]]:
+    """Of each cell, `name value` of the settings that are not the same in all; `without name` where it has
+    none. Of many the first few are named, if that will do to tell the cells apart: cells of two presets, of
+    which it is not known that they are, differ in a dozen."""
+    whole = _differing(cells)
+    short = [_first_few(own) for own in whole]
+    return short if len(set(map(tuple, short))) == len(set(map(tuple, whole))) else list(whole)
 
 
 def _first_few(settings: Sequence[str]) -> Sequence[str]:
     if len(settings) <= _MOST_NAMED:
         return settings
     return (*settings[:_FIRST_NAMED], f"{len(settings) - _FIRST_NAMED} settings more")
-
-
-def _kind(run: RunRow) -> str:
-    return f"{run.algorithm}, {run.policies}" if run.policies else run.algorithm
 
 
 def _parted(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:

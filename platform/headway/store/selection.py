@@ -28,7 +28,17 @@ if TYPE_CHECKING:
 
 LABELS = ("run_id", "study", "cell", "label", "task", "controller", "seed")
 """`label` names the cell; `task` is what it is reported on and `controller` what plays there (`CellName`)."""
-_ROW = ("environment", "algorithm", "policies", "status", "iterations", "env_steps", "started", "duration_s")
+_ROW = (
+    "environment",
+    "algorithm",
+    "policies",
+    "preset",
+    "status",
+    "iterations",
+    "env_steps",
+    "started",
+    "duration_s",
+)
 _READERS = 8
 """Threads that read logs at once: they mostly wait for the disk and for decompression."""
 
@@ -43,6 +53,7 @@ def select(
     environment: One = None,
     algorithm: One = None,
     policies: One = None,
+    preset: One = None,
     status: One = None,
     cell: One = None,
     run_id: One = None,
@@ -64,6 +75,7 @@ def select(
         "environment": environment,
         "algorithm": algorithm,
         "policies": policies,
+        "preset": preset,
         "cell": cell,
         "run_id": run_id,
     }

@@ -143,6 +143,7 @@ class Cell:
         *,
         iterations: int,
         policies: str = "",
+        preset: str = "",
     ) -> "Run":
         """A new run of a budget of `iterations`; its folder is complete when this returns, so a training
         process may start. Raises HeadwayError if it cannot be written."""
@@ -157,6 +158,7 @@ class Cell:
             started=now(),
             session=Process.current(),
             policies=policies,
+            preset=preset,
             parameters=self._parameters,
             tags={**self._tags, **(tags or {})},
             tracking_uri=self._store.tracking_uri,

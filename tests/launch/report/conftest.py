@@ -1,5 +1,6 @@
 """Studies written by hand into a store: configurations are real, figures are chosen."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -14,6 +15,8 @@ from headway.store.durable import write_json, write_text
 from headway.store.folder import Process, create_run_folder, now, rules_file
 from headway_launch.composing import Experiment, compose
 from headway_launch.planning import cell_parameters, full_mapping
+
+sys.path.insert(0, str(Path(__file__).parent))  # for `sections`
 
 DAYS = 4
 
@@ -55,7 +58,10 @@ def keep_run(root: Path) -> Callable[..., Path]:
         record = RunRecord("", study, env, algo, seed, 4, now(), elsewhere, status, policies)
         run_id, directory = create_run_folder(root, study, replace(record, parameters=parameters).cell, seed)
         tags = {"version.headway": "0.1.0", "git.dirty": "true"}
-        record = replace(record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40)
+        preset = experiment.config.preset
+        record = replace(
+            record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40, preset=preset
+        )
         record.write(directory)
         write_text(directory / "config.yaml", yaml.safe_dump(mapping, sort_keys=False))
         summary = {"final_reward": final, "cpu_seconds": 3.0 + seed, "steps_per_second": 10.0}

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sections import section_of, tables, words
 
 from headway_launch.report.gather import StudyData
-from headway_launch.report.parts import Section, Table
+from headway_launch.report.parts import Section
 from headway_launch.report.published.crossing import crossing_figures, crossing_section
 
 PAPER = "experiment=intersection_paper_ippo"
@@ -17,18 +18,7 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    found = crossing_section(StudyData(root, "study"))
-    assert found is not None
-    return found
-
-
-def table(found: Section, name: str) -> Table:
-    [part] = [part for part in found.body if isinstance(part, Table) and part.name == name]
-    return part
-
-
-def words(found: Section) -> str:
-    return "\n".join(part for part in found.body if isinstance(part, str))
+    return section_of(root, crossing_section)
 
 
 def test_three_are_published() -> None:
@@ -43,12 +33,12 @@ def test_the_paper_s_row_of_what_was_trained_stands_above_ours(keep_run: Keep, r
         more = {**METRICS, "outflow_vph": 600.0 + 20 * seed}
         keep_run((PAPER,), seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **more)
     found = section(root)
-    shown = table(found, "crossing")
+    shown = tables(found)["crossing"]
     assert [row[0].split(",")[0] for row in shown.rows] == ["published: PPO", "ippo", "rule human"]
     outflow = shown.headings.index("outflow, veh/h")
     assert [row[outflow] for row in shown.rows] == ["323", "610 ± 14", "500"]
     assert shown.emphasised == {2}
-    [row] = table(found, "against_humans").rows
+    [row] = tables(found)["against_humans"].rows
     assert row[1] == "2"
     assert row[2].startswith("+110")
     assert row[-1] == "no claim (outflow not told apart, collisions not told apart)"  # two seeds: t is wide
@@ -67,7 +57,7 @@ def test_ten_seeds_are_set_against_human_drivers(
         overrides = ("experiment=intersection_ippo",)
         keep_run(overrides, seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **more)
     found = section(root)
-    assert table(found, "against_humans").rows[0][-1] == reading
+    assert tables(found)["against_humans"].rows[0][-1] == reading
     assert "compare those rows with the rules, not with the paper" in words(found)
 
 
@@ -75,7 +65,7 @@ def test_other_days_than_the_humans_are_not_compared(keep_run: Keep, root: Path)
     for seed, root_of_days in enumerate((1, 2)):
         overrides = (PAPER, f"evaluation.seed={root_of_days}")
         keep_run(overrides, seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **METRICS)
-    [row] = table(section(root), "against_humans").rows
+    [row] = tables(section(root))["against_humans"].rows
     assert set(row[2:]) == {"\N{EN DASH}"}
 
 

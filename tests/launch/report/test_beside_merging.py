@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from sections import section_of, tables, words
 
 from headway_launch.report.gather import StudyData
-from headway_launch.report.parts import Section, Table
+from headway_launch.report.parts import Section
 from headway_launch.report.published.merging import merging_section
 
 STUDY = "experiment=merge_study"
@@ -16,17 +17,7 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    found = merging_section(StudyData(root, "study"))
-    assert found is not None
-    return found
-
-
-def tables(found: Section) -> dict[str, Table]:
-    return {part.name: part for part in found.body if isinstance(part, Table)}
-
-
-def words(found: Section) -> str:
-    return "\n".join(part for part in found.body if isinstance(part, str))
+    return section_of(root, merging_section)
 
 
 def train(keep: Keep, env: str, rewards: list[float], *overrides: str, crash_rate: float = 0.1) -> None:
@@ -41,9 +32,9 @@ def test_ranges_published_stand_beside_rewards_crashes_and_rules(keep_run: Keep,
     train(keep_run, "merge", [60.0], "algo=ippo")
     shown = tables(section(root))["merging"]
     rows = {row[1]: row for row in shown.rows}
-    assert rows["madqn, shared"][2:7] == ["2", "-100 to 50", "52.0 ± 2.8", "0.100 ± 0.000", "0.900 ± 0.000"]
-    assert rows["madqn, shared"][-1] == "\N{EN DASH}"  # nothing logged of a supervisor
-    assert rows["ippo, shared"][3] == "\N{EN DASH}"  # nobody published it
+    assert rows["madqn"][2:7] == ["2", "-100 to 50", "52.0 ± 2.8", "0.100 ± 0.000", "0.900 ± 0.000"]
+    assert rows["madqn"][-1] == "\N{EN DASH}"  # nothing logged of a supervisor
+    assert rows["ippo"][3] == "\N{EN DASH}"  # nobody published it
     assert [row[1] for row in shown.rows][-2:] == ["rule idm_mobil", "rule random"]
     assert shown.emphasised == {2, 3}
     assert "`merge` and on `merge_two_lane`" in words(section(root))

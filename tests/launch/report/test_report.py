@@ -99,13 +99,13 @@ def test_both_forms_have_the_figures_of_the_store(keep_run: KeepRun, root: Path)
     two_algorithms(keep_run)
     report = made(root)
     published = table(report, "published_form").set_index("controller")
-    ippo = published.loc["ippo, independent"]
+    ippo = published.loc["ippo"]
     assert [ippo[f"greedy_final_reward_{name}"] for name in ("mean", "std")] == [6.0, 1.0]
     assert ippo["training_final_reward_mean"] == 3.0
     # 0, half, 1, 1, 1 of the way up, at even steps; seed 0 of ia2c is flat, which is 0.5 by definition.
     assert ippo["greedy_auc_own_mean"] == pytest.approx(0.75)
     assert ippo["greedy_auc_study_mean"] == pytest.approx(0.75 * 6 / 7)
-    assert published.loc["ia2c, independent", "greedy_auc_own_mean"] == pytest.approx((0.5 + 2 * 0.75) / 3)
+    assert published.loc["ia2c", "greedy_auc_own_mean"] == pytest.approx((0.5 + 2 * 0.75) / 3)
     assert published.loc["rule optimal", "greedy_final_reward_mean"] == 10.5  # days 0 and 1, as the curve
     assert "6.0 ± 1.0" in said(report)
     assert "but for those that change no result: where runs are kept" in said(report)
@@ -113,12 +113,12 @@ def test_both_forms_have_the_figures_of_the_store(keep_run: KeepRun, root: Path)
     sound = table(report, "sound_form").set_index("controller")
     learned = [[5.0 + seed + day for day in range(4)] for seed in range(3)]
     expected = paired_difference_over_seeds(learned, [[10.0 + day for day in range(4)]] * 3)
-    found = [sound.loc["ippo, independent", f"minus_best_rule{end}"] for end in ("", "_low", "_high")]
+    found = [sound.loc["ippo", f"minus_best_rule{end}"] for end in ("", "_low", "_high")]
     assert found == pytest.approx([expected.estimate, expected.low, expected.high])
     assert sound.loc["rule random", "minus_best_rule"] == -30
     assert "no claim (worse)" in said(report)
     chances = table(report, "probability_of_improvement").set_index(["a", "b"])["probability"]
-    assert chances["ippo, independent", "ia2c, independent"] == 1.0
+    assert chances["ippo", "ia2c"] == 1.0
 
 
 def test_every_figure_at_the_top_names_its_days(keep_run: KeepRun, root: Path) -> None:
@@ -140,7 +140,7 @@ def test_budgets_that_differ_by_rounding_are_said_beneath_the_tables(keep_run: K
         longer = keep_run((*TRACKING, "algo=coma"), seed, 1.0, rules=RULES, energy=KNOWN)
         record = json.loads((longer / "run.json").read_text())
         (longer / "run.json").write_text(json.dumps({**record, "durable_env_steps": 1048}))
-    line = "coma, independent 1,048, ia2c, independent 40, ippo, independent 40."
+    line = "coma 1,048, ia2c 40, ippo 40."
     assert said(made(root)).count(f"rounded up to whole iterations): {line}") == 2
 
 
@@ -160,7 +160,7 @@ def test_of_a_cell_that_diverged_the_captions_say_so(keep_run: KeepRun, root: Pa
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, -98_439.0 - seed)
     report = report_of(StudyData(root, "study", low=-30.0))
-    assert "Beyond the axis: ddpg, independent (at -98,440)." in said(report)
+    assert "Beyond the axis: ddpg (at -98,440)." in said(report)
     pictures = {
         part.name: part.figure.axes[0]
         for section in report.sections
@@ -195,13 +195,13 @@ def test_every_part_is_a_file_and_the_page_needs_none(keep_run: KeepRun, root: P
         header, *rows = [line for line in markdown.read_text().splitlines() if line.startswith("|")]
         assert {line.count("|") for line in rows} == {header.count("|")}
     figures = list(csv.DictReader(io.StringIO((folder / "tables" / "figures.csv").read_text())))
-    assert figures[-1]["ippo, independent"] == "-0.5"
+    assert figures[-1]["ippo"] == "-0.5"
 
 
 def test_energy_stands_beside_cpu_seconds(keep_run: KeepRun, root: Path) -> None:
     two_algorithms(keep_run)
     report = made(root)
-    ippo = table(report, "energy").set_index("controller").loc["ippo, independent"]
+    ippo = table(report, "energy").set_index("controller").loc["ippo"]
     assert (ippo["kwh"], ippo["cpu_seconds"]) == pytest.approx((3e-5, 4.0))
     assert math.isnan(ippo["gpu_kwh"])
     assert "mWh a run" in said(report)
@@ -232,7 +232,7 @@ def test_some_runs_without_energy_are_said_and_left_out_of_its_means(keep_run: K
 def test_one_seed_and_no_rule_are_said(keep_run: KeepRun, root: Path) -> None:
     keep_run(TRACKING, 0, 1.0)
     report = made(root)
-    assert "Of ippo, independent there is one seed" in said(report)
+    assert "Of ippo there is one seed" in said(report)
     assert "No classical rule was played" in said(report)
     assert "There is one learner only" in said(report)
     assert "There is no performance profile" in said(report)
@@ -259,8 +259,8 @@ def test_environments_are_put_together_where_rules_give_them_a_scale(keep_run: K
     assert report.subtitle == "tracking, matrix: 6 finished runs of 2 learners, and 4 classical rules"
     [row] = table(report, "across_environments").to_dict("records")
     # On the curves' days 0 and 1 tracking's rules have -19.5 and 10.5, matrix's 0.5 and 3.5.
-    assert (row["controller"], row["mean"]) == ("ippo, independent", pytest.approx((1 + 0.5) / 2))
-    assert "Not trained on every environment, and so left out here: ia2c, independent" in said(report)
+    assert (row["controller"], row["mean"]) == ("ippo", pytest.approx((1 + 0.5) / 2))
+    assert "Not trained on every environment, and so left out here: ia2c" in said(report)
 
 
 def test_environments_without_a_scale_are_not_put_together(keep_run: KeepRun, root: Path) -> None:
@@ -287,9 +287,9 @@ def test_a_cost_is_better_the_lower(keep_run: KeepRun, root: Path) -> None:
         keep_run((*TRACKING, "algo=ippo"), seed, 1.0, rules=RULES, wait=2.0)
         keep_run((*TRACKING, "algo=ia2c"), seed, 9.0, rules=RULES, wait=7.0)
     report = made(root, metric="evaluation_greedy/wait", lower=True)
-    assert "ippo, independent has the lowest mean final wait: 2 over 2 seeds" in said(report)
+    assert "ippo has the lowest mean final wait: 2 over 2 seeds" in said(report)
     chances = table(report, "probability_of_improvement").set_index("a")["probability"]
-    assert chances["ippo, independent"] == 1
+    assert chances["ippo"] == 1
 
 
 def test_names_and_text_cannot_break_the_page() -> None:

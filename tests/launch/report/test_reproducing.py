@@ -36,3 +36,27 @@ def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
         assert again[key] == stored[key], key
     assert again["backend"]["stack"] == stored["backend"]["stack"]
     assert "elsewhere" not in words
+    assert again["preset"] == stored["preset"]
+
+
+def test_a_preset_stands_for_what_it_brings() -> None:
+    stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper", "algo.lr=0.25"]), [3])
+    line = reproducing_line(stored, "3")
+    assert "preset=merge_paper" in line
+    assert "algo.lr=0.25" in line
+    assert "algo.gae_lambda" not in line
+
+
+def test_of_a_preset_that_is_gone_all_it_brought_is_written() -> None:
+    stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper"]), [3])
+    line = reproducing_line({**stored, "preset": "gone"}, "3")
+    assert "preset" not in line
+    assert "algo.gae_lambda=1.0" in line
+
+
+def test_a_preset_of_which_something_cannot_be_taken_back_is_left_out() -> None:
+    stored = full_mapping(compose(["experiment=merge_study", "preset=merge_tuned"]), [3])
+    stored["env"]["training_args"] = {}
+    words = shlex.split(reproducing_line(stored, "3"))[2:]
+    assert not any(word.startswith("preset=") for word in words)
+    assert full_mapping(compose(words), [3])["env"] == stored["env"]

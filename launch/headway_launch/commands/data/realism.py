@@ -28,34 +28,37 @@ if it is off by no more than the tolerance. Trips and boardings are measured by 
 headways along the route and loads by SUNT's trip records (--records) of its lines, or else, of a scenario
 made of SUNT, by those of the whole city, which an extract of few lines is not held to. Headways are relative
 to the mean of their two hours, of frequent service; CV is their coefficient of variation, and those under a
-quarter of the mean are bunched.
+quarter of the mean are bunched. Trips of the built-in scenarios are made up: these cannot be compared.
 """
 _COLUMNS = ("figure", "simulated", "sd of days", "measured", "off", "tolerance", "holds", "measured on")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The scenario, the days, and what to compare with."""
-    parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="env.args.* of the simulator")
+    parser.add_argument(
+        "scenario", metavar="SCENARIO", help="folder with recorded trips, as `headway data sunt` writes them"
+    )
+    parser.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="env.args.* of the simulator"
+    )
     parser.add_argument(
         "--day-type", choices=("weekday", "sunday"), help="(default: the weekday, if it has trips)"
     )
     parser.add_argument("--days", type=int, default=20, help="to simulate (default: 20)")
     parser.add_argument("--records", metavar="RAW", help="folder below which SUNT's files od-*.parquet lie")
     parser.add_argument("--format", choices=("text", "csv"), default="text")
-    parser.add_argument("--seed", type=int, default=0, help="of a built-in scenario (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Simulate, compare and print."""
-    if arguments.seed < 0 or arguments.days < 1:
-        raise HeadwayError("--seed must be at least 0 and --days at least 1")
+    if arguments.days < 1:
+        raise HeadwayError("--days must be at least 1")
     config = _config(arguments)
     from headway_envs.bus.realism.comparing import compare_replay, lines_of
     from headway_envs.bus.realism.measured import CITY_LINES
     from headway_envs.bus.scenario.source import scenario_tables
 
-    tables = scenario_tables(arguments.scenario, arguments.seed)
+    tables = scenario_tables(arguments.scenario, 0)
     there = set(tables.trips["daytype"])
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
     config = replace(config, day_type="weekday" if day == "weekday" else "sunday")
@@ -94,14 +97,14 @@ def _config(arguments: argparse.Namespace) -> "BusConfig":
     from headway_envs.bus.prepared import REPLAY_FIXED
     from headway_launch.composing import compose
 
-    options = {"scenario": "SCENARIO", "scenario_seed": "--seed", "day_type": "--day-type"}
+    options = {"scenario": "SCENARIO", "day_type": "--day-type"}
     for override in arguments.overrides:
         key = override.split("=")[0]
         if not key.startswith("env.args."):
             raise HeadwayError(f"{key}: only env.args.* of the bus environment can be given here")
         if key.removeprefix("env.args.") in options:
             raise HeadwayError(f"{key}: give {options[key.removeprefix('env.args.')]} instead")
-        _refuse_fixed(key, ("start_hour", "end_hour", *REPLAY_FIXED))
+        _refuse_fixed(key, ("scenario_seed", "start_hour", "end_hour", *REPLAY_FIXED))
     config = compose(["env=bus", *arguments.overrides]).env_config
     assert isinstance(config, BusConfig)
     return config
