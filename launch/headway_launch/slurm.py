@@ -168,7 +168,7 @@ def _require_further(option: str) -> None:
     else:
         ours = [_LETTERS[name[0]]] if name[:1] in _LETTERS else []
     if ours:
-        raise HeadwayError(f"--sbatch={option}: the script has its own --{ours[0]} ({_OURS[ours[0]]})")
+        raise HeadwayError(f"--sbatch={option}: --{ours[0]} is the script's ({_OURS[ours[0]]})")
 
 
 def _quoted(word: str) -> str:
@@ -184,8 +184,8 @@ def _as_pattern(folder: Path) -> str:
     for unwanted in ("\\", "\n", *_MANGLED):
         if unwanted in text.lower():
             raise HeadwayError(
-                f"sbatch cannot write to a folder with {unwanted!r} in its name: set store.root to another "
-                f"than {text!r}"
+                f"sbatch cannot write to a folder with {unwanted!r} in its name: give store.root or study "
+                f"another than in {text!r}"
             )
     return text.replace("%", "%%")
 
@@ -196,7 +196,7 @@ def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Pa
     for override in overrides:
         key, _, value = override.partition("=")
         key = key.lstrip("+~")
-        if key in ("backend", "backend.name") and value != "ray":
+        if key in ("backend", "backend.name") and value.strip("'\"") != "ray":
             raise HeadwayError(
                 f"{override}: the script starts a Ray cluster; leave it out, or give --array, which has none"
             )

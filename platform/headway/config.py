@@ -198,7 +198,7 @@ class ExperimentConfig:
     """`name` and hyper-parameters; the algorithm's own record validates them."""
     preset: str = ""
     """The file of configs/preset whose values lie below all others; `none` leaves the defaults. It names the
-    cells of a study that has several; empty: not known, as of runs from before it was kept."""
+    cells of a study that has several; empty: not known."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)

@@ -88,11 +88,9 @@ def learning_curves(
         for name, curve in by_name.items():
             if name not in off:
                 _draw_curve(axes, name, curve, column, styles[name], shade)
-        beside = rules.get(task, {})
-        near = near_rules(beside, *axes.get_ylim())
-        draw_rules(axes, beside)
         middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in off]
-        _bound_bands(axes, np.concatenate(middles), [beside[rule] for rule in near])
+        _bound_bands(axes, np.concatenate(middles))
+        draw_rules(axes, rules.get(task, {}))
         if off:
             window = axes.get_ylim()
             for name, value in off.items():
@@ -145,17 +143,13 @@ def _draw_curve(
     axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
 
 
-def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]", rules: Sequence[float]) -> None:
+def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]") -> None:
     """Let intervals stretch the vertical axis to twice the range of what they are around, no farther:
     those of two seeds may be a hundred times as wide, and would flatten all curves."""
     low, high = float(np.nanmin(middles)), float(np.nanmax(middles))
-    if not low < high:
-        return
-    beyond = 0.5 * (high - low)
-    shown = (low - beyond, high + beyond, *rules)
-    edge = 0.05 * (max(shown) - min(shown))
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(max(bottom, min(shown) - edge), min(top, max(shown) + edge))
+    if low < high:
+        beyond, (bottom, top) = 0.5 * (high - low), axes.get_ylim()
+        axes.set_ylim(max(bottom, low - beyond), min(top, high + beyond))
 
 
 def _marks(points: int) -> dict[str, Any]:
@@ -164,8 +158,10 @@ def _marks(points: int) -> dict[str, Any]:
 
 
 def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
-    """A grey line a rule across what is drawn already, or an upright one; the far ones in the legend only."""
-    near = near_rules(rules, *(axes.get_xlim() if upright else axes.get_ylim()))
+    """A grey line a rule across what is drawn already, or an upright one; the far ones in the legend only.
+    A vertical axis whose ends were set is stretched to the near ones."""
+    low, high = axes.get_xlim() if upright else axes.get_ylim()
+    near = near_rules(rules, low, high)
     draw = axes.axvline if upright else axes.axhline
     for place, (rule, value) in enumerate(sorted(rules.items())):
         style: dict[str, Any] = {
@@ -177,6 +173,10 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
             draw(value, label=f"rule {rule}", **style)
         else:
             axes.plot([], [], label=f"rule {rule} (off, at {_four_digits(value)})", **style)
+    if near and not upright and not axes.get_autoscaley_on():
+        shown = [rules[rule] for rule in near]
+        edge = 0.05 * (max(high, *shown) - min(low, *shown))
+        axes.set_ylim(min(low, min(shown) - edge), max(high, max(shown) + edge))
 
 
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:

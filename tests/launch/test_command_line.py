@@ -106,3 +106,4 @@ def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.C
     shown = " ".join(capsys.readouterr().out.split())
     assert "folder with recorded trips" in shown
     assert "--seed" not in shown
+    assert "corridor" not in shown

@@ -150,10 +150,14 @@ def test_wide_intervals_do_not_flatten_the_curves() -> None:
     styles = colours(["ippo", "mappo"])
     [axes] = learning_curves(wide, {}, "", styles).axes
     low, high = axes.get_ylim()
-    assert -7 < low < -5
-    assert 15 < high < 17
+    assert -7 < low <= -5
+    assert 15 <= high < 17
     [axes] = learning_curves(wide, {"t": {"optimal": 40.0}}, "", styles).axes
     assert 40 < axes.get_ylim()[1] < 45  # a rule that is near is seen
+    [axes] = learning_curves(wide, {"t": {"optimal": 12.0, "random": -4000.0}}, "", styles).axes
+    low, high = axes.get_ylim()
+    assert -8 < low <= -5  # and one that is far is not, however wide the intervals
+    assert 15 <= high < 17
     narrow = wide.assign(low=-1.0, high=11.0)
     [axes] = learning_curves(narrow, {}, "", styles).axes
     assert -2 < axes.get_ylim()[0] < -1  # and an axis grows no more than it has to

@@ -100,17 +100,17 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (
             ("--slurm", "--sbatch=--time=5", "--time", "9"),
-            "--sbatch=--time=5: the script has its own --time (give --time)",
+            "--sbatch=--time=5: --time is the script's (give --time)",
         ),
-        (("--slurm", "--sbatch=--tim=5"), "--sbatch=--tim=5: the script has its own --time (give --time)"),
-        (("--slurm", "--sbatch=-N4"), "--sbatch=-N4: the script has its own --nodes (give --nodes)"),
+        (("--slurm", "--sbatch=--tim=5"), "--sbatch=--tim=5: --time is the script's (give --time)"),
+        (("--slurm", "--sbatch=-N4"), "--sbatch=-N4: --nodes is the script's (give --nodes)"),
         (
             ("--slurm", "--sbatch=-o here"),
-            "--sbatch=-o here: the script has its own --output (it lies beside the script)",
+            "--sbatch=-o here: --output is the script's (it lies beside the script)",
         ),
         (
             ("--slurm", "--array", "--sbatch=--array=0-9%2"),
-            "--sbatch=--array=0-9%2: the script has its own --array (give --array)",
+            "--sbatch=--array=0-9%2: --array is the script's (give --array)",
         ),
         (
             ("--slurm", "backend=process"),

@@ -192,6 +192,6 @@ def test_presets_tell_environments_apart_where_these_have_other_arguments(tmp_pa
     names = cell_names(RunIndex(tmp_path).rows()).values()
     assert [(name.controller, name.task) for name in names] == [
         ("ippo bus_tuned", "bus, env.args.state aggregate"),
-        ("ippo", "bus, env.args.state whole"),
+        ("ippo paper", "bus, env.args.state whole"),  # as it is called by presets elsewhere
         ("ippo bus_tuned_independent", "bus, env.args.state aggregate"),
     ]

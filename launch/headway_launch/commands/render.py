@@ -199,6 +199,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
 def _run(arguments: argparse.Namespace) -> "StoredRun":
     """The run that is named. Raises HeadwayError if there is none, or an environment was meant."""
     from headway.registry import env_entries
+    from headway.store.folder import run_folders
     from headway_launch.composing import groups
     from headway_launch.stored import StoredRun
 
@@ -210,7 +211,8 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
             raise HeadwayError(
                 f"{arguments.name} is an environment; add --rule RULE, or name a run"
             ) from error
-        if near := nearest(arguments.name, known):
+        is_part = any(arguments.name in folder.name for folder in run_folders(Path(arguments.store)))
+        if not is_part and (near := nearest(arguments.name, known)):
             raise HeadwayError(
                 f"{arguments.name!r} is no run and no environment; did you mean {near}, with --rule RULE? "
                 "`headway runs` shows the runs"

@@ -297,7 +297,7 @@ def _cut_off(
 def _wrongs_of_the_cut_off(nodes: Nodes, actors: Sequence[psutil.Process]) -> list[str]:
     """Of actors that train no more: empty if they live and have said why."""
     deadline = time.monotonic() + _LAST_WORD_S
-    while not any(_TAKEN_OVER in nodes.told_by(actor) for actor in actors):
+    while not all(_TAKEN_OVER in nodes.told_by(actor) for actor in actors):
         if not all(actor.is_running() for actor in actors):
             raise HeadwayError("what was cut off has died of it, so nothing was tried")
         if time.monotonic() > deadline:

@@ -211,8 +211,9 @@ class Broadcast(Actors):
         self.parts = [part_of(self.trajectory, plan.replicas, first, count) for first, count in shards]
 
     def publish(self, parameters: Parameters) -> None:
-        """See `Exchange`."""
-        self.published = ray.put(dict(parameters))
+        """See `Exchange`. In C order, as in the memory that processes share: products are rounded by it."""
+        ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
+        self.published = ray.put(ordered)
 
     def take(self, shard: int, experience: Experience) -> None:
         """To its place in the trajectory."""

@@ -75,7 +75,7 @@ def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
 def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
     """What each of some cells is called among the others."""
     tasks = _told_apart({key: (cell.environment,) for key, cell in cells.items()}, cells, of_task=True)
-    # A controller is told apart from those on its own task only: other tasks may need other settings.
+    # A controller is told apart from those on its own task: other tasks may need other settings.
     kinds = {key: (cell.algorithm, tasks[key]) for key, cell in cells.items()}
     controllers = _told_apart(kinds, cells, of_task=False)
     several = len(set(tasks.values())) > 1
@@ -103,9 +103,11 @@ def _told_apart(
     alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for key, kind in kinds.items():
         alike[kind].append(key)
+    # What has several presets on one task is called by them on each.
+    by_preset = {kind[0] for kind, keys in alike.items() if _presets_differ(keys, cells, settings)}
     told: dict[str, str] = {}
     for kind, of_kind in alike.items():
-        for preset, of_preset in _by_preset(of_kind, cells, settings).items():
+        for preset, of_preset in _by_preset(of_kind, cells, kind[0] in by_preset).items():
             for policies, members in _by_policies(of_preset, settings).items():
                 own = _settings([settings[key] for key in members])
                 name = f"{kind[0]}{preset}{policies}"
@@ -113,21 +115,27 @@ def _told_apart(
     return told
 
 
-def _by_preset(
+def _presets_differ(
     keys: Sequence[str], cells: Mapping[str, CellChoice], settings: Mapping[str, Mapping[str, str]]
-) -> dict[str, list[str]]:
-    """The cells of each preset by what their names have of it: nothing where it is not known of all, or is
-    the same, or where two presets set the same, as those are no different."""
-    groups: dict[str, list[str]] = defaultdict(list)
+) -> bool:
+    """Whether cells are of several presets: not where one is not known, or two set the same."""
     owners: dict[tuple[tuple[str, str], ...], set[str]] = defaultdict(set)
     for key in keys:
+        owners[tuple(sorted(settings[key].items()))].add(cells[key].preset)
+    presets = {cells[key].preset for key in keys}
+    return "" not in presets and len(presets) > 1 and all(len(of_same) == 1 for of_same in owners.values())
+
+
+def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool) -> dict[str, list[str]]:
+    """The cells of each preset by what their names have of it, which is nothing unless `named`."""
+    if not named:
+        return {"": list(keys)}
+    groups: dict[str, list[str]] = defaultdict(list)
+    for key in keys:
         preset = cells[key].preset
-        groups[" without preset" if preset == _NO_PRESET else f" {preset}"].append(key)
-        owners[tuple(sorted(settings[key].items()))].add(preset)
-    known = all(cells[key].preset for key in keys)
-    if known and len(groups) > 1 and all(len(presets) == 1 for presets in owners.values()):
-        return groups
-    return {"": list(keys)}
+        known = " without preset" if preset == _NO_PRESET else f" {preset}"
+        groups[known if preset else ""].append(key)
+    return groups
 
 
 def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]]) -> dict[str, list[str]]:

@@ -54,10 +54,16 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.days < 1:
         raise HeadwayError("--days must be at least 1")
     config = _config(arguments)
+    from headway_envs.bus.config import SCENARIOS
     from headway_envs.bus.realism.comparing import compare_replay, lines_of
     from headway_envs.bus.realism.measured import CITY_LINES
     from headway_envs.bus.scenario.source import scenario_tables
 
+    if arguments.scenario not in SCENARIOS and not Path(arguments.scenario).is_dir():
+        raise HeadwayError(
+            f"there is no folder {arguments.scenario}: give one with recorded trips, as `headway data sunt` "
+            "writes them"
+        )
     tables = scenario_tables(arguments.scenario, 0)
     there = set(tables.trips["daytype"])
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
