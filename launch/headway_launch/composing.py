@@ -140,7 +140,28 @@ def compose(overrides: Sequence[str]) -> Experiment:
     cannot be used.
     """
     mapping, preset = _compose_mapping([_prepared(override) for override in overrides])
-    return resolve({**_with_preset(mapping), "preset": preset})
+    try:
+        return resolve({**_with_preset(mapping), "preset": preset})
+    except HeadwayError as error:
+        key = str(error).partition(" is not a key of ")[0]
+        if _has(_preset_values(mapping), key) and not _has(mapping, key):
+            raise HeadwayError(f"preset={preset} is not for this: {error}") from error
+        raise
+
+
+def _preset_values(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What the preset has for the algorithm."""
+    values = (mapping.get("preset") or {}).get((mapping.get("algo") or {}).get("name"))
+    return values if isinstance(values, Mapping) else {}
+
+
+def _has(mapping: object, key: str) -> bool:
+    """Whether nested mappings have a dotted key."""
+    for part in key.split("."):
+        if not isinstance(mapping, Mapping) or part not in mapping:
+            return False
+        mapping = mapping[part]
+    return True
 
 
 def resolve(mapping: Mapping[str, Any]) -> Experiment:

@@ -21,12 +21,17 @@ _SPAN = re.compile(r"\s*(\d+)\s*\.\.\s*(\d+)\s*")
 _RANGE = re.compile(r"\s*range\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*")
 _MOST_NAMES, _NEAREST_NAMES = 30, 8
 """Of more names than that so many are shown: a line must stay one that is read."""
+_BEGINNING = 3
+"""Letters of a name that stand for it."""
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
     """The one of `names` that `name` was probably meant to be, or None."""
     by_lower = {candidate.lower(): candidate for candidate in names}
+    begun = [known for known in by_lower if known.startswith(name.lower())]
+    if len(name) >= _BEGINNING and begun:
+        return by_lower[min(begun, key=len)]
     found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
     return by_lower[found[0]] if found else None
 

@@ -157,6 +157,12 @@ def test_describe_reads_types_defaults_and_the_docstrings_under_fields() -> None
     assert [row.default for row in describe(Needy)] == ["required"]
 
 
+def test_a_beginning_stands_for_a_name() -> None:
+    assert nearest("idm", ["idle", "idm_mobil"]) == "idm_mobil"
+    assert nearest("Merge", ["merge_two_lane", "merge"]) == "merge"
+    assert nearest("id", ["idle"]) == "idle"  # two letters are compared as any others
+
+
 def test_nearest_is_none_for_something_unlike_anything() -> None:
     assert nearest("Mapo", ["mappo", "ippo"]) == "mappo"
     assert nearest("qqqq", ["mappo", "ippo"]) is None

@@ -40,6 +40,15 @@ def test_what_no_named_algorithm_is_can_be_composed() -> None:
         compose(["env=trivial", "algo=ippo", "algo.critic=central"])
 
 
+def test_a_preset_of_another_environment_is_named() -> None:
+    with pytest.raises(
+        HeadwayError, match=r"preset=bus_tuned is not for this: env\.args\.state is not a key of"
+    ):
+        compose(["experiment=merge_study", "preset=bus_tuned"])
+    with pytest.raises(HeadwayError, match=r"^env\.args\.state is not a key of merge"):
+        compose(["experiment=merge_study", "env.args.state=whole"])
+
+
 def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
     experiment = compose(["env=trivial", "preset=paper", "algo.clip=0.1", "rollout=short"])
     assert experiment.config.preset == "paper"

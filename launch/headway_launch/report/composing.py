@@ -36,7 +36,7 @@ def report_of(data: StudyData) -> Report:
         title=f"Study {data.study}",
         subtitle=f"{', '.join(data.tasks)}: {counted(len(data.runs.rows), 'finished run')} of "
         f"{counted(len(data.controllers), 'learner')}, and "
-        f"{counted(data.rules[['task', 'rule']].drop_duplicates().shape[0], 'classical rule')}",
+        f"{counted(data.rules['rule'].nunique(), 'classical rule')}",
         summary=_summary(data),
         sections=[section for section in sections if section is not None],
         footer=f"Made by headway {version('headway')} on {moment} from the store's files alone. The tables "

@@ -256,7 +256,7 @@ def test_environments_are_put_together_where_rules_give_them_a_scale(keep_run: K
         keep_run((*MATRIX, "algo=ippo"), seed, 2.0, rules={"random": 0.0, "optimal": 3.0})
         keep_run((*MATRIX, "algo=ia2c"), seed, 1.0, rules={"random": 0.0, "optimal": 3.0})
     report = made(root)
-    assert report.subtitle == "tracking, matrix: 6 finished runs of 2 learners, and 4 classical rules"
+    assert report.subtitle == "tracking, matrix: 6 finished runs of 2 learners, and 2 classical rules"
     [row] = table(report, "across_environments").to_dict("records")
     # On the curves' days 0 and 1 tracking's rules have -19.5 and 10.5, matrix's 0.5 and 3.5.
     assert (row["controller"], row["mean"]) == ("ippo", pytest.approx((1 + 0.5) / 2))
