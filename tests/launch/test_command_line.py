@@ -89,6 +89,14 @@ def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
     assert rules <= set(env_entry("bus").rules)
 
 
+def test_environments_that_a_file_makes_of_others_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    """All that `env=` takes by name."""
+    assert run(["list", "envs"]) == 0
+    assert "intersection_paper\t" in capsys.readouterr().out
+    assert run(["list", "envs", "intersection_paper"]) == 0
+    assert "id: intersection\n" in capsys.readouterr().out
+
+
 def test_a_dry_run_whose_reader_has_gone_ends_quietly(tmp_path: Path) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "seed=0..3", "energy=off", f"store.root={tmp_path}"]
     command = [sys.executable, "-m", "headway_launch", *words, "--dry-run"]

@@ -46,12 +46,16 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _list_envs(name: str | None) -> None:
+    entries = env_entries()
+    by_file = [option for option in groups()["env"] if option not in entries]
     if name is None:
-        entries = env_entries()
         rows = [(key, entry.summary, ", ".join(entry.rules)) for key, entry in entries.items()]
+        rows += [(option, summary_of("env", option), "") for option in by_file]
         print_table(("environment", "what it is", "rules"), rows)
-        return
-    _print_keys(env_entry(name).config, "env.args")
+    elif name in by_file:
+        _list_group("env")(name)
+    else:
+        _print_keys(env_entry(name).config, "env.args")
 
 
 def _list_algos(name: str | None) -> None:
