@@ -55,7 +55,7 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is no date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
         (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),
-        (["realism", "nowhere"], ["scenario 'nowhere' is none of"]),
+        (["realism", "nowhere"], ["there is no folder nowhere"]),
         (["realism", "line"], ["SCENARIO: its trips are made up, nothing was measured there; give"]),
         (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
         (["realism", "line", "env.args.scenario_seed=1"], ["env.args.scenario_seed: a replay fixes it"]),
