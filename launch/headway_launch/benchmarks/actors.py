@@ -1,9 +1,10 @@
 """What it costs to have workers in actors of Ray instead of processes, on one machine: whole trainings in
-turn with both, and what goes over the wire."""
+turn with both, what goes over the wire, and how throughput grows with workers: measured for one and two, and
+planned beyond from what was measured."""
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from statistics import median
@@ -15,7 +16,7 @@ from headway.config import BackendConfig
 from headway.configuration import build
 from headway.registry import algo_entry, env_entry
 from headway.rollout.plan import RolloutPlan
-from headway_launch.benchmarks.measuring import Task
+from headway_launch.benchmarks.measuring import Measurement, Task
 from headway_launch.benchmarks.training import BASE, in_turn
 
 TASKS = {
@@ -27,6 +28,43 @@ TASKS = {
 _REPEATS = 50
 _LARGE = 16 * 2**20
 """Bytes of an answer large enough for its size to be what it costs."""
+_PLANNED_WORKERS = (4, 8, 16, 32, 64)
+_WORKERS_A_NODE = 16
+"""Of the planned cluster."""
+_OVERLAP = 8
+"""How many calls and answers are under way at once: a guess, the only figure of the plan not measured."""
+
+
+@dataclass(frozen=True)
+class Wire:
+    """What goes over it, and what that takes."""
+
+    bytes_a_step: float
+    parameter_bytes: float
+    message_s: float
+    """A call and its answer."""
+    byte_s: float
+    """Each further byte of an answer."""
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What an iteration takes, by the formula of CLUSTERS.md."""
+
+    steps: int
+    """Environment steps an iteration."""
+    worker_s: float
+    """Seconds a step in one worker."""
+    learn_s: float
+    """Seconds an iteration."""
+    wire: Wire
+
+    def per_second(self, workers: int, nodes: int) -> float:
+        """Environment steps a second, learning included."""
+        wire = self.wire
+        sent_s = wire.byte_s * (wire.parameter_bytes * nodes + wire.bytes_a_step * self.steps)
+        called_s = wire.message_s * workers / _OVERLAP
+        return self.steps / (self.steps * self.worker_s / workers + sent_s + called_s + self.learn_s)
 
 
 def report() -> None:
@@ -38,20 +76,24 @@ def report() -> None:
     print("Medians of rounds taken in turn; seconds and CPU seconds of one iteration.\n")
     print("| task | process, s | Ray, s | more | process, CPU s | Ray, CPU s | more |")
     print("|---|---:|---:|---:|---:|---:|---:|")
+    with_ray: dict[str, list[Measurement]] = {}
     for name, task in TASKS.items():
         results = in_turn([replace(task, backend=backend) for backend in ("process", "ray")])
+        with_ray[name] = results[1]
         steps = task.copies * task.steps
         seconds = [median(steps / result.per_second for result in of_one) for of_one in results]
         cpu_seconds = [median(steps / result.per_cpu_second for result in of_one) for of_one in results]
         cells = [f"{a:.3f} | {b:.3f} | {b / a - 1:.0%}" for a, b in (seconds, cpu_seconds)]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
-    _report_wire()
+    _report_growth(with_ray, _report_wire())
 
 
-def _report_wire() -> None:
+def _report_wire() -> dict[str, Wire]:
+    """By task, of those whose environment is a batch."""
     from headway.rollout.actors import Broadcast, actor_collector, experience_of, nbytes_of
     from headway.rollout.cluster import connect, disconnect
 
+    sizes: dict[str, tuple[float, float]] = {}
     connect("local")
     print("\n| task | bytes a step | parameters, bytes | published in, ms | collected in, ms |")
     print("|---|---:|---:|---:|---:|")
@@ -73,10 +115,12 @@ def _report_wire() -> None:
             finally:
                 collector.close()
             size = sum(array.nbytes for array in parameters.values())
+            sizes[name] = sent, size
             print(f"| {name} | {sent:,.0f} | {size:,} | {put:.2f} | {collected:.1f} |", flush=True)
-        _report_messages()
+        message_s, byte_s = _report_messages()
     finally:
         disconnect()
+    return {name: Wire(*of_one, message_s, byte_s) for name, of_one in sizes.items()}
 
 
 class _Answering:
@@ -86,7 +130,8 @@ class _Answering:
         return np.zeros(count, np.uint8)
 
 
-def _report_messages() -> None:
+def _report_messages() -> tuple[float, float]:
+    """Seconds of a call and its answer, and of each further byte."""
     import ray
 
     actor = ray.remote(num_cpus=0)(_Answering).remote()
@@ -96,6 +141,38 @@ def _report_messages() -> None:
     ray.kill(actor)
     print("\n| a call and its answer, ms | each further MB of an answer, ms |\n|---:|---:|")
     print(f"| {small:.2f} | {(large - small) / (_LARGE / 1e6):.2f} |", flush=True)
+    return small / 1000, (large - small) / 1000 / _LARGE
+
+
+def _report_growth(with_two: Mapping[str, Sequence[Measurement]], wires: Mapping[str, Wire]) -> None:
+    """Throughput by workers: what one and two give here, and what the formula gives for all."""
+    one = "1 worker, measured (planned)"
+    planned = " | ".join(f"{workers}, planned" for workers in _PLANNED_WORKERS)
+    print(f"\n| task, environment steps a second | {one} | 2, measured (planned) | {planned} |")
+    print(f"|---|{'---:|' * (2 + len(_PLANNED_WORKERS))}")
+    for name, wire in wires.items():
+        task = TASKS[name]
+        alone = in_turn([replace(task, backend="ray", workers=1)])[0]
+        steps = task.copies * task.steps
+        growth = Growth(
+            steps,
+            worker_s=1 / median(result.collected_per_second for result in alone),
+            learn_s=steps * median(result.learn_s / result.env_steps for result in alone),
+            wire=wire,
+        )
+        cells = [
+            f"{median(result.per_second for result in results):,.0f} ({growth.per_second(workers, 1):,.0f})"
+            for workers, results in ((1, alone), (2, with_two[name]))
+        ]
+        cells += [
+            f"{growth.per_second(workers, max(1, workers // _WORKERS_A_NODE)):,.0f}"
+            for workers in _PLANNED_WORKERS
+        ]
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    print(
+        f"\nPlanned: {_WORKERS_A_NODE} workers a node, all as fast as the one here and with a copy each at "
+        f"least; of calls and answers {_OVERLAP} under way at once."
+    )
 
 
 def _plan_of(task: Task) -> RolloutPlan:
