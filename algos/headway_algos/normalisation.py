@@ -26,17 +26,17 @@ class RunningMoments(nn.Module):
         """Count (P, 1, 1), mean and summed squared deviations (P, 1, size) of the rows included last."""
 
     def include(self, rows: Tensor, selected: Tensor | None = None) -> None:
-        """Add rows (P, B, size) where `selected` (P, B) holds; unselected rows must be finite."""
-        values = rows.double()
-        if selected is None:
+        """Add rows (P, B, size) where `selected` (P, B) holds."""
+        if selected is None or bool(selected.all()):
+            values = rows.double()
             count = torch.full_like(self.count, rows.shape[1])
             mean = values.mean(1, keepdim=True)
             squares = ((values - mean) ** 2).sum(1, keepdim=True)
         else:
-            weight = selected.double()[..., None]
-            count = weight.sum(1, keepdim=True)
-            mean = (values * weight).sum(1, keepdim=True) / count.clamp(min=1)
-            squares = ((values - mean) ** 2 * weight).sum(1, keepdim=True)
+            # Network by network: where most rows are of agents that are absent, a sum over all costs most.
+            parts = [_moments(each[which].double()) for each, which in zip(rows, selected, strict=True)]
+            count = selected.sum(1).double()[:, None, None]
+            mean, squares = (torch.stack(of_all) for of_all in zip(*parts, strict=True))
         self.latest = count, mean, squares
         self.add(count, mean, squares)
 
@@ -66,3 +66,9 @@ class RunningMoments(nn.Module):
     def std(self) -> Tensor:
         """Standard deviation, (P, 1, size)."""
         return torch.sqrt(self.variance + 1e-8)
+
+
+def _moments(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and summed squared deviations from it, (1, size) each, of rows (B, size); 0 of none."""
+    mean = rows.sum(0, keepdim=True) / max(len(rows), 1)
+    return mean, ((rows - mean) ** 2).sum(0, keepdim=True)
