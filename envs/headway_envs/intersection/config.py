@@ -27,6 +27,10 @@ class RewardConfig:
     kind: Literal["scaled", "paper"] = "scaled"
     """`scaled`: one return for the team, terms of one size, outflow by the step. `paper`: the paper's sum,
     outflow in vehicles an hour since the beginning, paid to each vehicle that is there."""
+    scope: Literal["team", "own"] = "team"
+    """Of the kind `scaled`. `team`: all are paid the team's reward. `own`: each AV is paid for its own speed,
+    standstill and headway, for its own exit and its own crash, so that it can tell what it did. For learning;
+    `team_return` is never of it."""
     velocity: float = 0.2
     """Weight of the nearness of all speeds to 20 m/s."""
     standstill: float = 0.2
@@ -47,6 +51,11 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         _one_of("kind", self.kind, ("scaled", "paper"))
+        _one_of("scope", self.scope, ("team", "own"))
+        require(
+            self.kind == "scaled" or self.scope == "team",
+            "scope=own is of kind scaled; the paper pays all vehicles alike",
+        )
         require_at_least(
             0,
             velocity=self.velocity,

@@ -21,7 +21,7 @@ STRONGEST = 3.0
 
 def paid_share(config: IntersectionConfig) -> bool:
     """Whether the team's reward stands in every slot."""
-    return config.reward.kind == "scaled"
+    return config.reward.kind == "scaled" and config.reward.scope == "team"
 
 
 class IntersectionBatchedEnv:
@@ -194,20 +194,27 @@ class IntersectionBatchedEnv:
             self._outcome.final_observations[0, slot] = self._seen.observations[slot]
 
     def _pay(self, acted: NDArray[np.bool_]) -> None:
-        """Pay for the step just taken. The paper pays whoever `acted` (N,) and still is on the road."""
+        """Pay for the step just taken. The paper pays whoever `acted` (N,) and still is on the road; so does
+        the scope `own`, which pays exits and crashes, too."""
         seen, ledger, rewards = self._seen, self.ledger, self._outcome.rewards[0]
         scaled, paper = seen.rewards.tolist()
         # Slots that were left in this step are empty still.
         there = acted & seen.alive
         ledger.paper_return += paper * np.count_nonzero(there)
-        if self._spec.shared_reward:
-            rewards.fill(scaled)
-            ledger.terms += seen.scaled
-            ledger.team_return += scaled
-        else:
+        if self.config.reward.kind == "paper":
             np.multiply(there, paper, out=rewards, casting="unsafe")
             ledger.terms += seen.paper
             ledger.team_return += paper
+            return
+        ledger.terms += seen.scaled
+        ledger.team_return += scaled
+        if self._spec.shared_reward:
+            rewards.fill(scaled)
+            return
+        np.multiply(there, seen.own, out=rewards, casting="unsafe")
+        weights = self.config.reward
+        for slot, event in self.events.items():
+            rewards[slot] = weights.throughput if event == "arrived" else -weights.collision
 
     def _end(self, crashed: bool) -> None:
         """Every slot's stream ends, and the next episode begins."""

@@ -105,6 +105,8 @@ class Seen(NamedTuple):
     """(8,): the paper's terms with their gains."""
     rewards: Floats
     """(2,): scaled, and the paper's."""
+    own: Floats
+    """(N,): scaled, of each AV's own speed, standstill and headway; valid where `alive`."""
     sums: Floats
     """(len(SUMS),)"""
     present: Floats
@@ -223,6 +225,28 @@ def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happen
 
 
 @compiled_allocating
+def _late(traffic: Traffic, row: int) -> float:
+    """Time headway under 1 s of an AV that drives behind somebody, as what is missing; at most 0."""
+    speed = traffic.speed[row]
+    if traffic.around[row, 0] < 0 or speed <= 0.0:
+        return 0.0
+    missing: float = min(max((traffic.around[row, 1] + MIN_GAP_M) / speed, 0.0) - 1.0, 0.0)
+    return missing
+
+
+@compiled_allocating
+def _own(crossing: Crossing, traffic: Traffic, row: int) -> float:
+    """The weighted scaled terms of one AV, as if it were all that drives; without its exit and crash."""
+    speed, weights = traffic.speed[row], crossing.weights
+    nearness = max(1.0 - abs(speed - TARGET_SPEED) / TARGET_SPEED, 0.0)
+    quickness = min(speed / SPEED_LIMIT, 1.0)
+    standing = 1.0 if speed < 0.1 else 0.0
+    paid: float = weights[0] * nearness - weights[1] * standing + (weights[2] + weights[3]) * quickness
+    paid += weights[6] * _late(traffic, row)
+    return paid
+
+
+@compiled_allocating
 def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists. By
     its equation 4 it pays 0.2 x the sum of the first six + the velocity's + 0.5 x the headway's."""
@@ -237,8 +261,7 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
         if traffic.slot[row] >= 0:
             automated += 1
             automated_speeds += speed
-            if traffic.around[row, 0] >= 0 and speed > 0.0:
-                headways += min(max((traffic.around[row, 1] + MIN_GAP_M) / speed, 0.0) - 1.0, 0.0)
+            headways += _late(traffic, row)
     aim = TARGET_SPEED * np.sqrt(count)
     nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
     fullest = STEP_S * count
@@ -267,6 +290,9 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
     for term in range(8):
         total += crossing.weights[term] * scaled[term]
         combined += paper[term] if term < 6 else 0.0
+    for row in range(count):
+        if traffic.slot[row] >= 0:
+            seen.own[traffic.slot[row]] = _own(crossing, traffic, row)
     seen.rewards[0] = total
     seen.rewards[1] = 0.2 * combined + paper[0] + 0.5 * paper[6]
 
@@ -349,6 +375,7 @@ def empty_seen(slots: int, extended: bool) -> Seen:
         scaled=np.zeros(len(TERMS)),
         paper=np.zeros(len(TERMS)),
         rewards=np.zeros(2),
+        own=np.zeros(slots),
         sums=np.zeros(len(SUMS)),
         present=np.zeros(4),
     )

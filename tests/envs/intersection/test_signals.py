@@ -197,6 +197,54 @@ def test_returns_are_sums_of_what_was_paid(kind: str, crossing: Callable[..., An
         assert metrics["paper_return"] == pytest.approx(paper, rel=1e-4)
 
 
+def test_own_rewards_are_of_ones_own_driving_exit_and_crash(crossing: Callable[..., Any]) -> None:
+    from headway_envs.intersection.config import RewardConfig
+
+    reward = RewardConfig(scope="own", throughput=3.0, collision=7.0)
+    env = crossing(reward=reward, horizon=900, av_speed_mode=0)
+    assert not env.spec.shared_reward
+    observed, seen = env.reset(SEED), {"arrived": 0, "collided": 0, "behind": 0}
+    for _ in range(800):
+        there, before = observed.alive[0].copy(), env.street.roster.holder.copy()
+        outcome, observed = env.step(np.full((1, 96, 1), 2, np.float32))
+        paid, traffic = outcome.rewards[0], env.street.roster.traffic
+        assert (paid[~there] == 0).all()
+        for slot, event in env.events.items():
+            seen[event] += 1
+            assert paid[slot] == (3.0 if event == "arrived" else -7.0)
+        for row, slot, vehicle in env.street.roster.automated:
+            if before[slot] != vehicle:
+                continue
+            speed, (leader, gap) = traffic.speed[row], traffic.around[row, :2]
+            expected = 0.2 * max(1 - abs(speed - 20) / 20, 0) - 0.2 * (speed < 0.1) + 0.2 * min(speed / 30, 1)
+            if leader >= 0 and speed > 0:
+                seen["behind"] += 1
+                expected += 0.1 * min((gap + 2.5) / speed - 1, 0)
+            assert paid[slot] == pytest.approx(expected, abs=1e-6)
+    assert min(seen.values()) > 0
+
+
+def test_the_teams_return_is_not_of_own_rewards(crossing: Callable[..., Any]) -> None:
+    from headway_envs.intersection.config import RewardConfig
+
+    def metrics(scope: str) -> dict[str, float]:
+        env = crossing(reward=RewardConfig(scope=scope), horizon=300)
+        env.reset(SEED)
+        for _ in range(300):
+            outcome, _ = env.step(np.full((1, 96, 1), 1, np.float32))
+        env.close()
+        return dict(zip(METRICS, outcome.metrics[0].tolist(), strict=True))
+
+    assert metrics("own") == metrics("team")
+
+
+def test_the_papers_reward_knows_no_own_scope() -> None:
+    from headway_envs.intersection.config import RewardConfig
+
+    with pytest.raises(ValueError, match="scope=own is of kind scaled"):
+        RewardConfig(kind="paper", scope="own")
+
+
 def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None:
     assert jain([3.0, 3.0, 3.0]) == pytest.approx(1.0)
     assert jain([5.0, 0.0, 0.0, 0.0]) == pytest.approx(0.25)
