@@ -99,8 +99,8 @@ class IntersectionConfig:
     slots: int = 96
     """AVs at once. Those beyond are driven by SUMO and counted by the metric `avs_without_slot`."""
     observation: Literal["paper", "extended"] = "extended"
-    """`paper`: own place and speed, leader and follower. `extended`: also the own turn and the nearest
-    vehicles whose way crosses the own."""
+    """`paper`: own place and speed, leader and follower. `extended`: also the own turn, the same
+    distances at a scale on which braking shows, and who comes next on the ways that cross the own."""
     av_speed_mode: int = 7
     """SUMO's checks of commanded speeds, as bits: 1 safe gap, 2 greatest acceleration, 4 greatest braking, 8
     right of way. 1: the paper's, with which vehicles brake harder than they can."""

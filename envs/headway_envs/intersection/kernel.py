@@ -27,16 +27,26 @@ SUMS = (
 )  # fmt: skip
 """What is added up for the metrics: steps with vehicles of a kind, and means over these."""
 PAPER_SIZE = 6
-NEIGHBOURS = 3
+WAY_SIZE = 8
+NEAR_SIZE = 4
+NEIGHBOURS = 4
 """Vehicles on crossing ways that an extended observation shows."""
 NEIGHBOUR_SIZE = 6
-EXTENDED_SIZE = PAPER_SIZE + 8 + NEIGHBOURS * NEIGHBOUR_SIZE
+EXTENDED_SIZE = PAPER_SIZE + WAY_SIZE + NEAR_SIZE + NEIGHBOURS * NEIGHBOUR_SIZE
+LANES = 8
+"""On which vehicles come; a link is of lane link // 2."""
 CELLS = 4
 """Of 50 m on each approach, in the state."""
 STATE_SIZE = 4 * (3 * CELLS + 2 + 2) + 2
 TARGET_SPEED = 20.0
 _LONGEST_S = 20.0
 """Times of arrival are cut here, s."""
+_NEAR_M = 50.0
+"""Within which a distance matters to who is about to brake. Over the network's length, as in the paper's
+observation, ten metres are next to nothing."""
+_LONGEST_HEADWAY_S = 5.0
+_LIKELY_SPEED = 3.0
+"""At least this fast whoever stands is thought to be about to come, m/s."""
 _PAPER_GAINS = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.0)
 _EPSILON = 1e-5
 
@@ -151,46 +161,79 @@ def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[
 def _observe_extended(
     crossing: Crossing, traffic: Traffic, count: int, row: int, out: NDArray[np.float32]
 ) -> None:
-    """Which part of the way (3), distance and time to the stop line, the turn (3); then of the nearest
-    vehicles on ways that cross the own and have not crossed: 1, distance to their stop line (negative past
-    it), speed, how much later they arrive, whether automated, whether they go first."""
-    link, position = traffic.link[row], traffic.position[row]
+    """Which part of the way (3), distance and time to the stop line, the turn (3); what is near (4): the stop
+    line, the leader as distance and as time headway, the follower; then those who come next on ways that
+    cross the own (`_show_crossing`)."""
+    link, position, speed = traffic.link[row], traffic.position[row], traffic.speed[row]
     part = 0 if position < ROAD_M else (1 if position < ROAD_M + crossing.link_length[link] else 2)
     out[PAPER_SIZE + part] = 1.0
-    out[PAPER_SIZE + 3] = max(ROAD_M - position, 0.0) / ROAD_M
-    mine = _until_line(traffic, row)
-    out[PAPER_SIZE + 4] = mine / _LONGEST_S
+    left = max(ROAD_M - position, 0.0)
+    out[PAPER_SIZE + 3] = left / ROAD_M
+    out[PAPER_SIZE + 4] = _until_line(traffic, row) / _LONGEST_S
     turn = link % 4
     out[PAPER_SIZE + 5 + (turn if turn < 2 else turn - 1)] = 1.0
-    if part == 2:
-        return
-    nearest_rows = (-1, -1, -1)
-    nearest = (np.inf, np.inf, np.inf)
+    near, around = PAPER_SIZE + WAY_SIZE, traffic.around[row]
+    out[near] = min(left / _NEAR_M, 1.0)
+    out[near + 1 : near + NEAR_SIZE] = 1.0
+    if around[0] >= 0:
+        gap = around[1] + MIN_GAP_M
+        out[near + 1] = min(gap / _NEAR_M, 1.0)
+        out[near + 2] = min(gap / max(speed, 0.1) / _LONGEST_HEADWAY_S, 1.0)
+    if around[2] >= 0:
+        out[near + 3] = min((around[3] + MIN_GAP_M) / _NEAR_M, 1.0)
+    if part < 2:
+        _show_crossing(crossing, traffic, count, row, out[near + NEAR_SIZE :])
+
+
+@compiled_allocating
+def _show_crossing(
+    crossing: Crossing, traffic: Traffic, count: int, row: int, out: NDArray[np.float32]
+) -> None:
+    """Of all whose ways cross the own, those inside the junction and the first on each lane, four at most,
+    the soonest first: 1, distance to their stop line (negative past it), speed, how much later they arrive,
+    whether automated, whether they go first."""
+    link = traffic.link[row]
+    first = np.full(LANES, -1, np.int64)
+    soonest = np.full(NEIGHBOURS, np.inf)
+    rows = np.full(NEIGHBOURS, -1, np.int64)
     for other in range(count):
         other_link = traffic.link[other]
-        left = ROAD_M - traffic.position[other]
-        if not crossing.foes[link, other_link] or left <= -crossing.link_length[other_link]:
+        if not crossing.foes[link, other_link]:
             continue
-        if left < nearest[0]:
-            nearest_rows = (other, nearest_rows[0], nearest_rows[1])
-            nearest = (left, nearest[0], nearest[1])
-        elif left < nearest[1]:
-            nearest_rows = (nearest_rows[0], other, nearest_rows[1])
-            nearest = (nearest[0], left, nearest[1])
-        elif left < nearest[2]:
-            nearest_rows = (nearest_rows[0], nearest_rows[1], other)
-            nearest = (nearest[0], nearest[1], left)
-    place = PAPER_SIZE + 8
-    for other in nearest_rows:
-        if other < 0:
+        left = ROAD_M - traffic.position[other]
+        if left > 0.0:
+            lane = other_link // 2
+            if first[lane] < 0 or left < ROAD_M - traffic.position[first[lane]]:
+                first[lane] = other
+        elif left > -crossing.link_length[other_link]:
+            _insert(soonest, rows, left / max(traffic.speed[other], _LIKELY_SPEED), other)
+    for head in first:
+        if head >= 0:
+            left = ROAD_M - traffic.position[head]
+            _insert(soonest, rows, left / max(traffic.speed[head], _LIKELY_SPEED), int(head))
+    mine, place = _until_line(traffic, row), 0
+    for shown in rows:
+        if shown < 0:
             return
         out[place] = 1.0
-        out[place + 1] = (ROAD_M - traffic.position[other]) / ROAD_M
-        out[place + 2] = traffic.speed[other] / SPEED_LIMIT
-        out[place + 3] = (_until_line(traffic, other) - mine) / _LONGEST_S
-        out[place + 4] = 1.0 if traffic.slot[other] >= 0 else 0.0
-        out[place + 5] = 1.0 if crossing.yields[link, traffic.link[other]] else 0.0
+        out[place + 1] = (ROAD_M - traffic.position[shown]) / _NEAR_M
+        out[place + 2] = traffic.speed[shown] / SPEED_LIMIT
+        out[place + 3] = (_until_line(traffic, int(shown)) - mine) / _LONGEST_S
+        out[place + 4] = 1.0 if traffic.slot[shown] >= 0 else 0.0
+        out[place + 5] = 1.0 if crossing.yields[link, traffic.link[shown]] else 0.0
         place += NEIGHBOUR_SIZE
+
+
+@compiled_allocating
+def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
+    """Keep rows (n,) in the order of their keys (n,), the smallest first; the last drops out."""
+    place = len(keys) - 1
+    if key >= keys[place]:
+        return
+    while place > 0 and keys[place - 1] > key:
+        keys[place], rows[place] = keys[place - 1], rows[place - 1]
+        place -= 1
+    keys[place], rows[place] = key, row
 
 
 @compiled_allocating

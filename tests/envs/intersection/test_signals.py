@@ -112,13 +112,13 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_an_extended_observation_shows_the_nearest_whose_ways_cross(seed: int) -> None:
+def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: int) -> None:
     count, traffic = 25, _random_traffic(seed, 25)
     seen, draw = _seen(traffic, count, kernel.nothing_happened()), np.random.default_rng(9)
     yields = draw.random((16, 16)) < 0.5
     foes = yields | yields.T
     until = np.minimum(np.maximum(200 - traffic.position, 0) / np.maximum(traffic.speed, 0.1), 20)
-    shown = 0
+    shown = hidden = 0
     for row in range(count):
         slot, link = traffic.slot[row], traffic.link[row]
         if slot < 0:
@@ -138,20 +138,41 @@ def test_an_extended_observation_shows_the_nearest_whose_ways_cross(seed: int) -
             and traffic.position[other] < 220.8
             and traffic.position[row] < 220.8
         ]
-        nearest = sorted(others, key=lambda other: -traffic.position[other])[:3]
-        expected = np.zeros((3, 6))
+        near = np.minimum(
+            [
+                max(200 - traffic.position[row], 0) / 50,
+                (traffic.around[row, 1] + 2.5) / 50 if traffic.around[row, 0] >= 0 else 1,
+                (traffic.around[row, 1] + 2.5) / max(traffic.speed[row], 0.1) / 5
+                if traffic.around[row, 0] >= 0
+                else 1,
+                (traffic.around[row, 3] + 2.5) / 50 if traffic.around[row, 2] >= 0 else 1,
+            ],
+            1,
+        )
+        np.testing.assert_allclose(rows[14:18], near, rtol=0, atol=1e-6)
+        heads = {}
+        for other in others:
+            lane = traffic.link[other] // 2 if traffic.position[other] < 200 else f"inside {other}"
+            if lane not in heads or traffic.position[other] > traffic.position[heads[lane]]:
+                heads[lane] = other
+        expected = np.zeros((4, 6))
+        nearest = sorted(
+            heads.values(), key=lambda other: (200 - traffic.position[other]) / max(traffic.speed[other], 3)
+        )[:4]
+        hidden += len(others) - len(nearest)
         for place, other in enumerate(nearest):
             shown += 1
             expected[place] = (
                 1,
-                (200 - traffic.position[other]) / 200,
+                (200 - traffic.position[other]) / 50,
                 traffic.speed[other] / 30,
                 (until[other] - until[row]) / 20,
                 traffic.slot[other] >= 0,
                 yields[link, traffic.link[other]],
             )
-        np.testing.assert_allclose(rows[14:].reshape(3, 6), expected, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(rows[18:].reshape(4, 6), expected, rtol=0, atol=1e-6)
     assert shown > 5
+    assert hidden > 0
     assert seen.alive.sum() == (traffic.slot[:count] >= 0).sum()
     assert (seen.observations[~seen.alive] == 0).all()
 
