@@ -84,12 +84,16 @@ class DeterministicMethod:
         }
 
     def _improve_actors(self, observations: Tensor, active: NDArray[np.bool_]) -> Tensor:
-        """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)]; norms of the gradients, (P,)."""
-        actions = _actions(self.network, observations)
+        """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], and down the squares of what the tanh is given; norms
+        of the gradients, (P,)."""
+        outputs: Tensor = self.network(observations)
+        actions = _bounded(outputs)
         asked = actions.detach().requires_grad_()
         (slopes,) = torch.autograd.grad(_values(self.critic, observations, asked).sum(), asked)
         self.actor_optimiser.begin()
-        torch.autograd.backward(actions, -slopes / slopes.shape[1])
+        batch = slopes.shape[1]
+        pull = 2 * self.config.saturation_coeff * outputs.detach() / batch
+        torch.autograd.backward([actions, outputs], [-slopes / batch, pull])
         return self.actor_optimiser.step(active)
 
     def anneal(self, share: float) -> None:
@@ -117,7 +121,11 @@ class DeterministicMethod:
 
 def _actions(actor: StackedMLP, observations: Tensor) -> Tensor:
     """mu(o) in units of the bounds: (P, b, A)."""
-    outputs: Tensor = actor(observations)
+    return _bounded(actor(observations))
+
+
+def _bounded(outputs: Tensor) -> Tensor:
+    """(P, A, b) -> (P, b, A), within -1 and 1."""
     return outputs.tanh().transpose(1, 2)
 
 

@@ -40,6 +40,9 @@ class DDPGConfig(ReplayConfig):
     copy."""
     loss: Literal["huber", "squared"] = "squared"
     """Of the difference from a target: half its square, or (Huber) linear beyond 1."""
+    saturation_coeff: float = 0.0
+    """Weight of the mean square of what the actor puts into its tanh: without it actions stick to the bounds,
+    where no gradient is left (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A)."""
     ou_theta: float = 0.15
     """Share of the noise that a step takes away."""
     ou_sigma: float = 0.2
@@ -52,5 +55,6 @@ class DDPGConfig(ReplayConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
+        require(self.saturation_coeff >= 0, "saturation_coeff must be at least 0")
         require(0 <= self.ou_theta <= 1, "ou_theta must lie in [0, 1]")
         require(self.ou_sigma >= 0, "ou_sigma must be at least 0")

@@ -137,9 +137,11 @@ def test_deterministic_targets_are_those_of_a_loop() -> None:
             np.testing.assert_allclose(targets[p, b], expected, rtol=1e-12)
 
 
-def test_actors_climb_the_critic_along_their_own_action() -> None:
-    """The step is Adam's on the gradient of the mean of Q(o, mu(o)), the critic standing still."""
-    config = replace(DDPG, critic_lr=1e-30, tau=1.0, target_every=1000)
+@pytest.mark.parametrize("saturation_coeff", [0.0, 0.7])
+def test_actors_climb_the_critic_along_their_own_action(saturation_coeff: float) -> None:
+    """The step is Adam's on the gradient of the mean of Q(o, mu(o)), the critic standing still, less what
+    the tanh is given, squared and weighted."""
+    config = replace(DDPG, critic_lr=1e-30, tau=1.0, target_every=1000, saturation_coeff=saturation_coeff)
     method, batch = DeterministicMethod(config, BOX, SEEDS, K, CPU), _batch(BOX)
     before = [parameter.detach().clone() for parameter in method.network.parameters()]
     gradients: list[list[Tensor]] = []
@@ -147,8 +149,9 @@ def test_actors_climb_the_critic_along_their_own_action() -> None:
         gain = torch.zeros((), dtype=DOUBLE)
         for b in range(B):
             now = batch.observations[p, b]
-            action = _by_hand(method.network, p, now).tanh()
-            gain = gain + _by_hand(method.critic, p, torch.cat([now, action]))[0] / B
+            output = _by_hand(method.network, p, now)
+            gain = gain + _by_hand(method.critic, p, torch.cat([now, output.tanh()]))[0] / B
+            gain = gain - saturation_coeff * (output**2).sum() / B
         of_stack = torch.autograd.grad(gain, list(method.network.parameters()))
         gradients.append([gradient[p] for gradient in of_stack])
     method.learn(batch, ALL)
