@@ -84,7 +84,7 @@ class DeterministicMethod:
         }
 
     def _improve_actors(self, observations: Tensor, active: NDArray[np.bool_]) -> Tensor:
-        """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], and down the squares of what the tanh is given; norms
+        """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], and down the squares of what the tanh gets; norms
         of the gradients, (P,)."""
         outputs: Tensor = self.network(observations)
         actions = _bounded(outputs)
