@@ -15,8 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.configuration import plain
 from headway.contracts import BatchedEnv, Observed, child_seeds
 from headway.registry import env_entry
+from headway_launch.benchmarks.measuring import WARM_UP, Task, measure
+from headway_launch.composing import compose
 
 PAPER: Mapping[str, Any] = {
     "observation": "paper",
@@ -40,6 +43,16 @@ BANDS: Mapping[str, tuple[float, float]] = {
 }
 """Relative and absolute parts, which add up. Episodes that end at the first collision differ most: a length
 is about as uncertain as it is long, divided by the root of ten seeds."""
+TRAININGS = (
+    ("intersection_paper_ippo", "ippo"),
+    ("intersection_paper_a3c", "a3c"),
+    ("intersection_paper_ddpg", "ddpg"),
+    ("intersection_study", "ippo"),
+    ("intersection_study", "a3c"),
+    ("intersection_study", "ddpg"),
+)
+TRAINED_STEPS = 20_000
+"""Environment steps of each training that is measured."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +168,7 @@ def report() -> None:
     print("\nIn brackets: before. The first rows end at the first collision, and their humans have noise.")
     _report_speed()
     _report_growth()
+    _report_training()
 
 
 def _report_speed() -> None:
@@ -238,3 +252,38 @@ def _report_growth(resets: int = 1000) -> None:
         f"\nMemory of a process with the intersection: {marks[1]:.0f} MB at most, "
         f"{marks[1] - marks[0]:.1f} MB of it since reset {resets // 10} of {resets:,}."
     )
+
+
+def _report_training() -> None:
+    """Of one seed of the experiments, without evaluations: what their budgets take."""
+    print("\n## The crossing: training one seed, without evaluations\n")
+    print("| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | a worker at most, MB |")
+    print("|---|---|---:|---:|---:|---:|")
+    for experiment, algo in TRAININGS:
+        task, budget = _training(experiment, algo)
+        result = measure([task])[0]
+        print(
+            f"| {experiment} | {algo} | {result.per_cpu_second:,.0f} | {budget:,} "
+            f"| {budget / result.per_cpu_second / 60.0:.1f} | {result.worker_mb:.0f} |",
+            flush=True,
+        )
+    print(f"\nMeasured over {TRAINED_STEPS:,} steps; what is learned later may crowd the road less, or more.")
+
+
+def _training(experiment: str, algo: str) -> tuple[Task, int]:
+    """The first part of a training, and the steps of all of it."""
+    composed = compose([f"experiment={experiment}", f"algo={algo}"])
+    rollout = composed.config.rollout
+    task = Task(
+        env="intersection",
+        algo=algo,
+        env_args=plain(composed.training_env_config),
+        algo_args=plain(composed.algo_config),
+        copies=rollout.copies,
+        steps=rollout.steps,
+        block=rollout.block,
+        iterations=-(-TRAINED_STEPS // (rollout.copies * rollout.steps)) + WARM_UP,
+        backend="process",
+        workers=rollout.copies // rollout.block,
+    )
+    return task, composed.config.env_steps

@@ -8,6 +8,8 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from multiprocessing import active_children
+from pathlib import Path
 from typing import Any
 
 from headway.adapters.pettingzoo import ParallelEnvBatch
@@ -48,6 +50,8 @@ class Measurement:
     cpu_s: float
     collect_s: float
     learn_s: float
+    worker_mb: float = 0.0
+    """The most memory that a worker process has held, resident; 0 without workers."""
 
     @property
     def per_second(self) -> float:
@@ -110,9 +114,12 @@ def measure_here(task: Task) -> Measurement:
         evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),
     )
     marks: list[tuple[float, float, float, float]] = []
+    most = 0.0
 
     def note(event: Event) -> None:
+        nonlocal most
         if isinstance(event, IterationFinished):
+            most = max([most, *(_peak_mb(child.pid) for child in active_children())])
             row = event.curve[0]
             marks.append(
                 (
@@ -147,7 +154,18 @@ def measure_here(task: Task) -> Measurement:
         cpu_s=counted[-1][1] - marks[WARM_UP - 1][1],
         collect_s=sum(mark[2] for mark in counted),
         learn_s=sum(mark[3] for mark in counted),
+        worker_mb=most,
     )
+
+
+def _peak_mb(process_id: int | None) -> float:
+    """Of a process of Linux; 0 where it is gone."""
+    try:
+        status = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8")
+    except OSError:
+        return 0.0
+    peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
+    return int(peaks[0]) / 1024 if peaks else 0.0
 
 
 if __name__ == "__main__":
