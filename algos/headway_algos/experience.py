@@ -51,7 +51,7 @@ def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArr
     if present.all():
         return values
     spread = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
-    return np.where(spread, values, 0).astype(values.dtype)
+    return np.where(spread, values, 0).astype(values.dtype, copy=False)
 
 
 @dataclass(frozen=True)
