@@ -15,14 +15,21 @@ from headway.store.folder import Process, cell_name, create_run_folder, now, rul
 
 
 def keep_run(
-    root: Path, algorithm: str, seed: int, status: Status = "FINISHED", study: str = "bus", **settings: str
+    root: Path,
+    algorithm: str,
+    seed: int,
+    status: Status = "FINISHED",
+    study: str = "bus",
+    preset: str = "",
+    **settings: str,
 ) -> str:
     parameters = {f"algo.{name}": value for name, value in settings.items()}
     cell = cell_name("bus", algorithm, parameters)
     run_id, directory = create_run_folder(root, study, cell, seed)
     elsewhere = replace(Process.current(), host="elsewhere")
     record = RunRecord(run_id, study, "bus", algorithm, seed, 3, now(), elsewhere, status, "shared")
-    replace(record, parameters=parameters, tags={"version.headway": "1.2"}).write(directory)
+    tags = {"version.headway": "1.2"}
+    replace(record, parameters=parameters, tags=tags, preset=preset).write(directory)
     write_json(directory / "summary.json", {"final_reward": float(seed), "cpu_seconds": 2.0})
     write_text(directory / "config.yaml", f"seed: {seed}\n")
     log = RunLog(directory)
@@ -60,6 +67,17 @@ def test_runs_are_chosen_by_one_value_or_several(root: Path) -> None:
     last = select(root).rows[-1]
     assert select(root, run_id=last.run_id).rows == (last,)
     assert len(select(root, cell=last.cell).rows) == 2
+
+
+def test_runs_are_chosen_by_preset(root: Path) -> None:
+    tuned = keep_run(root, "coma", 0, preset="bus_tuned")
+    paper = keep_run(root, "coma", 0, preset="paper", lr="0.3")
+    assert [row.run_id for row in select(root, preset="paper").rows] == [paper]
+    assert {row.run_id for row in select(root, preset=("bus_tuned", "paper")).rows} == {tuned, paper}
+    assert len(select(root, preset="").rows) == 5  # of which it is not known
+    assert set(select(root, algorithm="coma").runs()["preset"]) == {"bus_tuned", "paper"}
+    with pytest.raises(HeadwayError, match=r"has preset 'papre'; did you mean paper\?"):
+        select(root, preset="papre")
 
 
 def test_unknown_values_are_one_line_with_the_nearest(root: Path) -> None:
