@@ -9,7 +9,7 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
-from headway.config import ExperimentConfig
+from headway.config import NO_PRESET, ExperimentConfig
 from headway.configuration import build, nearest, parse_seeds, plain, refuse_targets, suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
@@ -308,7 +308,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], str]:
     except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
-    return {str(key): value for key, value in mapping.items()}, str(chosen.get("preset") or "none")
+    return {str(key): value for key, value in mapping.items()}, str(chosen.get("preset") or NO_PRESET)
 
 
 def _one_line(error: Exception) -> str:
@@ -331,7 +331,7 @@ def _with_preset(mapping: Mapping[str, Any]) -> dict[str, Any]:
     if name not in preset:
         raise HeadwayError(
             f"the preset has no values for algo={name}; it has them for {', '.join(sorted(preset))} "
-            "(preset=none leaves the defaults)"
+            f"(preset={NO_PRESET} leaves the defaults)"
         )
     return _merged(preset[name], values)
 

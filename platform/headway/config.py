@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 from headway.contracts.checks import require
 
+NO_PRESET = "none"
+"""The preset of experiments that have none."""
 _STUDY_LENGTH = 100
 _HOST_AND_PORT = re.compile(r"\S+:\d{1,5}")
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from headway.config import NO_PRESET
 from headway.store.folder import RunRecord
 from headway.store.index import RunRow
 
@@ -15,7 +16,6 @@ _NOT_OF_TASK = "env.training_args."
 _WRAPPERS = "env.wrappers"
 _POLICIES = "algo.policies"
 """Named by its value alone: `shared`."""
-_NO_PRESET = "none"
 _MOST_NAMED = 6
 """Settings that a name has, all of them; of more it has the first."""
 _FIRST_NAMED = 3
@@ -133,7 +133,7 @@ def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool
     groups: dict[str, list[str]] = defaultdict(list)
     for key in keys:
         preset = cells[key].preset
-        known = " without preset" if preset == _NO_PRESET else f" {preset}"
+        known = " without preset" if preset == NO_PRESET else f" {preset}"
         groups[known if preset else ""].append(key)
     return groups
 
