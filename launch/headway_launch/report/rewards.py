@@ -5,7 +5,7 @@ from typing import Any
 import pandas as pd
 
 from headway import drawing
-from headway.stats import frames, mean_std
+from headway.stats import FEWEST_POINTS, frames, mean_std
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM
 from headway_launch.report.gather import Against, StudyData
 from headway_launch.report.parts import (
@@ -71,10 +71,11 @@ def published_form(data: StudyData) -> Section:
             "Some run has no training curve, as no episode ended in training: those columns are empty."
         )
     body += [table, *_unequal_budgets(data)]
-    if (data.curves.groupby("run_id").size() < 3).any():
+    if (data.curves.groupby("run_id").size() < FEWEST_POINTS).any():
         body.append(
-            "Some runs were evaluated fewer than three times. The AUC of a curve of two points says nothing: "
-            "by the run's own range it is 0.5 whatever was learnt (`evaluation.every` sets how often)."
+            f"Some runs were evaluated fewer than {FEWEST_POINTS} times. The AUC of a curve of two points "
+            "says nothing: by the run's own range it is 0.5 whatever was learnt (`evaluation.every` sets how "
+            "often)."
         )
     body += _one_seed(data)
     return Section("published", "The form of the papers", body)
