@@ -17,7 +17,7 @@ from headway_launch.planning import flat, full_mapping
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""
 _BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
-_ELSEWHERE = ("store.", "seed", "preset", *(f"backend.{key}" for key in _BACKEND))
+_ELSEWHERE = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for key in _BACKEND))
 """Keys that change no result: where runs are kept, how machines are filled, and where settings came from."""
 
 

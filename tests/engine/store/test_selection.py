@@ -109,8 +109,8 @@ def test_every_frame_says_whose_rows_it_has(root: Path) -> None:
         assert len(frame) == rows, name
         assert set(frame["controller"]) == {
             "ippo",
-            "mappo, algo.lr 0.1",
-            "mappo, algo.lr 0.2",
+            "mappo, algo.lr=0.1",
+            "mappo, algo.lr=0.2",
         }, name
         assert set(frame["task"]) == {"bus"}, name
     assert frames["summaries"][0]["cpu_seconds"].tolist() == [2.0] * 4
