@@ -66,6 +66,7 @@ def published_form(data: StudyData) -> Section:
             "(`env.training_args`, or wrappers of the reward): the training columns are of that reward and "
             "do not compare with the others."
         )
+    body += _paid_by_several_rules(data)
     if data.training_figures is None:
         body.append(
             "Some run has no training curve, as no episode ended in training: those columns are empty."
@@ -79,6 +80,17 @@ def published_form(data: StudyData) -> Section:
         )
     body += _one_seed(data)
     return Section("published", "The form of the papers", body)
+
+
+def _paid_by_several_rules(data: StudyData) -> list[str]:
+    """A line for each task on which training curves are of different rewards."""
+    alike = {task: data.paid_alike(task) for task in data.tasks}
+    return [
+        f"Nor do the rows of the training columns{data.where(task)} compare with each other but where "
+        f"controllers are paid by the same rules: {'; '.join(', '.join(group) for group in groups)}."
+        for task, groups in alike.items()
+        if len(groups) > 1
+    ]
 
 
 def _published(data: StudyData, runs: list[str]) -> tuple[list[str], dict[str, object]]:
