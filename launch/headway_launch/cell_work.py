@@ -68,6 +68,7 @@ class CellWork:
                 iterations=self.config.iterations,
                 policies=str(getattr(experiment.algo_config, "policies", "")),
                 preset=self.config.preset,
+                candidate=self.config.candidate,
             )
             for seed in planned.seeds
         ]

@@ -9,8 +9,8 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
-from headway.config import ExperimentConfig
-from headway.configuration import build, nearest, parse_seeds, plain, refuse_targets, suggestion
+from headway.config import NO_PRESET, ExperimentConfig
+from headway.configuration import build, describe, nearest, parse_seeds, plain, refuse_targets, suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
@@ -139,7 +139,7 @@ def compose(overrides: Sequence[str]) -> Experiment:
     A preset's values stand below everything else but the defaults. Raises HeadwayError for whatever
     cannot be used.
     """
-    mapping, preset = _compose_mapping([_prepared(override) for override in overrides])
+    mapping, preset = _compose_mapping([_prepared(override, overrides) for override in overrides])
     try:
         return resolve({**_with_preset(mapping), "preset": preset})
     except HeadwayError as error:
@@ -231,8 +231,8 @@ def summary_of(group: str, option: str) -> str:
     return sentence[0] if sentence else text
 
 
-def _prepared(override: str) -> str:
-    """An override as Hydra must see it: seeds spelt out, values added where no file has them."""
+def _prepared(override: str, overrides: Sequence[str]) -> str:
+    """One of the overrides as Hydra must see it: seeds spelt out, values added where no file has them."""
     parts = _OVERRIDE.fullmatch(override)
     if parts is None:
         if override.startswith("~"):
@@ -245,7 +245,7 @@ def _prepared(override: str) -> str:
         return override
     known = groups()
     if key not in known:
-        _require_a_key(key, value)
+        _require_a_key(key, value, overrides)
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
         raise HeadwayError(f"{override}: one option at a time; `headway sweep` takes several")
@@ -254,16 +254,38 @@ def _prepared(override: str) -> str:
     return override
 
 
-def _require_a_key(key: str, value: str) -> None:
+def _require_a_key(key: str, value: str, overrides: Sequence[str]) -> None:
     """Refuse a key of nothing here, where the files that are chosen by name are known too."""
     head, _, rest = key.partition(".")
     names = {field.name for field in fields(ExperimentConfig)} | {"experiment", "preset"}
     if head in names or head == "hydra":
         return
+    if whole := _keys_that_end_in(key, [other for other in overrides if _head_of(other) in names]):
+        raise HeadwayError(
+            f"{key} is not a key of the experiment; did you mean {' or '.join(whole)}={value}?"
+        )
     if not rest and nearest(head, names) in ("experiment", "preset"):
         near = f"did you mean {nearest(head, names)}={value}? There is: {', '.join(sorted(names))}"
         raise HeadwayError(f"{head} is not a key of the experiment; {near}")
     raise HeadwayError(f"{head} is not a key of the experiment; {suggestion(head, names)}")
+
+
+def _head_of(override: str) -> str:
+    return re.split(r"[.=]", override.lstrip("+~"), maxsplit=1)[0]
+
+
+def _keys_that_end_in(key: str, overrides: Sequence[str]) -> list[str]:
+    """Keys of the experiment that `overrides` describe, in which the first parts are missing from `key`."""
+    try:
+        found = compose(overrides)
+    except HeadwayError:
+        return []
+    described = (
+        *describe(ExperimentConfig),
+        *describe(type(found.env_config), "env.args"),
+        *describe(type(found.algo_config), "algo"),
+    )
+    return [field.key for field in described if field.key.endswith(f".{key}")]
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
@@ -308,7 +330,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], str]:
     except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
-    return {str(key): value for key, value in mapping.items()}, str(chosen.get("preset") or "none")
+    return {str(key): value for key, value in mapping.items()}, str(chosen.get("preset") or NO_PRESET)
 
 
 def _one_line(error: Exception) -> str:
@@ -331,7 +353,7 @@ def _with_preset(mapping: Mapping[str, Any]) -> dict[str, Any]:
     if name not in preset:
         raise HeadwayError(
             f"the preset has no values for algo={name}; it has them for {', '.join(sorted(preset))} "
-            "(preset=none leaves the defaults)"
+            f"(preset={NO_PRESET} leaves the defaults)"
         )
     return _merged(preset[name], values)
 

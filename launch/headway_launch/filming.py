@@ -19,19 +19,21 @@ if TYPE_CHECKING:
 Frame = NDArray[np.uint8]
 """(height, width, 3), RGB."""
 
-_SIZE, _LINE, _EDGE, _LETTER = 13, 18, 5, 7.5
-"""Of letters, lines, the room around them and the width of a letter at most, pixels."""
-_FEWEST = 20
-"""Letters of a line, however narrow the frames are."""
+_SIZE, _LINE, _EDGE = 13, 18, 5
+"""Of letters, lines and the room around them, pixels."""
 
 
 def caption_strip(caption: str, width: int) -> Frame:
     """The caption as a picture of that width, in as many lines as it needs."""
     from PIL import Image, ImageDraw, ImageFont
 
-    lines = wrap(caption, max(_FEWEST, int((width - 2 * _EDGE) / _LETTER)))
+    font, letters = ImageFont.load_default(_SIZE), len(caption)
+    lines = wrap(caption, letters)
+    while letters > 1 and max(map(font.getlength, lines)) > width - 2 * _EDGE:
+        letters -= 1
+        lines = wrap(caption, letters)
     strip = Image.new("RGB", (width, 2 * _EDGE + _LINE * len(lines)), "#ffffff")
-    pen, font = ImageDraw.Draw(strip), ImageFont.load_default(_SIZE)
+    pen = ImageDraw.Draw(strip)
     for place, line in enumerate(lines):
         pen.text((_EDGE, _EDGE + _LINE * place), line, "#20242a", font)
     return np.asarray(strip, np.uint8)

@@ -10,6 +10,7 @@ from headway.events import Row
 from headway.store.folder import RunRecord, read_summary
 from headway_launch.comparison import print_comparison
 from headway_launch.tables import Cell, print_table
+from headway_launch.telling import tell
 
 if TYPE_CHECKING:
     from headway.store.session import Run
@@ -54,7 +55,7 @@ class SeedResult:
     final_reward: float | None
     """Mean of the evaluation return over the last 20% of the curve's steps."""
     auc: float | None
-    """Area under the evaluation curve, normalised by its own extremes."""
+    """Area under the evaluation curve, normalised by its own extremes; none of a curve of too few points."""
     env_steps: int
     """Those that are kept: up to the last checkpoint."""
     steps_per_second: float | None
@@ -138,11 +139,11 @@ def stored_result(directory: Path) -> SeedResult:
 
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     """(final reward, AUC) of the evaluation curve as far as a checkpoint knows it; None where that has no
-    point yet, or nothing was trained: the evaluation before training is no result. What the log holds beyond
-    is dropped when the run goes on."""
+    point yet (for the AUC: fewer than three), or nothing was trained: the evaluation before training is no
+    result. What the log holds beyond is dropped when the run goes on."""
     if not run.record.durable_env_steps:
         return None, None
-    from headway.stats import auc, final_reward
+    from headway.stats import FEWEST_POINTS, auc, final_reward
     from headway.store.log import read_curve
 
     curve = read_curve(run.directory, f"evaluation_{mode}/return")
@@ -150,7 +151,8 @@ def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     if not points:
         return None, None
     steps, values = list(points), list(points.values())
-    return final_reward(steps, values), auc(steps, values)
+    area = auc(steps, values) if len(steps) >= FEWEST_POINTS else None
+    return final_reward(steps, values), area
 
 
 def print_results(
@@ -166,6 +168,7 @@ def print_results(
         rows += _over_seeds(finished)
     columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
     print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
+    _say_what_has_no_auc(results)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
@@ -187,6 +190,19 @@ def print_cells(
     estimated = any(_estimated(results) for _, _, results in cells)
     columns = _headings(_CELL_COLUMNS, estimated, days)
     print_table(columns, rows, f"study {study}", ("finished",), ("kg CO2eq", AUC_HEADING))
+    _say_what_has_no_auc([result for _, _, results in cells for result in results])
+
+
+def _say_what_has_no_auc(results: Sequence[SeedResult]) -> None:
+    from headway.drawing import counted
+    from headway.stats import FEWEST_POINTS
+
+    without = sum(result.final_reward is not None and result.auc is None for result in results)
+    if without:
+        tell(
+            f"no AUC of {counted(without, 'run')}: evaluated fewer than {FEWEST_POINTS} times "
+            "(evaluation.every sets how often)"
+        )
 
 
 def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) -> tuple[str, ...]:

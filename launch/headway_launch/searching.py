@@ -1,7 +1,7 @@
 """Searches for hyper-parameters: the files of configs/search, and the experiments that they describe."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import yaml
 
@@ -38,7 +38,7 @@ class Search:
         Raises HeadwayError for what cannot be used, and where two would train the same.
         """
         points = {
-            (cell, candidate): compose([*self.base, *in_cell, *tried, *overrides])
+            (cell, candidate): _called(candidate, compose([*self.base, *in_cell, *tried, *overrides]))
             for cell, in_cell in self.cells.items()
             for candidate, tried in self.candidates.items()
         }
@@ -52,6 +52,10 @@ class Search:
                     "its own values, and override none of them"
                 )
         return points
+
+
+def _called(candidate: str, experiment: Experiment) -> Experiment:
+    return replace(experiment, config=replace(experiment.config, candidate=candidate))
 
 
 def read_search(name: str) -> Search:

@@ -131,8 +131,10 @@ class Allocation:
             raise HeadwayError(f"--time must be as Slurm's, such as 90, 12:00:00 or 2-00, not {self.time!r}")
         if self.partition is not None and not _WORD.fullmatch(self.partition):
             raise HeadwayError(f"--partition must be the name of one, not {self.partition!r}")
+        _require_unmangled("--partition", self.partition or "")
         for option in self.further:
             _require_further(option)
+            _require_unmangled("--sbatch", option)
 
     def lines(self, name: str, logs: Path, log: str) -> list[str]:
         """The lines that sbatch reads; `log` names a job's output in a folder."""
@@ -169,6 +171,16 @@ def _require_further(option: str) -> None:
         ours = [_LETTERS[name[0]]] if name[:1] in _LETTERS else []
     if ours:
         raise HeadwayError(f"--sbatch={option}: --{ours[0]} is the script's ({_OURS[ours[0]]})")
+
+
+def _require_unmangled(ours: str, value: str) -> None:
+    """Raises HeadwayError for a value of an option of ours that sbatch would not read as it stands."""
+    for word in _MANGLED:
+        if word in value.lower():
+            raise HeadwayError(
+                f"{ours}={value}: sbatch cuts {word!r} out of a script; leave it out here, and give it to "
+                "sbatch itself"
+            )
 
 
 def _quoted(word: str) -> str:

@@ -131,6 +131,7 @@ def cell_labels(experiments: Sequence[Experiment]) -> list[str]:
             experiment.algo_name,
             experiment.config.preset,
             {name: str(value) for name, value in cell_parameters(experiment).items()},
+            experiment.config.candidate,
         )
         for place, experiment in enumerate(experiments)
     }

@@ -51,8 +51,7 @@ class StudySession:
 
     def require_all_ended(self) -> None:
         """See `require_all_ended`."""
-        left = [run.directory for standing in self.standings for run in standing.elsewhere]
-        require_all_ended(self.experiments[0].config.study, left)
+        require_all_ended(self.experiments[0].config.study, held_elsewhere(self.standings))
 
 
 def tell_standing(study: str, standings: Sequence[Standing]) -> None:
@@ -66,6 +65,11 @@ def tell_standing(study: str, standings: Sequence[Standing]) -> None:
     if any(counts[kind] for kind in list(counts)[:3]):
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
         tell(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
+
+
+def held_elsewhere(standings: Sequence[Standing]) -> list[Path]:
+    """The folders of runs that other sessions train."""
+    return [run.directory for standing in standings for run in standing.elsewhere]
 
 
 def require_all_ended(study: str, left: Sequence[Path]) -> None:

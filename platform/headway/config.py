@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 from headway.contracts.checks import require
 
+NO_PRESET = "none"
+"""The preset of experiments that have none."""
 _STUDY_LENGTH = 100
 _HOST_AND_PORT = re.compile(r"\S+:\d{1,5}")
 
@@ -199,6 +201,8 @@ class ExperimentConfig:
     preset: str = ""
     """The file of configs/preset whose values lie below all others; `none` leaves the defaults. It names the
     cells of a study that has several; empty: not known."""
+    candidate: str = ""
+    """What it is called among the candidates of a search, whose cells it names; `headway search` sets it."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)

@@ -58,6 +58,23 @@ def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
     assert experiment.config.rollout.steps == 128
 
 
+@pytest.mark.parametrize(
+    ("override", "meant"),
+    [
+        ("supervisor=maybe", "env.args.supervisor=maybe"),
+        ("reward.scope=own", "env.args.reward.scope=own"),
+        ("gae_lambda=0.9", "algo.gae_lambda=0.9"),
+        ("copies=4", "rollout.copies=4"),
+        ("steps=50", "rollout.steps or env.args.steps=50"),
+    ],
+)
+def test_a_key_without_its_first_parts_is_named_whole(override: str, meant: str) -> None:
+    key = override.partition("=")[0]
+    with pytest.raises(HeadwayError) as caught:
+        compose(["env=merge", "algo=mappo", override, "seed=1"])
+    assert str(caught.value) == f"{key} is not a key of the experiment; did you mean {meant}?"
+
+
 @pytest.mark.parametrize("seeds", ["0,1,2", "[0,1,2]", "0..2", "range(0,3)"])
 def test_every_seed_form_works_as_an_override(seeds: str) -> None:
     assert compose(["env=trivial", f"seed={seeds}"]).config.seed == (0, 1, 2)

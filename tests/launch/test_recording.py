@@ -9,7 +9,7 @@ from headway.config import StoreConfig
 from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
 from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, RunRecord, SessionStore, save_checkpoint
 from headway_launch.recording import JobRecording
-from headway_launch.results import seed_result
+from headway_launch.results import print_cells, seed_result
 
 STEPS = 100
 
@@ -49,6 +49,23 @@ def test_a_checkpoint_that_was_not_told_of_counts_and_nothing_beyond_it(
         assert result.final_reward == 5.0  # the last fifth of five; of eight it would be 7.5
     for row in RunIndex(runs[0].directory.parents[1]).rows():
         assert (row.iterations, row.env_steps, row.final_reward) == (5, 5 * STEPS, 5.0)
+
+
+@pytest.mark.parametrize(("evaluations", "area"), [(2, None), (3, 0.5), (4, 0.5)])
+def test_a_curve_of_two_points_has_no_area(
+    runs: Sequence[Run], evaluations: int, area: float | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Normalised by its own range it would be 0.5, whatever was learnt; a straight line's is, too."""
+    recording = JobRecording(runs)
+    train(recording, evaluations)
+    save_checkpoint(runs[0].directory / CHECKPOINTS, evaluations, {})
+    recording.take(Finished(evaluations, stopped=False))
+    result = seed_result(runs[0], recording, "greedy", {}, {})
+    assert result.auc == (None if area is None else pytest.approx(area))
+    assert result.final_reward is not None
+    print_cells("study", [("ippo", 1, [result])], {2})
+    line = "no AUC of 1 run: evaluated fewer than 3 times (evaluation.every sets how often)\n"
+    assert capsys.readouterr().err == (line if area is None else "")
 
 
 def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:

@@ -66,7 +66,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(
     assert done.returncode == 0, done.stderr
     header, *rows = [line.split("\t") for line in done.stdout.splitlines() if "\t" in line]
     assert (header[4], header[7]) == ("minus optimal", "interval")
-    cells = [f"ippo, algo.lr {rate}" for rate in ("0.0005", "0.005")]
+    cells = [f"ippo: lr {rate}" for rate in ("5e-4", "5e-3")]
     assert {row[1] for row in rows} == {"rule random", "rule optimal", *cells}
     optimal = next(float(row[3]) for row in rows if row[1] == "rule optimal")
     for row in rows:

@@ -113,6 +113,16 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
             "--sbatch=--array=0-9%2: --array is the script's (give --array)",
         ),
         (
+            ("--slurm", "--sbatch=--comment=HetJobs"),
+            "--sbatch=--comment=HetJobs: sbatch cuts 'hetjob' out of a script; leave it out here, and give "
+            "it to sbatch itself",
+        ),
+        (
+            ("--slurm", "--partition=packjobs"),
+            "--partition=packjobs: sbatch cuts 'packjob' out of a script; leave it out here, and give it to "
+            "sbatch itself",
+        ),
+        (
             ("--slurm", "backend=process"),
             "backend=process: the script starts a Ray cluster; leave it out, or give --array, which has none",
         ),

@@ -20,12 +20,13 @@ def keep_run(
     started: str = "",
     policies: str = "",
     preset: str = "",
+    candidate: str = "",
     **parameters: str,
 ) -> str:
     run_id, directory = create_run_folder(root, "bus", "cell", seed)
     elsewhere = replace(Process.current(), host="elsewhere")  # it may live
     record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started or now(), elsewhere, status, policies)
-    replace(record, parameters=parameters, preset=preset).write(directory)
+    replace(record, parameters=parameters, preset=preset, candidate=candidate).write(directory)
     return run_id
 
 
@@ -79,8 +80,8 @@ def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None
     cells = labelled_cells(RunIndex(tmp_path).rows())
     assert {label: sorted(run.seed for run in members) for label, members in cells.items()} == {
         "ippo, independent": [0],
-        "ippo, shared, algo.lr 0.001": [0, 1],
-        "ippo, shared, algo.lr 0.01": [0],
+        "ippo, shared, algo.lr=0.001": [0, 1],
+        "ippo, shared, algo.lr=0.01": [0],
         "ippo, shared, without algo.lr": [0],
     }
 
@@ -106,9 +107,9 @@ def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": f"[{stacked}]"})
     keep_run(tmp_path, 0, "FINISHED")
     names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert {name.task for name in names} == {f"bus, env.wrappers [{stacked}]", "bus, without env.wrappers"}
+    assert {name.task for name in names} == {f"bus, env.wrappers=[{stacked}]", "bus, without env.wrappers"}
     assert {name.controller for name in names} == {
-        f"ippo, env.wrappers [{clipped}]",
+        f"ippo, env.wrappers=[{clipped}]",
         "ippo, without env.wrappers",
         "ippo",
     }
@@ -127,7 +128,7 @@ def test_of_many_settings_that_differ_a_name_has_the_first(tmp_path: Path) -> No
     for parameters in (many, dict.fromkeys(many, "2")):
         keep_run(tmp_path, 0, "FINISHED", policies="shared", **parameters)
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == [
-        f"ippo, algo.key_0 {value}, algo.key_1 {value}, algo.key_2 {value}, 6 settings more"
+        f"ippo, algo.key_0={value}, algo.key_1={value}, algo.key_2={value}, 6 settings more"
         for value in (1, 2)
     ]
     # One that differs from the first in the last setting only: now all must be named.
@@ -152,8 +153,8 @@ def test_cells_of_several_presets_are_named_by_these(tmp_path: Path) -> None:
     names = cell_names(RunIndex(tmp_path).rows()).values()
     assert [name.controller for name in names] == [
         "ippo merge_tuned",
-        "ippo merge_paper, algo.lr 0.0005",
-        "ippo merge_paper, algo.lr 1",
+        "ippo merge_paper, algo.lr=0.0005",
+        "ippo merge_paper, algo.lr=1",
         "ippo without preset",
     ]
     assert {name.task for name in names} == {"bus"}
@@ -163,7 +164,7 @@ def test_one_preset_needs_no_name(tmp_path: Path) -> None:
     for rate in ("1", "2"):
         keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **PAPER | {"algo.lr": rate})
     names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert sorted(name.label for name in names) == ["ippo, algo.lr 1", "ippo, algo.lr 2"]
+    assert sorted(name.label for name in names) == ["ippo, algo.lr=1", "ippo, algo.lr=2"]
 
 
 def test_a_cell_of_which_one_run_knows_the_preset_is_named_by_it(tmp_path: Path) -> None:
@@ -173,10 +174,36 @@ def test_a_cell_of_which_one_run_knows_the_preset_is_named_by_it(tmp_path: Path)
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo merge_paper", "ippo merge_tuned"]
 
 
+def test_the_cells_of_a_search_are_named_by_its_candidates(tmp_path: Path) -> None:
+    """Not by what these set, but where one candidate's cells differ."""
+    for rate in ("1", "2"):
+        keep_run(tmp_path, 0, "FINISHED", candidate="short", **{"algo.lr": rate, "algo.clip": "0.1"})
+    keep_run(tmp_path, 0, "FINISHED", candidate="long, own reward", **{"algo.lr": "1", "algo.clip": "0.3"})
+    assert set(labelled_cells(RunIndex(tmp_path).rows())) == {
+        "ippo: short, algo.lr=1",
+        "ippo: short, algo.lr=2",
+        "ippo: long, own reward",
+    }
+    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "4", "algo.clip": "0.3"})  # of no search
+    assert "ippo, algo.lr=1, algo.clip=0.1" in labelled_cells(RunIndex(tmp_path).rows())
+
+
+def test_arguments_of_a_task_are_called_as_its_environment_does(tmp_path: Path) -> None:
+    for supervisor in ("True", "False"):
+        keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": supervisor, "env.args.steps": "9"})
+    keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": "False"})
+    names = cell_names(RunIndex(tmp_path).rows()).values()
+    assert {name.task for name in names} == {
+        "bus, supervisor=True, steps=9",
+        "bus, supervisor=False, steps=9",
+        "bus, supervisor=False, without steps",
+    }
+
+
 def test_where_the_preset_of_a_cell_is_not_known_settings_are_named(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "1"})
     keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **{"algo.lr": "2"})
-    assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo, algo.lr 1", "ippo, algo.lr 2"]
+    assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo, algo.lr=1", "ippo, algo.lr=2"]
 
 
 def test_presets_tell_environments_apart_where_these_have_other_arguments(tmp_path: Path) -> None:
@@ -191,7 +218,7 @@ def test_presets_tell_environments_apart_where_these_have_other_arguments(tmp_pa
     keep_run(tmp_path, 0, "FINISHED", preset="bus_tuned_independent", **aggregate, **PAPER)
     names = cell_names(RunIndex(tmp_path).rows()).values()
     assert {(name.controller, name.task) for name in names} == {
-        ("ippo bus_tuned", "bus, env.args.state aggregate"),
-        ("ippo paper", "bus, env.args.state whole"),  # as it is called by presets elsewhere
-        ("ippo bus_tuned_independent", "bus, env.args.state aggregate"),
+        ("ippo bus_tuned", "bus, state=aggregate"),
+        ("ippo paper", "bus, state=whole"),  # as it is called by presets elsewhere
+        ("ippo bus_tuned_independent", "bus, state=aggregate"),
     }

@@ -37,7 +37,7 @@ def test_cells_are_experiments_named_by_what_differs() -> None:
     experiments = compose_sweep(["env=trivial", "algo=ippo,ia2c", "algo.lr=1e-3,3e-4", "seed=0..4"])
     assert [experiment.config.seed for experiment in experiments] == [(0, 1, 2, 3, 4)] * 4
     assert cell_labels(experiments) == [
-        "ippo, algo.lr 0.001", "ippo, algo.lr 0.0003", "ia2c, algo.lr 0.001", "ia2c, algo.lr 0.0003",
+        "ippo, algo.lr=0.001", "ippo, algo.lr=0.0003", "ia2c, algo.lr=0.001", "ia2c, algo.lr=0.0003",
     ]  # fmt: skip
     assert cell_labels(experiments[::2]) == ["ippo", "ia2c"]
     assert cell_labels(experiments[:1]) == [""]
@@ -53,7 +53,7 @@ def test_cells_of_several_presets_are_named_by_these() -> None:
         "mappo merge_paper on merge", "mappo merge_paper on merge_two_lane",
     ]  # fmt: skip
     rates = compose_sweep([*words[:2], "algo=mappo", "algo.lr=1e-3,2e-3"])
-    assert cell_labels(rates)[-1] == "mappo merge_paper, algo.lr 0.002"
+    assert cell_labels(rates)[-1] == "mappo merge_paper, algo.lr=0.002"
 
 
 def test_a_cell_named_twice_is_one() -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from headway.store import RunLog, RunRecord
+from headway.store import RunLog, RunRecord, select
 from headway.store.folder import Process, cell_name, create_run_folder, now
 from headway_launch.conducting import STORE_SHARE
 
@@ -37,6 +37,9 @@ def report() -> None:
             command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder, *arguments]
             first, *others = [_seconds(command) for _ in range(1 + ROUNDS)]
             print(f"headway {name}: {median(others):.2f} s, the first time {first:.2f} s")
+        began = time.perf_counter()
+        read = len(select(folder).curves(["evaluation_greedy/return"]))
+        print(f"one metric of all curves, {read:,} rows: {time.perf_counter() - began:.2f} s")
         (Path(folder) / "index.sqlite").unlink()
         command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder]
         print(f"headway runs with the index lost: {_seconds(command):.2f} s", flush=True)

@@ -14,9 +14,10 @@ examples:
   headway plot bus --low 0                         cut the vertical axis below 0
   headway plot bus --where 'policies=shared and algo.lr<1e-3' --no-rules
 
-One line a cell (algorithm and, where that tells cells apart, preset and settings), one panel an environment:
-the mean over its finished seeds with the 95% interval of that mean (Student's t); dashed lines beside a
-metric of evaluation are the rules on the same days, but for one so far away that nothing else could be seen.
+One line a cell (algorithm and, where that tells cells apart, preset, candidate of a search and settings), one
+panel an environment: the mean over its finished seeds with the 95% interval of that mean (Student's t);
+dashed lines beside a metric of evaluation are the rules on the same days, but for one so far away that
+nothing else could be seen.
 """
 
 

@@ -94,7 +94,7 @@ def _cells_of_study(
     from headway.store.index import RunIndex
     from headway_launch.stored import StoredRun
     from headway_launch.study_plan import Standing, cell_labels, kept_plans, plan_cells
-    from headway_launch.studying import tell_standing
+    from headway_launch.studying import held_elsewhere, tell_standing
 
     everything = RunIndex(root).rows()
     rows = [row for row in everything if row.study == study]
@@ -120,6 +120,6 @@ def _cells_of_study(
     cells = [*plan_cells(standings), *_cells_of(list(others.values()))]
     labels = cell_labels([cell.experiment for cell in cells])
     labelled = [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]
-    left = [run.directory for standing in standings for run in standing.elsewhere]
+    left = held_elsewhere(standings)
     left += [Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered]
     return labelled, left

@@ -30,7 +30,8 @@ examples:
 Fields are those of --format csv; parameters have dots, as algo.lr. On a narrow terminal columns are left
 out, and a line says which; for the name of a run any part will do that only one has. The table is for
 reading, and numbers in it are rounded; csv and json have the fields' names and all digits.
-AUC is normalised by the range of each run's own curve: it says how early a run learns, not how well.
+AUC is normalised by the range of each run's own curve: it says how early a run learns, not how well. A run
+that was evaluated fewer than three times has none, and 0.5 is that of a curve without a slope.
 """
 
 _FIELDS = (

@@ -1,5 +1,7 @@
 """The data of a report: what a study's runs came to, beside the rules on the same days."""
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +16,7 @@ from headway.stats import Interval, frames
 from headway.store import Selection
 from headway.store.selection import LABELS as WHOSE
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference
+from headway_launch.planning import flat
 from headway_launch.study import configuration, counted_runs, curves_of, rules_beside, study_runs
 
 if TYPE_CHECKING:
@@ -124,13 +127,18 @@ class StudyData:
     @cached_property
     def learned_from_another_reward(self) -> bool:
         """The training curve is of other rewards or dynamics than what is reported."""
-        from headway.registry import wrapper_entry
+        envs = (configuration(row.directory)["env"] for row in self.runs.rows)
+        return any(env.get("training_args") or _reward_wrappers(env) for env in envs)
 
-        def differs(env: dict[str, Any]) -> bool:
-            wrappers = [wrapper_entry(wrapper["name"]) for wrapper in env.get("wrappers", ())]
-            return bool(env.get("training_args")) or any(each.only_rewards for each in wrappers)
-
-        return any(differs(configuration(row.directory)["env"]) for row in self.runs.rows)
+    def paid_alike(self, task: str) -> list[list[str]]:
+        """The controllers of a task, those together that learn from the same rewards and dynamics."""
+        groups: dict[str, list[str]] = {}
+        for name, members in self.on(task).items():
+            env = configuration(members[0].directory)["env"]
+            learned_from = {**dict(flat(env["args"])), **dict(flat(env.get("training_args") or {}))}
+            key = json.dumps([learned_from, _reward_wrappers(env)], sort_keys=True)
+            groups.setdefault(key, []).append(name)
+        return list(groups.values())
 
     @cached_property
     def scores(self) -> pd.DataFrame:
@@ -285,6 +293,13 @@ class StudyData:
             f"some runs of {self.study} were evaluated greedily only and others sampled only, so no curve is "
             "of all; train them with a mode in common, such as evaluation.modes=[greedy]"
         )
+
+
+def _reward_wrappers(env: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Those of an environment's wrappers that only change rewards, and so are there in training only."""
+    from headway.registry import wrapper_entry
+
+    return [each for each in env.get("wrappers", ()) if wrapper_entry(each["name"]).only_rewards]
 
 
 def _days(numbers: set[int]) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from headway.contracts.errors import HeadwayError
+from headway.stats import FEWEST_POINTS
 from headway.store import RunRow
 from headway_launch.recording import TRACEBACK
 from headway_launch.report.gather import StudyData
@@ -47,7 +48,8 @@ def runs_section(data: StudyData) -> Section:
     body.append(
         Table(
             "runs",
-            "Every run of the study. The AUC is by the run's own range.",
+            "Every run of the study. The AUC is by the run's own range; a run evaluated fewer than "
+            f"{FEWEST_POINTS} times has none.",
             ["run", "status", "final reward", "AUC", "env steps", unit, "CPU s", "steps/s", "wall s"],
             rows,
             exact.reset_index(),

@@ -6,17 +6,18 @@ import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
+from headway.config import NO_PRESET
 from headway.contracts.errors import HeadwayError
 from headway_launch.composing import compose
 from headway_launch.planning import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""
-_NO_PRESET = "none"
 _BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
-_ELSEWHERE = ("store.", "seed", "preset", *(f"backend.{key}" for key in _BACKEND))
+_ELSEWHERE = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for key in _BACKEND))
 """Keys that change no result: where runs are kept, how machines are filled, and where settings came from."""
 
 
@@ -26,7 +27,7 @@ def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
 
     Raises HeadwayError if this version cannot compose it: an environment that is not installed, say.
     """
-    preset = mapping.get("preset") or _NO_PRESET
+    preset = mapping.get("preset") or NO_PRESET
     return f"{_line_without_seeds(json.dumps(_changing_results(mapping)), preset)} seed={seeds}"
 
 
@@ -35,23 +36,33 @@ def _line_without_seeds(keys: str, preset: str) -> str:
     """Composing costs a third of a second, and the seeds of a cell share it. `keys`: pairs of key and value,
     as JSON."""
     values = dict(json.loads(keys))
-    words = _words(values, "")
-    if preset != _NO_PRESET:
+    if preset != NO_PRESET:
         # Not if it is gone, or has values now that cannot be taken back key by key.
         with suppress(HeadwayError):
-            by_preset = _words(values, preset)
-            if _composed(by_preset) == values:
-                words = by_preset
+            words = _words(values, preset)
+            if _composed(words) == values:
+                return _line(words)
+    words = _words(values, NO_PRESET)
     compose(words)
+    return _line(words)
+
+
+def _line(words: Sequence[str]) -> str:
     return " ".join(["headway run", *map(shlex.quote, words)])
 
 
 def _words(values: Mapping[str, Any], preset: str) -> list[str]:
-    words = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
-    words += [f"preset={preset}"] if preset else []
-    known = _composed(words)
+    chosen = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
+    chosen += [f"preset={preset}"] if preset != NO_PRESET else []
+    known = _chosen(*chosen)
     differing = [key for key, value in values.items() if key not in known or known[key] != value]
-    return [*words, *(f"{key}={_written(values[key])}" for key in differing)]
+    return [*chosen, *(f"{key}={_written(values[key])}" for key in differing)]
+
+
+@lru_cache(maxsize=128)
+def _chosen(*words: str) -> Mapping[str, Any]:
+    """As `_composed`, for the cells that share an environment, an algorithm and a preset."""
+    return MappingProxyType(_composed(words))
 
 
 def _composed(words: Sequence[str]) -> dict[str, Any]:

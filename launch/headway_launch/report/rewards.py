@@ -5,7 +5,7 @@ from typing import Any
 import pandas as pd
 
 from headway import drawing
-from headway.stats import frames, mean_std
+from headway.stats import FEWEST_POINTS, frames, mean_std
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM
 from headway_launch.report.gather import Against, StudyData
 from headway_launch.report.parts import (
@@ -66,18 +66,31 @@ def published_form(data: StudyData) -> Section:
             "(`env.training_args`, or wrappers of the reward): the training columns are of that reward and "
             "do not compare with the others."
         )
+    body += _paid_by_several_rules(data)
     if data.training_figures is None:
         body.append(
             "Some run has no training curve, as no episode ended in training: those columns are empty."
         )
     body += [table, *_unequal_budgets(data)]
-    if (data.curves.groupby("run_id").size() < 3).any():
+    if (data.curves.groupby("run_id").size() < FEWEST_POINTS).any():
         body.append(
-            "Some runs were evaluated fewer than three times. The AUC of a curve of two points says nothing: "
-            "by the run's own range it is 0.5 whatever was learnt (`evaluation.every` sets how often)."
+            f"Some runs were evaluated fewer than {FEWEST_POINTS} times. The AUC of a curve of two points "
+            "says nothing: by the run's own range it is 0.5 whatever was learnt (`evaluation.every` sets how "
+            "often)."
         )
     body += _one_seed(data)
     return Section("published", "The form of the papers", body)
+
+
+def _paid_by_several_rules(data: StudyData) -> list[str]:
+    """A line for each task on which training curves are of different rewards."""
+    alike = {task: data.paid_alike(task) for task in data.tasks}
+    return [
+        f"Nor do the rows of the training columns{data.where(task)} compare with each other but where "
+        f"controllers are paid by the same rules: {'; '.join(', '.join(group) for group in groups)}."
+        for task, groups in alike.items()
+        if len(groups) > 1
+    ]
 
 
 def _published(data: StudyData, runs: list[str]) -> tuple[list[str], dict[str, object]]:

@@ -4,9 +4,9 @@
 
 starts munge, a controller and two nodes, each in a network namespace of its own, with all their files in a
 scratch folder; submits the scripts that the command writes, of a Ray cluster over both nodes and of an array
-of seeds, and waits for their end; and one that it cancels. Prints what differs from the same study trained
-here with worker processes and what is left of Ray on a node, and ends with exit code 1 if anything is, with 2
-where there is no Slurm (Debian: slurmctld slurmd slurm-client munge) or no namespaces.
+of seeds, and waits for their end; one whose trainings fail; and one that it cancels. Prints what differs from
+the same study trained here with worker processes and what is left of Ray on a node, and ends with exit code 1
+if anything is, with 2 where there is no Slurm (Debian: slurmctld slurmd slurm-client munge) or no namespaces.
 """
 
 import argparse
@@ -22,6 +22,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import psutil
 
 from headway.contracts import HeadwayError
 from headway.rollout.cluster import require_ray
@@ -63,7 +65,7 @@ _ENDED = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "BOOT_FAIL
 class Slurm:
     """A Slurm of two nodes, as it is spoken to from the first."""
 
-    host: Host
+    hosts: tuple[Host, Host]
     environment: dict[str, str]
     folders: tuple[Path, Path]
     """Where Ray has its temporary files on each node."""
@@ -72,7 +74,7 @@ class Slurm:
         """What one of its programs answers. Raises HeadwayError where that fails."""
         with tempfile.TemporaryDirectory() as folder:
             told, errors = Path(folder, "out"), Path(folder, "err")
-            code = self.host.start(command, self.environment, told, errors).wait(_READY_S)
+            code = self.hosts[0].start(command, self.environment, told, errors).wait(_READY_S)
             if code:
                 raise HeadwayError(f"{command[0]} ends with code {code}: {errors.read_text().strip()}")
             return told.read_text()
@@ -91,9 +93,16 @@ class Slurm:
         until(lambda: all(state in _ENDED for state in self.states(job)))
         return " ".join(sorted(set(self.states(job))))
 
+    def have_ray(self) -> bool:
+        """Whether Ray runs on both nodes now, as far as its files tell."""
+        return all(any(folder.glob("headway-ray-*/session_*")) for folder in self.folders)
+
     def left(self) -> list[str]:
-        """A line for each thing that Ray has left on a node."""
-        return [f"left on a node: {path.name}" for folder in self.folders for path in folder.iterdir()]
+        """A line for each file that Ray has left on a node, and each process of it or of Python."""
+        files = [path.name for folder in self.folders for path in folder.iterdir()]
+        running = [_words(process) for host in self.hosts for process in host.processes()]
+        processes = [words for words in running if "ray" in words or "python" in words]
+        return [f"left on a node: {thing}" for thing in (*files, *processes)]
 
 
 def main() -> None:
@@ -133,6 +142,7 @@ def trial(root: Path, sweep: Sequence[str]) -> list[str]:
                 continue
             sync_each(root / name)
             found += [f"{name}: {line}" for line in differences(root / "alone", root / name)]
+        found += [f"failed: {line}" for line in _fail(jobs, root / "failed", sweep)]
         found += [f"cancelled: {line}" for line in _cancel(jobs, root / "cancelled", sweep)]
     return found
 
@@ -150,16 +160,34 @@ def _told(script: Path) -> list[str]:
     return [f"{log.name}: {line}" for log in logs for line in log.read_text().splitlines()[-5:]]
 
 
+def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
+    """A job on both nodes whose trainings diverge; what it leaves on them."""
+    script = _written(root, [*sweep, "algo.lr=1e30"], ["--nodes=2", "--cpus=2"])
+    job = jobs.submit(script)
+    there: list[bool] = []
+
+    def ended() -> bool:
+        there.append(jobs.have_ray())
+        return jobs.states(job)[0] in _ENDED
+
+    until(ended)
+    [state] = jobs.states(job)
+    print(f"failed: {state}", flush=True)
+    if not any(there) or state != "FAILED" or {row.status for row in RunIndex(root).rows()} != {"FAILED"}:
+        return [f"it ended as {state}, not by trainings that failed on both nodes", *_told(script)]
+    return jobs.left()
+
+
 def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """Cancel a job that trains on both nodes; what it leaves on them."""
     script = _written(root, [*sweep, "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
     job = jobs.submit(script)
     until(lambda: bool(RunIndex(root).rows()) or jobs.states(job)[0] in _ENDED)
-    there = [any(folder.glob("headway-ray-*/session_*")) for folder in jobs.folders]
+    there = jobs.have_ray()
     jobs.ask("scancel", job)
     state = jobs.end(job)
     print(f"cancelled: {state}", flush=True)
-    if not all(there) or state != "CANCELLED":
+    if not there or state != "CANCELLED":
         return [f"it ended as {state} before both nodes had files of Ray's", *_told(script)]
     return jobs.left()
 
@@ -200,9 +228,17 @@ def slurm() -> Iterator[Slurm]:
             (other, [*_with(folders[1], rays), "slurmd", "-D", "-N", "node2"]),
         ):
             host.start(command, environment, told, told)
-        found = Slurm(one, environment, folders)
+        found = Slurm((one, other), environment, folders)
         _until_idle(found, told)
         yield found
+
+
+def _words(process: psutil.Process) -> str:
+    """Its command line, as far as it still runs."""
+    try:
+        return " ".join(process.cmdline())
+    except psutil.Error:
+        return ""
 
 
 def _with(folder: Path, place: Path) -> list[str]:

@@ -3,7 +3,7 @@
 Importing this costs neither scipy nor pandas; `headway.stats.frames` takes and gives pandas frames.
 """
 
-from headway.stats.curves import FINAL_SHARE, auc, final_reward, value_range
+from headway.stats.curves import FEWEST_POINTS, FINAL_SHARE, auc, final_reward, value_range
 from headway.stats.intervals import (
     difference_of_means,
     mean_and_half_width,
@@ -23,6 +23,7 @@ from headway.stats.scores import (
 
 __all__ = [
     "CONFIDENCE",
+    "FEWEST_POINTS",
     "FINAL_SHARE",
     "Band",
     "Interval",

@@ -90,6 +90,8 @@ class RunRecord:
     """Points of each metric's curve that MLflow is to have."""
     preset: str = ""
     """Of hyper-parameters, as it was chosen; empty where that is not known."""
+    candidate: str = ""
+    """What it is called in the search that it is a part of; empty where it is of none."""
 
     @property
     def cell(self) -> str:

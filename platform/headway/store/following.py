@@ -212,8 +212,8 @@ def _cell_tags(record: RunRecord) -> dict[str, str]:
 
 
 def _run_tags(record: RunRecord) -> dict[str, str]:
-    preset = {"preset": record.preset} if record.preset else {}
-    known = {**record.tags, **_cell_tags(record), **preset}
+    chosen = {"preset": record.preset, "candidate": record.candidate}
+    known = {**record.tags, **_cell_tags(record), **{name: value for name, value in chosen.items() if value}}
     return {**known, "seed": str(record.seed), "policies": record.policies}
 
 

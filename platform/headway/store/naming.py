@@ -6,16 +6,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from headway.config import NO_PRESET
 from headway.store.folder import RunRecord
 from headway.store.index import RunRow
 
 _OF_TASK = "env."
+_ARGS = "env.args."
 _NOT_OF_TASK = "env.training_args."
 """What is learned from, not what is reported on."""
 _WRAPPERS = "env.wrappers"
 _POLICIES = "algo.policies"
 """Named by its value alone: `shared`."""
-_NO_PRESET = "none"
 _MOST_NAMED = 6
 """Settings that a name has, all of them; of more it has the first."""
 _FIRST_NAMED = 3
@@ -31,6 +32,8 @@ class CellChoice:
     """Of hyper-parameters; empty where it is not known."""
     parameters: Mapping[str, str]
     """All its settings, by dotted names."""
+    candidate: str = ""
+    """Of a search; empty where it is of none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +43,11 @@ class CellName:
     label: str
     """The controller and, where there are several tasks, the task: `mappo merge_paper on merge`."""
     task: str
-    """The environment, with those of its arguments that differ: `bus, env.args.scenario corridor`."""
+    """The environment, with those of its arguments that differ: `bus, scenario=corridor`."""
     controller: str
     """The algorithm, with as much more as tells it apart on its task: the preset (`mappo merge_paper`) where
-    presets differ, which policies (`ippo, shared`), settings (`ippo, algo.lr 0.001`)."""
+    presets differ, the candidate of a search (`mappo: own reward`), which policies (`ippo, shared`), settings
+    (`ippo, algo.lr=0.001`)."""
 
 
 def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
@@ -64,12 +68,7 @@ def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
     for run in runs:
         first.setdefault(run.cell, run)
         presets[run.cell] = presets.get(run.cell) or run.preset
-    return names_among(
-        {
-            cell: CellChoice(run.environment, run.algorithm, presets[cell], _parameters(run))
-            for cell, run in first.items()
-        }
-    )
+    return names_among({cell: _choice(run, presets[cell]) for cell, run in first.items()})
 
 
 def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
@@ -89,30 +88,49 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
     }
 
 
-def _parameters(run: RunRow) -> dict[str, str]:
-    recorded = RunRecord.read(Path(run.directory)).parameters
-    return {_POLICIES: run.policies, **recorded} if run.policies else dict(recorded)
+def _choice(run: RunRow, preset: str) -> CellChoice:
+    record = RunRecord.read(Path(run.directory))
+    policies = {_POLICIES: run.policies} if run.policies else {}
+    parameters = {**policies, **record.parameters}
+    return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate)
 
 
 def _told_apart(
     kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice], of_task: bool
 ) -> dict[str, str]:
     """Of each cell, the first of its `kinds` and what tells it apart from others of its kinds: the preset,
-    then which policies, then the settings that are not the same in all that are still alike."""
+    the candidate of a search, then which policies, then the settings that are not the same in all that are
+    still alike."""
     settings = {key: _parted(cell.parameters, of_task) for key, cell in cells.items()}
     alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for key, kind in kinds.items():
         alike[kind].append(key)
     # What has several presets on one task is called by them on each.
     by_preset = {kind[0] for kind, keys in alike.items() if _presets_differ(keys, cells, settings)}
+    by_candidate = set() if of_task else _of_several_candidates(kinds, cells)
     told: dict[str, str] = {}
     for kind, of_kind in alike.items():
+        named: dict[str, list[str]] = defaultdict(list)
         for preset, of_preset in _by_preset(of_kind, cells, kind[0] in by_preset).items():
-            for policies, members in _by_policies(of_preset, settings).items():
+            for key in of_preset:
+                candidate = f": {cells[key].candidate}" if kind[0] in by_candidate else ""
+                named[f"{kind[0]}{preset}{candidate}"].append(key)
+        for name, of_name in named.items():
+            for policies, members in _by_policies(of_name, settings).items():
                 own = _settings([settings[key] for key in members])
-                name = f"{kind[0]}{preset}{policies}"
-                told |= {key: ", ".join((name, *named)) for key, named in zip(members, own, strict=True)}
+                told |= {
+                    key: ", ".join((f"{name}{policies}", *differing))
+                    for key, differing in zip(members, own, strict=True)
+                }
     return told
+
+
+def _of_several_candidates(kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice]) -> set[str]:
+    """The first of those kinds of which all cells, on all tasks, are candidates of a search, and several."""
+    candidates: dict[str, set[str]] = defaultdict(set)
+    for key, kind in kinds.items():
+        candidates[kind[0]].add(cells[key].candidate)
+    return {first for first, names in candidates.items() if len(names) > 1 and "" not in names}
 
 
 def _presets_differ(
@@ -133,7 +151,7 @@ def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool
     groups: dict[str, list[str]] = defaultdict(list)
     for key in keys:
         preset = cells[key].preset
-        known = " without preset" if preset == _NO_PRESET else f" {preset}"
+        known = " without preset" if preset == NO_PRESET else f" {preset}"
         groups[known if preset else ""].append(key)
     return groups
 
@@ -147,7 +165,7 @@ def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]])
 
 
 def _settings(cells: Sequence[Mapping[str, str]]) -> list[Sequence[str]]:
-    """Of each cell, `name value` of the settings that are not the same in all; `without name` where it has
+    """Of each cell, `name=value` of the settings that are not the same in all; `without name` where it has
     none. Of many the first few are named, if that will do to tell the cells apart: cells of two presets, of
     which it is not known that they are, differ in a dozen."""
     whole = _differing(cells)
@@ -193,10 +211,16 @@ def _name(wrapper: ast.expr) -> str:
 
 
 def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Of each cell, `name value` of the parameters that are not the same in all."""
+    """Of each cell, `name=value` of the parameters that are not the same in all, those of a task by the names
+    that the environment has for them."""
     names = list(dict.fromkeys(name for cell in cells for name in cell))
-    differing = [name for name in names if len({cell.get(name) for cell in cells}) > 1]
+    differing = {
+        name: name.removeprefix(_ARGS) for name in names if len({cell.get(name) for cell in cells}) > 1
+    }
     return [
-        [f"{name} {cell[name]}" if name in cell else f"without {name}" for name in differing]
+        [
+            f"{called}={cell[name]}" if name in cell else f"without {called}"
+            for name, called in differing.items()
+        ]
         for cell in cells
     ]

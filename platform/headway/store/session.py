@@ -144,6 +144,7 @@ class Cell:
         iterations: int,
         policies: str = "",
         preset: str = "",
+        candidate: str = "",
     ) -> "Run":
         """A new run of a budget of `iterations`; its folder is complete when this returns, so a training
         process may start. Raises HeadwayError if it cannot be written."""
@@ -159,6 +160,7 @@ class Cell:
             session=Process.current(),
             policies=policies,
             preset=preset,
+            candidate=candidate,
             parameters=self._parameters,
             tags={**self._tags, **(tags or {})},
             tracking_uri=self._store.tracking_uri,

@@ -124,7 +124,7 @@ def test_promised_masks_that_are_missing_are_caught() -> None:
 class Overruling(Visitors):
     """Writes into the actions that it is given."""
 
-    def step(self, actions: Any) -> Any:  # noqa: ANN401 - the contract's types
+    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
         actions[0] = 1 - actions[0].clip(0, 1)
         return super().step(actions)
 

@@ -94,7 +94,11 @@ def _mlflow(root: Path) -> Any:  # noqa: ANN401 - MLflow is not typed
 def test_a_run_from_beginning_to_end(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root), curve_points=11))
     cell = store.begin_cell("study one", "bus", "mappo", {"algo.lr": 3e-4}, {"owner": "me"})
-    runs = [cell.begin_run(seed, "seed: 0\n", {"copies": 8}, iterations=ITERATIONS) for seed in (0, 1)]
+    chosen: tuple[dict[str, str], ...] = ({"preset": "merge_paper", "candidate": "own reward"}, {})
+    runs = [
+        cell.begin_run(seed, "seed: 0\n", {"copies": 8}, iterations=ITERATIONS, **names)
+        for seed, names in enumerate(chosen)
+    ]
     for run in runs:
         _train(run, 1, ITERATIONS)
         run.energy({"elapsed_s": 5.0, "kwh": 0.001})
@@ -113,6 +117,8 @@ def test_a_run_from_beginning_to_end(root: Path) -> None:
     assert child.data.metrics["summary/final_reward"] == -3.5
     assert "summary/kg_co2" not in child.data.metrics
     assert {"owner", "version.torch", "hardware.cpu"} <= set(child.data.tags)
+    assert chosen[0].items() <= child.data.tags.items()
+    assert chosen[0].keys().isdisjoint(found[runs[1].run_id].data.tags)  # not known
     artifacts = {artifact.path for artifact in client.list_artifacts(child.info.run_id)}
     assert {"config.yaml", "plan.json", "curve-000010.parquet", "energy.parquet"} <= artifacts
 

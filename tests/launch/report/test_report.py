@@ -180,6 +180,21 @@ def test_the_area_under_a_curve_of_two_points_is_said_to_say_nothing(keep_run: K
     assert remark in said(made(root))
 
 
+def test_controllers_that_are_paid_by_different_rules_while_training_are_said(
+    keep_run: KeepRun, root: Path
+) -> None:
+    remark = "Nor do the rows of the training columns compare with each other"
+    own, alike = "env.training_args.reward.scope=own", "env.training_args.reward.scope=global"
+    merge = ("env=merge",)
+    keep_run((*merge, "algo=ippo", own), 0, 1.0)
+    keep_run((*merge, "algo=ia2c", own), 0, 1.0)
+    assert remark not in said(made(root))
+    keep_run((*merge, "algo=coma"), 0, 1.0)
+    keep_run((*merge, "algo=mappo", alike), 0, 1.0)  # as the environment has it by itself
+    assert remark in (told := said(made(root)))
+    assert "paid by the same rules: coma, mappo; ia2c, ippo." in told
+
+
 def test_every_part_is_a_file_and_the_page_needs_none(keep_run: KeepRun, root: Path) -> None:
     two_algorithms(keep_run, reward_service=1.5, reward_regularity=-0.5)
     folder = root.parent / "report"

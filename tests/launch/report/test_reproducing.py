@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from headway_launch.composing import compose
+from headway_launch.composing import Experiment, compose
 from headway_launch.planning import full_mapping
 from headway_launch.report.reproducing import reproducing_line
 
@@ -45,6 +45,23 @@ def test_a_preset_stands_for_what_it_brings() -> None:
     assert "preset=merge_paper" in line
     assert "algo.lr=0.25" in line
     assert "algo.gae_lambda" not in line
+
+
+@pytest.mark.parametrize("preset", ["merge_tuned", "none"])
+def test_a_cell_is_composed_once(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside what all cells of its environment, algorithm and preset share."""
+    words = ["experiment=merge_study", f"preset={preset}", "algo=ippo"]
+    cells = [full_mapping(compose([*words, f"algo.lr={rate}"]), [3, 4]) for rate in (0.1, 0.2, 0.3)]
+    composed: list[Sequence[str]] = []
+
+    def counted(overrides: Sequence[str]) -> Experiment:
+        composed.append(overrides)
+        return compose(overrides)
+
+    monkeypatch.setattr("headway_launch.report.reproducing.compose", counted)
+    lines = [reproducing_line(cell, seed) for cell in cells for seed in ("3", "4")]
+    assert len(set(lines)) == 6
+    assert len(composed) <= 1 + len(cells)
 
 
 def test_of_a_preset_that_is_gone_all_it_brought_is_written() -> None:

@@ -23,5 +23,6 @@ def test_slurm_jobs_train_what_one_machine_does(tmp_path: Path, capsys: pytest.C
     told = capsys.readouterr().out
     assert "cluster: COMPLETED" in told
     assert "array: COMPLETED" in told
+    assert "failed: FAILED" in told
     assert "cancelled: CANCELLED" in told
     assert (root / "array" / STUDY / "slurm" / "array.sbatch").exists()

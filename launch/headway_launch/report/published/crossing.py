@@ -138,9 +138,10 @@ def _reading(found: "dict[str, Interval]", seeds: int) -> str:
     if len(found) < len(COMPARED):
         return MISSING
     flow, crashes = found["outflow_vph"], found["collisions"]
-    flow_said = "more leave" if flow.low > 0 else "fewer leave" if flow.high < 0 else "outflow not told apart"
-    crash_said = "more crash" if crashes.low > 0 else "fewer crash" if crashes.high < 0 else ""
-    said = f"{flow_said}, {crash_said or 'collisions not told apart'}"
+    said = ", ".join(
+        f"more {verb}" if change.low > 0 else f"fewer {verb}" if change.high < 0 else f"{what} not told apart"
+        for change, verb, what in ((flow, "leave", "outflow"), (crashes, "crash", "collisions"))
+    )
     return said if seeds >= SEEDS_FOR_A_CLAIM else f"no claim ({said})"
 
 
