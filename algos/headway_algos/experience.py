@@ -40,9 +40,9 @@ class Layout:
             selected = selected & np.repeat(members, rows_each, axis=1)
         return selected
 
-    def by_agent(self, rows: Tensor, steps: int) -> NDArray[np.float64]:
-        """(P, B, ...) -> (T, C, N, ...) in float64."""
-        return self.grouping.scatter(rows.detach().double().cpu().numpy(), self.replicas, steps)
+    def by_agent(self, rows: Tensor, steps: int, agents: int | None = None) -> NDArray[np.float64]:
+        """(P, B, ...) -> (T, C, N, ...) in float64; `agents`: N, where it is fewer than all."""
+        return self.grouping.scatter(rows.detach().double().cpu().numpy(), self.replicas, steps, agents)
 
 
 def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:

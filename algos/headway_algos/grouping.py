@@ -79,7 +79,8 @@ class Grouping:
     def gather(self, by_agent: NDArray[Any], replicas: int) -> NDArray[Any]:
         """(T, C, N, ...) -> (P, G x T x E, ...), rows ordered by agent, then step, then copy.
 
-        Rows of padding repeat some agent's; `is_member` says which they are.
+        Rows of padding repeat some agent's; `is_member` says which they are. Of agents that all share one
+        policy there may be the first few only.
         """
         steps, copies, agents, *rest = by_agent.shape
         split = by_agent.reshape(steps, replicas, copies // replicas, agents, *rest)
@@ -88,10 +89,14 @@ class Grouping:
             stacked = stacked[:, self.members.ravel()]
         return np.ascontiguousarray(stacked).reshape(replicas * self.num_policies, -1, *rest)
 
-    def scatter(self, by_policy: NDArray[Any], replicas: int, steps: int) -> NDArray[Any]:
-        """The inverse of `gather`: (P, G x T x E, ...) -> (T, C, N, ...)."""
+    def scatter(
+        self, by_policy: NDArray[Any], replicas: int, steps: int, agents: int | None = None
+    ) -> NDArray[Any]:
+        """The inverse of `gather`: (P, G x T x E, ...) -> (T, C, N, ...); `agents`: N, where it was fewer
+        than all."""
         rest = by_policy.shape[2:]
-        stacked = by_policy.reshape(replicas, self.members.size, steps, -1, *rest)
+        slots = self.members.size if agents is None or self.num_policies > 1 else agents
+        stacked = by_policy.reshape(replicas, slots, steps, -1, *rest)
         if not self._in_order:
             stacked = stacked[:, self._place]
         by_agent = np.moveaxis(stacked, (0, 1), (1, 3))

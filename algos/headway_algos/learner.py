@@ -49,6 +49,7 @@ class OnPolicyLearner:
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """One iteration of learning: advantages, policies, critic, normalisers, in this order."""
+        trajectory = self._of_who_was_there(trajectory)
         share = 1 - (1 - self.config.lr_end) * progress
         self.policy_update.anneal(share)
         self.critic.anneal(share)
@@ -64,6 +65,16 @@ class OnPolicyLearner:
         )
         metrics = {f"policy/{name}": self.stack.per_replica(value) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in judged.items()}
+
+    def _of_who_was_there(self, trajectory: Trajectory) -> Trajectory:
+        """Without the last agents, as far as these were never there, where nobody can tell: agents that
+        share policy and critic, each of which sees but itself, and remembers nothing. Slots of an environment
+        with room for many are mostly empty."""
+        alike = self.config.policies == "shared" and self.config.critic == "local"
+        if not alike or self.config.model.core != "none":
+            return trajectory
+        there = np.flatnonzero(trajectory.alive.any(axis=(0, 1)))
+        return trajectory.of_first_agents(int(there.max(initial=0)) + 1)
 
     def _observations(self, trajectory: Trajectory) -> Tensor:
         """(P, B, D), as the policies' networks were given them."""

@@ -248,6 +248,26 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
         assert np.isfinite(value).all(), name
 
 
+@pytest.mark.parametrize("spec", [DISCRETE, BOX, replace(DISCRETE, shared_reward=True)])
+@pytest.mark.parametrize("config", [IPPO, IA2C, ITRPO])
+def test_room_for_agents_that_never_come_changes_nothing(
+    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    """Slots beyond the last that somebody had are left out, in one iteration more of them than in another."""
+    shared = replace(config, policies="shared")
+    roomy = replace(spec, agents=tuple("abcdefghi"), groups=())
+    tight, wide = OnPolicyLearner(shared, spec, (1, 2), "cpu"), OnPolicyLearner(shared, roomy, (1, 2), "cpu")
+    for iteration, last in ((1, 4), (2, 2), (3, 3)):
+        made = fabricate(roomy, 8, 6, seed=iteration, absent=0.3, idle=0.2, leaves=0.05)
+        made.alive[:, :, last:] = False
+        made.alive[0, 0, last - 1] = True
+        made.acting[:] &= made.alive[:-1]
+        expected = tight.update(_of_agents(made, slice(0, 4)), iteration, 0.0)
+        for name, value in wide.update(poisoned(made), iteration, 0.0).items():
+            np.testing.assert_allclose(value, expected[name], rtol=1e-9, err_msg=name)
+    _assert_close(_tensors(wide), _tensors(tight))
+
+
 def test_padding_of_unequal_groups_changes_nothing(fabricate: Fabricate) -> None:
     """The large group learns the same beside a group of one as beside a group of its own size."""
     config = replace(IPPO, policies="groups")

@@ -13,7 +13,7 @@ from headway_algos.behaviour import Behaviour
 from headway_algos.config import AlgoConfig
 from headway_algos.critics.estimate import Estimate
 from headway_algos.critics.returns import Regression, ReturnNetworks
-from headway_algos.critics.streams import lambda_advantages
+from headway_algos.critics.streams import lambda_advantages, presence
 from headway_algos.critics.views import VIEWS
 from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
@@ -50,9 +50,12 @@ class ValueCritic:
         shown = None if indicators is None else self.layout.rows(indicators)
         return self.networks.inputs(self.layout.rows(self.view.seen(scene)), shown)
 
-    def values(self, rows: Tensor, moments: int, memory: Tensor | None = None) -> NDArray[np.float64]:
-        """Values (M, C, W), in units of return, of network inputs and what is remembered before them."""
-        return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments)
+    def values(
+        self, rows: Tensor, moments: int, memory: Tensor | None = None, viewpoints: int | None = None
+    ) -> NDArray[np.float64]:
+        """Values (M, C, W), in units of return, of network inputs and what is remembered before them;
+        `viewpoints`: W, where it is fewer than all."""
+        return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments, viewpoints)
 
     def _memory(self, scene: Scene, memories: Memories | None) -> Tensor | None:
         """(P, B, M): what the networks remembered at the moments of a scene, if they do."""
@@ -61,15 +64,17 @@ class ValueCritic:
     def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
         """See `headway_algos.critics.Critic`."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
+        viewpoints = presence(trajectory.alive, self.view).shape[2]
 
         def worth(scene: Scene) -> NDArray[np.float64]:
             shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene
-            return self.values(self.rows(shown), len(shown.observations), self._memory(shown, memories))
+            moments = len(shown.observations)
+            return self.values(self.rows(shown), moments, self._memory(shown, memories), viewpoints)
 
         scene = Scene.of_steps(trajectory)
         inputs = self.rows(scene)
         memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
-        values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories))
+        values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories), viewpoints)
         advantages, present = lambda_advantages(
             trajectory, self.view, values, worth, self.config, self.spec, self.layout.replicas
         )

@@ -117,3 +117,9 @@ class Trajectory:
     def of_copies(self, first: int, count: int) -> Self:
         """A view of the copies first to first + count - 1."""
         return type(self)(*(getattr(self, field.name)[:, first : first + count] for field in fields(self)))
+
+    def of_first_agents(self, count: int) -> Self:
+        """A view of the first agents."""
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        of_copies = {"states", "final_states"}
+        return type(self)(**{n: a if n in of_copies else a[:, :, :count] for n, a in arrays.items()})
