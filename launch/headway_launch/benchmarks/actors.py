@@ -46,6 +46,11 @@ class Wire:
     byte_s: float
     """Each further byte of an answer."""
 
+    def sent_s(self, steps: int, workers: int, nodes: int) -> float:
+        """Of an iteration of so many steps: parameters to each node, calls, experience to one machine."""
+        sent = self.parameter_bytes * nodes + self.bytes_a_step * steps
+        return self.byte_s * sent + self.message_s * workers / _OVERLAP
+
 
 @dataclass(frozen=True)
 class Growth:
@@ -61,10 +66,8 @@ class Growth:
 
     def per_second(self, workers: int, nodes: int) -> float:
         """Environment steps a second, learning included."""
-        wire = self.wire
-        sent_s = wire.byte_s * (wire.parameter_bytes * nodes + wire.bytes_a_step * self.steps)
-        called_s = wire.message_s * workers / _OVERLAP
-        return self.steps / (self.steps * self.worker_s / workers + sent_s + called_s + self.learn_s)
+        collect_s = self.steps * self.worker_s / workers + self.wire.sent_s(self.steps, workers, nodes)
+        return self.steps / (collect_s + self.learn_s)
 
 
 def report() -> None:
@@ -154,12 +157,10 @@ def _report_growth(with_two: Mapping[str, Sequence[Measurement]], wires: Mapping
         task = TASKS[name]
         alone = in_turn([replace(task, backend="ray", workers=1)])[0]
         steps = task.copies * task.steps
-        growth = Growth(
-            steps,
-            worker_s=1 / median(result.collected_per_second for result in alone),
-            learn_s=steps * median(result.learn_s / result.env_steps for result in alone),
-            wire=wire,
-        )
+        collected_s = 1 / median(result.collected_per_second for result in alone)
+        learn_s = steps * median(result.learn_s / result.env_steps for result in alone)
+        # What one worker's collection took holds what went over the wire, too.
+        growth = Growth(steps, max(collected_s - wire.sent_s(steps, 1, 1) / steps, 0.0), learn_s, wire)
         cells = [
             f"{median(result.per_second for result in results):,.0f} ({growth.per_second(workers, 1):,.0f})"
             for workers, results in ((1, alone), (2, with_two[name]))
