@@ -25,12 +25,12 @@ class RewardConfig:
     which each term lies in [-1, 1]; those of `paper` are fixed."""
 
     kind: Literal["scaled", "paper"] = "scaled"
-    """`scaled`: one return for the team, terms of one size, outflow by the step. `paper`: the paper's sum,
-    outflow in vehicles an hour since the beginning, paid to each vehicle that is there."""
+    """`scaled`: terms of one size, outflow by the step, for the team or for each (`scope`). `paper`: the
+    paper's sum, outflow in vehicles an hour since the beginning, paid to each vehicle that is there."""
     scope: Literal["team", "own"] = "team"
     """Of the kind `scaled`. `team`: all are paid the team's reward. `own`: each AV is paid for its own speed,
-    standstill and headway, for its own exit and its own crash, so that it can tell what it did. For learning;
-    `team_return` is never of it."""
+    standstill and headway and for its own crash, so that it can tell what it did; others' crashes, lane
+    changes and who leaves are in no own reward. For learning: `team_return` is never of it."""
     velocity: float = 0.2
     """Weight of the nearness of all speeds to 20 m/s."""
     standstill: float = 0.2
@@ -103,7 +103,8 @@ class IntersectionConfig:
     distances at a scale on which braking shows, and who comes next on the ways that cross the own."""
     av_speed_mode: int = 7
     """SUMO's checks of commanded speeds, as bits: 1 safe gap, 2 greatest acceleration, 4 greatest braking, 8
-    right of way. 1: the paper's, with which vehicles brake harder than they can."""
+    right of way. 1: the paper's, with which vehicles brake harder than they can. 11: a guard that keeps AVs
+    from crashing, and brakes them as hard as that takes (`hardest_braking_av`)."""
     hdv_speed_mode: int = 31
     """The same of human drivers; 31: all checks. At 1, the paper's, they crash among themselves."""
     av_lane_change_mode: int = 512
@@ -117,8 +118,9 @@ class IntersectionConfig:
     on_collision: Literal["remove_pair", "end_episode"] = "remove_pair"
     """The crashed vehicles are taken away and the episode goes on, or it ends."""
     at_exit: Literal["truncated", "terminated"] = "truncated"
-    """How the stream of an AV that leaves ends. `truncated`: it is worth what the team still earns, so
-    leaving costs nothing; `terminated`: its return is over, which with rewards above 0 punishes leaving."""
+    """How the stream of an AV that leaves ends. `truncated`: as if it went on, so leaving costs nothing: it
+    is worth what the team still earns, or with own rewards what it would earn if the road went on;
+    `terminated`: its return is over, which with rewards above 0 punishes leaving."""
     warm_up_s: float = 30.0
     """Rates `..._warm_vph` count from here, since nobody can have crossed in the first 12 s; those of an
     episode that ends before count all of it."""

@@ -195,7 +195,7 @@ class IntersectionBatchedEnv:
 
     def _pay(self, acted: NDArray[np.bool_]) -> None:
         """Pay for the step just taken. The paper pays whoever `acted` (N,) and still is on the road; so does
-        the scope `own`, which pays exits and crashes, too."""
+        the scope `own`, which charges those that crashed, too."""
         seen, ledger, rewards = self._seen, self.ledger, self._outcome.rewards[0]
         scaled, paper = seen.rewards.tolist()
         # Slots that were left in this step are empty still.
@@ -212,9 +212,9 @@ class IntersectionBatchedEnv:
             rewards.fill(scaled)
             return
         np.multiply(there, seen.own, out=rewards, casting="unsafe")
-        weights = self.config.reward
         for slot, event in self.events.items():
-            rewards[slot] = weights.throughput if event == "arrived" else -weights.collision
+            if event == "collided":
+                rewards[slot] = -self.config.reward.collision
 
     def _end(self, crashed: bool) -> None:
         """Every slot's stream ends, and the next episode begins."""

@@ -46,7 +46,7 @@ _NEAR_M = 50.0
 observation, ten metres are next to nothing."""
 _LONGEST_HEADWAY_S = 5.0
 _LIKELY_SPEED = 3.0
-"""At least this fast whoever stands is thought to be about to come, m/s."""
+"""Who drives slower, or stands, is ranked as if it came at this speed, m/s."""
 _PAPER_GAINS = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.0)
 _EPSILON = 1e-5
 
@@ -279,7 +279,8 @@ def _late(traffic: Traffic, row: int) -> float:
 
 @compiled_allocating
 def _own(crossing: Crossing, traffic: Traffic, row: int) -> float:
-    """The weighted scaled terms of one AV, as if it were all that drives; without its exit and crash."""
+    """What one AV earns by how it drives: the weighted scaled terms of speed, standstill and headway, as if
+    it were all that drives."""
     speed, weights = traffic.speed[row], crossing.weights
     nearness = max(1.0 - abs(speed - TARGET_SPEED) / TARGET_SPEED, 0.0)
     quickness = min(speed / SPEED_LIMIT, 1.0)

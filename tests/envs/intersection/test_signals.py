@@ -218,7 +218,7 @@ def test_returns_are_sums_of_what_was_paid(kind: str, crossing: Callable[..., An
         assert metrics["paper_return"] == pytest.approx(paper, rel=1e-4)
 
 
-def test_own_rewards_are_of_ones_own_driving_exit_and_crash(crossing: Callable[..., Any]) -> None:
+def test_own_rewards_are_of_ones_own_driving_and_crash(crossing: Callable[..., Any]) -> None:
     from headway_envs.intersection.config import RewardConfig
 
     reward = RewardConfig(scope="own", throughput=3.0, collision=7.0)
@@ -232,7 +232,7 @@ def test_own_rewards_are_of_ones_own_driving_exit_and_crash(crossing: Callable[.
         assert (paid[~there] == 0).all()
         for slot, event in env.events.items():
             seen[event] += 1
-            assert paid[slot] == (3.0 if event == "arrived" else -7.0)
+            assert paid[slot] == (0.0 if event == "arrived" else -7.0)
         for row, slot, vehicle in env.street.roster.automated:
             if before[slot] != vehicle:
                 continue

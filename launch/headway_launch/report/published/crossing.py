@@ -34,7 +34,9 @@ FIGURES = (
     Figure("speed", "speed, m/s", 2),
     Figure("fuel_gal_s", "fuel, gal/s", 6),
     Figure("vehicles", "vehicles", 1),
+    Figure("speed_av", "AVs' speed, m/s", 2),
     Figure("acceleration_av", "AVs' acceleration, m/s²", 2),
+    Figure("hardest_braking_av", "AVs' hardest braking, m/s²", 1),
     Figure("fairness_jain", "fairness", 3),
 )
 PUBLISHED_NAMES = {"ippo": "PPO", "a3c": "A3C", "ddpg": "DDPG"}
