@@ -93,9 +93,11 @@ class Grouping:
         self, by_policy: NDArray[Any], replicas: int, steps: int, agents: int | None = None
     ) -> NDArray[Any]:
         """The inverse of `gather`: (P, G x T x E, ...) -> (T, C, N, ...); `agents`: N, where it was fewer
-        than all."""
+        than all, who share one policy. Raises ValueError for it where there are several."""
+        if agents is not None and self.num_policies > 1:
+            raise ValueError(f"agents of {self.num_policies} policies are all there: give no number of them")
         rest = by_policy.shape[2:]
-        slots = self.members.size if agents is None or self.num_policies > 1 else agents
+        slots = self.members.size if agents is None else agents
         stacked = by_policy.reshape(replicas, slots, steps, -1, *rest)
         if not self._in_order:
             stacked = stacked[:, self._place]

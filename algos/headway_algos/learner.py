@@ -130,7 +130,7 @@ class OnPolicyLearner:
         if self.config.normalise_observations:
             alive = trajectory.alive[:-1]
             rows = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
-            self.actor.moments.include(rows, torch.from_numpy(self.layout.selection(alive)).to(self.device))
+            self.actor.moments.include(rows, self.layout.selection(alive))
 
     def _refuse_blind_critic(self, advantages: NDArray[np.float64], iteration: int) -> None:
         """Raise HeadwayError where advantages (T, C, W) are not finite: a trust region would stay put on

@@ -1,9 +1,14 @@
 """Running means and standard deviations, one for each of a stack of networks."""
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway_algos.acting import OBSERVATION_CLIP
+
+_MANY_VALUES = 8192
+"""Of one network, on a CPU: from so many on, summing what is not selected costs more than a loop."""
 
 
 class RunningMoments(nn.Module):
@@ -25,18 +30,13 @@ class RunningMoments(nn.Module):
         self.latest: tuple[Tensor, Tensor, Tensor] | None = None
         """Count (P, 1, 1), mean and summed squared deviations (P, 1, size) of the rows included last."""
 
-    def include(self, rows: Tensor, selected: Tensor | None = None) -> None:
-        """Add rows (P, B, size) where `selected` (P, B) holds."""
-        if selected is None or bool(selected.all()):
-            values = rows.double()
-            count = torch.full_like(self.count, rows.shape[1])
-            mean = values.mean(1, keepdim=True)
-            squares = ((values - mean) ** 2).sum(1, keepdim=True)
-        else:
-            # Network by network: where most rows are of agents that are absent, a sum over all costs most.
-            parts = [_moments(each[which].double()) for each, which in zip(rows, selected, strict=True)]
-            count = selected.sum(1).double()[:, None, None]
-            mean, squares = (torch.stack(of_all) for of_all in zip(*parts, strict=True))
+    def include(self, rows: Tensor, selected: NDArray[np.bool_] | None = None) -> None:
+        """Add rows (P, B, size) where `selected` (P, B) holds; the others may hold anything."""
+        chosen = np.ones(rows.shape[:2], np.bool_) if selected is None else selected
+        count = torch.from_numpy(chosen.sum(axis=1, keepdims=True)[..., None]).to(rows.device).double()
+        # By what each network has alone: how it is summed must not depend on those it is stacked with.
+        many = rows.device.type == "cpu" and rows[0].numel() >= _MANY_VALUES
+        mean, squares = (_one_by_one if many else _at_once)(rows, chosen, count.clamp(min=1))
         self.latest = count, mean, squares
         self.add(count, mean, squares)
 
@@ -68,7 +68,22 @@ class RunningMoments(nn.Module):
         return torch.sqrt(self.variance + 1e-8)
 
 
-def _moments(rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and summed squared deviations from it, (1, size) each, of rows (B, size); 0 of none."""
-    mean = rows.sum(0, keepdim=True) / max(len(rows), 1)
-    return mean, ((rows - mean) ** 2).sum(0, keepdim=True)
+def _at_once(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple[Tensor, Tensor]:
+    """Means and summed squared deviations from them, (P, 1, size) each, 0 of none, of the rows (P, B, size)
+    chosen, of which each network has `count` (P, 1, 1), or 1 for none."""
+    taken = torch.from_numpy(chosen).to(rows.device)[..., None]
+    values = torch.where(taken, rows, 0).double()
+    mean = values.sum(1, keepdim=True) / count
+    return mean, torch.where(taken, values - mean, 0).square().sum(1, keepdim=True)
+
+
+def _one_by_one(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple[Tensor, Tensor]:
+    """The same, of the rows chosen alone."""
+    parts = []
+    for of_network, which, number in zip(rows, chosen, count, strict=True):
+        places = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
+        values = of_network.index_select(0, places).double()
+        mean = values.sum(0, keepdim=True) / number
+        parts.append((mean, (values - mean).square_().sum(0, keepdim=True)))
+    means, squares = zip(*parts, strict=True)
+    return torch.stack(means), torch.stack(squares)

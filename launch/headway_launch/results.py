@@ -1,5 +1,6 @@
 """What an experiment came to: one row a seed, their mean and deviation."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,7 +144,7 @@ def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     result. What the log holds beyond is dropped when the run goes on."""
     if not run.record.durable_env_steps:
         return None, None
-    from headway.stats import FEWEST_POINTS, auc, final_reward
+    from headway.stats import auc, final_reward
     from headway.store.log import read_curve
 
     curve = read_curve(run.directory, f"evaluation_{mode}/return")
@@ -151,8 +152,8 @@ def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
     if not points:
         return None, None
     steps, values = list(points), list(points.values())
-    area = auc(steps, values) if len(steps) >= FEWEST_POINTS else None
-    return final_reward(steps, values), area
+    area = auc(steps, values)
+    return final_reward(steps, values), None if math.isnan(area) else area
 
 
 def print_results(

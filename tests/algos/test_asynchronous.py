@@ -114,6 +114,34 @@ def _assert_alike(naive: NaiveAgent, published: Arrays) -> None:
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])
+def test_room_for_agents_that_never_come_changes_no_contribution(
+    fabricate: Made,
+    poisoned: Callable[[Trajectory], Trajectory],
+    monkeypatch: pytest.MonkeyPatch,
+    spec: EnvSpec,
+) -> None:
+    """A worker that leaves out no slot finds the same: of two agents, of one, of none, of three."""
+    shared = replace(CONFIG, policies="shared", normalise_observations=True, normalise_values=True)
+    roomy = replace(spec, agents=tuple("abcdefgh"))
+    leaving_out, whole = (A2CContributor(shared, roomy, (SEED,)) for _ in range(2))
+    monkeypatch.setattr(whole.learner, "_of_who_was_there", lambda trajectory: trajectory)
+    published = AsynchronousA2CLearner(shared, roomy, (SEED,), "cpu").published()
+    for number, last in enumerate((2, 1, 0, 3), start=1):
+        made = fabricate(roomy, 8, 2, seed=number, absent=0.3, idle=0.2, leaves=0.05)
+        made.alive[:, :, last:] = False
+        made.alive[0, 0, :last] = made.acting[0, 0, :last] = True
+        made.acting[:] &= made.alive[:-1]
+        leaving_out.adopt(published)
+        whole.adopt(published)
+        found, expected = (each.contribute(poisoned(made), number) for each in (leaving_out, whole))
+        assert found.arrays.keys() == expected.arrays.keys()
+        for name, array in expected.arrays.items():
+            np.testing.assert_allclose(found.arrays[name], array, rtol=1e-9, atol=1e-12, err_msg=name)
+        for name, metric in expected.metrics.items():
+            np.testing.assert_allclose(found.metrics[name], metric, rtol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("spec", [DISCRETE, BOX])
 def test_a_stale_gradient_is_that_of_its_own_parameters_applied_to_those_of_now(
     fabricate: Made, poisoned: Callable[[Trajectory], Trajectory], naive_advantages: Advantages, spec: EnvSpec
 ) -> None:

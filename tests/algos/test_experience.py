@@ -40,6 +40,20 @@ def test_rows_are_ordered_by_agent_step_and_copy(policies: str) -> None:
     np.testing.assert_array_equal(layout.by_agent(rows, STEPS), values)
 
 
+def test_the_first_agents_of_a_shared_policy_come_back() -> None:
+    layout, values = _layout("shared"), np.arange(STEPS * REPLICAS * COPIES * 2.0)
+    by_agent = values.reshape(STEPS, REPLICAS * COPIES, 2)
+    np.testing.assert_array_equal(layout.by_agent(layout.rows(by_agent), STEPS, agents=2), by_agent)
+
+
+@pytest.mark.parametrize("policies", ["independent", "groups"])
+def test_agents_of_several_policies_cannot_be_the_first_few(policies: str) -> None:
+    layout = _layout(policies)
+    rows = layout.rows(np.zeros((STEPS, REPLICAS * COPIES, 6)))
+    with pytest.raises(ValueError, match="policies are all there"):
+        layout.by_agent(rows, STEPS, agents=2)
+
+
 def test_groups_are_those_the_environment_names() -> None:
     members = Grouping.of("groups", SPEC).members
     assert members.tolist() == [[0, 2, 4], [1, -1, -1], [3, 5, -1]]

@@ -249,18 +249,29 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX, replace(DISCRETE, shared_reward=True)])
-@pytest.mark.parametrize("config", [IPPO, IA2C, ITRPO])
+@pytest.mark.parametrize("config", [IPPO, IA2C, ITRPO, MAACKTR], ids=lambda config: config.name)
 def test_room_for_agents_that_never_come_changes_nothing(
-    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
+    fabricate: Fabricate,
+    poisoned: Poison,
+    monkeypatch: pytest.MonkeyPatch,
+    config: AlgoConfig,
+    spec: EnvSpec,
 ) -> None:
-    """Slots beyond the last that somebody had are left out, in one iteration more of them than in another."""
+    """Slots beyond the last that somebody had are left out, in one iteration more of them than in another,
+    and all in one: a learner that leaves out none learns the same. One comes when all steps are over and the
+    others have left: what a team awaits is told by her alone."""
     shared = replace(config, policies="shared")
     roomy = replace(spec, agents=tuple("abcdefghi"), groups=())
     tight, wide = OnPolicyLearner(shared, spec, (1, 2), "cpu"), OnPolicyLearner(shared, roomy, (1, 2), "cpu")
-    for iteration, last in ((1, 4), (2, 2), (3, 3)):
+    monkeypatch.setattr(tight, "_of_who_was_there", lambda trajectory: trajectory)
+    for iteration, last in ((1, 4), (2, 2), (3, 0), (4, 3)):
         made = fabricate(roomy, 8, 6, seed=iteration, absent=0.3, idle=0.2, leaves=0.05)
         made.alive[:, :, last:] = False
-        made.alive[0, 0, last - 1] = True
+        if last:
+            made.alive[0, 0, last - 1] = made.acting[0, 0, last - 1] = True
+        if last == 3:
+            made.alive[:-1, :, 2] = made.alive[-1, :, :2] = False
+            made.alive[-1, :, 2] = True
         made.acting[:] &= made.alive[:-1]
         expected = tight.update(_of_agents(made, slice(0, 4)), iteration, 0.0)
         for name, value in wide.update(poisoned(made), iteration, 0.0).items():

@@ -87,19 +87,21 @@ def test_a_policys_first_weights_depend_on_its_seed_and_place_alone() -> None:
         assert not torch.equal(of_other, by_itself)
 
 
-def test_running_moments_equal_numpys_on_all_data_at_once() -> None:
+@pytest.mark.parametrize("size", [4, 500], ids=["few values", "many values"])
+def test_running_moments_equal_numpys_on_all_data_at_once(size: int) -> None:
     draw = np.random.default_rng(0)
-    moments = RunningMoments(3, 4)
+    moments = RunningMoments(3, size)
     seen: list[list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]] = [[], [], []]
     for batch in range(6):
-        rows = 1e4 + draw.normal(size=(3, 20 + batch, 4)) * [0.1, 1, 10, 100]
+        rows = 1e4 + draw.normal(size=(3, 20 + batch, size)) * np.geomspace(0.1, 100, size)
         selected = draw.random(rows.shape[:2]) < [[0.0 if batch < 3 else 0.5], [0.5], [1.0]]
-        moments.include(torch.from_numpy(rows), torch.from_numpy(selected))
+        rows[~selected] = np.nan
+        moments.include(torch.from_numpy(rows), selected)
         for p in range(3):
             seen[p].append(rows[p, selected[p]])
         if batch == 2:
-            assert torch.equal(moments.mean[0], torch.zeros(1, 4, dtype=DOUBLE))
-            assert torch.equal(moments.variance[0], torch.ones(1, 4, dtype=DOUBLE))
+            assert torch.equal(moments.mean[0], torch.zeros(1, size, dtype=DOUBLE))
+            assert torch.equal(moments.variance[0], torch.ones(1, size, dtype=DOUBLE))
     for p in range(3):
         every = np.concatenate(seen[p])
         assert float(moments.count[p]) == len(every)
@@ -108,11 +110,25 @@ def test_running_moments_equal_numpys_on_all_data_at_once() -> None:
         np.testing.assert_allclose(moments.std[p, 0] * moments.scale[p, 0], 1, rtol=1e-12)
 
 
+@pytest.mark.parametrize("batch", [50, 1000, 3000], ids=["few values", "many in the stack", "many in each"])
+@pytest.mark.parametrize("others", [0.5, 1.0], ids=["some of the others", "all of the others"])
+def test_running_moments_of_a_network_are_bit_for_bit_those_it_has_alone(batch: int, others: float) -> None:
+    """Whatever rows the others of its stack have."""
+    draw = np.random.default_rng(2)
+    rows = torch.from_numpy(draw.normal(size=(3, batch, 3)).astype(np.float32))
+    selected = draw.random((3, batch)) < [[others], [0.7], [others]]
+    stacked, alone = RunningMoments(3, 3), RunningMoments(1, 3)
+    stacked.include(rows, selected)
+    alone.include(rows[1:2], selected[1:2])
+    assert torch.equal(stacked.mean[1], alone.mean[0])
+    assert torch.equal(stacked.variance[1], alone.variance[0])
+
+
 def test_running_moments_without_a_selection_take_every_row() -> None:
     rows = torch.randn(2, 30, 3, generator=torch.Generator().manual_seed(4))
     one, other = RunningMoments(2, 3), RunningMoments(2, 3)
     one.include(rows)
-    other.include(rows, torch.ones(2, 30, dtype=torch.bool))
+    other.include(rows, np.ones((2, 30), np.bool_))
     torch.testing.assert_close(one.mean, other.mean)
     torch.testing.assert_close(one.variance, other.variance)
 

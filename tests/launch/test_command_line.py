@@ -65,8 +65,8 @@ print("imported:", *sorted(imported - of_numpy - sys.stdlib_module_names))
 """
 
 
-def test_help_is_quick() -> None:
-    """Of what is not ours or Python's it imports numpy alone."""
+def test_help_imports_numpy_alone() -> None:
+    """Of what is not ours or Python's: so it is quick."""
     shown = subprocess.run([sys.executable, "-c", _HELP], capture_output=True, text=True, check=True).stdout
     assert "headway run" in shown
     assert shown.splitlines()[-1] == "imported: headway headway_launch numpy"

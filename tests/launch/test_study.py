@@ -188,6 +188,13 @@ def test_the_cells_of_a_search_are_named_by_its_candidates(tmp_path: Path) -> No
     assert "ippo, algo.lr=1, algo.clip=0.1" in labelled_cells(RunIndex(tmp_path).rows())
 
 
+def test_a_cell_of_which_one_run_knows_the_candidate_is_named_by_it(tmp_path: Path) -> None:
+    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "1"})
+    keep_run(tmp_path, 1, "FINISHED", candidate="short", **{"algo.lr": "1"})
+    keep_run(tmp_path, 0, "FINISHED", candidate="long", **{"algo.lr": "2"})
+    assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo: long", "ippo: short"]
+
+
 def test_arguments_of_a_task_are_called_as_its_environment_does(tmp_path: Path) -> None:
     for supervisor in ("True", "False"):
         keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": supervisor, "env.args.steps": "9"})

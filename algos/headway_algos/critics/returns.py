@@ -116,7 +116,7 @@ class Regression:
             layout.device
         )
         if config.normalise_values:
-            moments.include(targets[..., None], torch.from_numpy(selected).to(layout.device))
+            moments.include(targets[..., None], selected)
             targets = (targets - moments.mean[..., 0]) / moments.std[..., 0]
         targets = targets.to(layout.dtype)
         loss_sum = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype)
@@ -161,7 +161,7 @@ class Regression:
         if self.config.normalise_observations:
             seen = self.layout.rows(self.view.seen(Scene.of_steps(trajectory)))
             selected = self.layout.selection(presence(trajectory.alive[:-1], self.view))
-            self.networks.input_moments.include(seen, torch.from_numpy(selected).to(self.layout.device))
+            self.networks.input_moments.include(seen, selected)
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""

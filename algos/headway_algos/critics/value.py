@@ -64,7 +64,8 @@ class ValueCritic:
     def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
         """See `headway_algos.critics.Critic`."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        viewpoints = presence(trajectory.alive, self.view).shape[2]
+        there = presence(trajectory.alive, self.view).shape[2]
+        viewpoints = there if there < self.view.viewpoints else None
 
         def worth(scene: Scene) -> NDArray[np.float64]:
             shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene

@@ -121,7 +121,7 @@ class ReplayLearner:
         if self.config.normalise_observations:
             alive = trajectory.alive[:-1]
             rows = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
-            self.moments.include(rows, torch.from_numpy(self.layout.selection(alive)).to(self.device))
+            self.moments.include(rows, self.layout.selection(alive))
 
     def _remember(self, trajectory: Trajectory) -> None:
         transitions = self.maker.transitions(trajectory)

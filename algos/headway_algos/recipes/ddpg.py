@@ -8,7 +8,8 @@ through, its critic Q(o, u) takes a step down E[l(Q(o, u) - y)] and its actor on
 
 (Lillicrap et al. 2016, arXiv:1509.02971, algorithm 1), where Q' and mu' are copies that follow slowly:
 theta' <- tau theta + (1 - tau) theta'. Not of the paper: actions enter the critic with the observation,
-observations are normalised by their running moments instead of batches', and there is no weight decay.
+observations are normalised by their running moments instead of batches', there is no weight decay, and the
+actor may be held from the bounds of its actions (`saturation_coeff`; 0, the default, is the paper's).
 
 Neighbours: MADQN is the same for Discrete actions, which need no actor; IPPO learns a Gaussian policy, from
 what it has just done alone.
@@ -41,8 +42,10 @@ class DDPGConfig(ReplayConfig):
     loss: Literal["huber", "squared"] = "squared"
     """Of the difference from a target: half its square, or (Huber) linear beyond 1."""
     saturation_coeff: float = 0.0
-    """Weight of the mean square of what the actor puts into its tanh: without it actions stick to the bounds,
-    where no gradient is left (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A)."""
+    """Weight, beside Q, of the squares of what the actor puts into its tanh, summed over the actions of an
+    agent: without it actions stick to the bounds, where no gradient is left (Andrychowicz et al. 2017,
+    arXiv:1707.01495, appendix A). It is in units of reward: of rewards ten times as large it must be ten
+    times, too, to do the same."""
     ou_theta: float = 0.15
     """Share of the noise that a step takes away."""
     ou_sigma: float = 0.2

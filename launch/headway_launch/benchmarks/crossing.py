@@ -257,7 +257,9 @@ def _report_growth(resets: int = 1000) -> None:
 def _report_training() -> None:
     """Of one seed of the experiments, without evaluations: what their budgets take."""
     print("\n## The crossing: training one seed, without evaluations\n")
-    print("| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | a worker at most, MB |")
+    print(
+        "| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | a worker or evaluation, MB |"
+    )
     print("|---|---|---:|---:|---:|---:|")
     for experiment, algo in TRAININGS:
         task, budget = _training(experiment, algo)

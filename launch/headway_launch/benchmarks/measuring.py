@@ -8,14 +8,13 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
 from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway.config import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
 from headway.configuration import build
-from headway.events import Event, IterationFinished
+from headway.events import Event, IterationFinished, Started
 from headway.registry import algo_entry, env_entry
 
 WARM_UP = 2
@@ -51,7 +50,8 @@ class Measurement:
     collect_s: float
     learn_s: float
     worker_mb: float = 0.0
-    """The most memory that a worker process has held, resident; 0 without workers."""
+    """The most memory that a worker, or the process that evaluates where that is another, has held, resident;
+    0 without both."""
 
     @property
     def per_second(self) -> float:
@@ -114,12 +114,15 @@ def measure_here(task: Task) -> Measurement:
         evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),
     )
     marks: list[tuple[float, float, float, float]] = []
+    others: list[int] = []
     most = 0.0
 
     def note(event: Event) -> None:
-        nonlocal most
+        nonlocal others, most
+        if isinstance(event, Started):
+            _, *others = event.process_ids
         if isinstance(event, IterationFinished):
-            most = max([most, *(_peak_mb(child.pid) for child in active_children())])
+            most = max([most, *map(_peak_mb, others)])
             row = event.curve[0]
             marks.append(
                 (
@@ -158,7 +161,7 @@ def measure_here(task: Task) -> Measurement:
     )
 
 
-def _peak_mb(process_id: int | None) -> float:
+def _peak_mb(process_id: int) -> float:
     """Of a process of Linux; 0 where it is gone."""
     try:
         status = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ import pandas as pd
 from headway import drawing
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
-from headway.stats import Interval, frames
+from headway.stats import Interval, MeanStd, frames, mean_std
 from headway.store import Selection
 from headway.store.selection import LABELS as WHOSE
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference
@@ -32,6 +32,12 @@ class Against:
 
     interval: Interval | None
     why_not: str = ""
+
+
+def over_known(figures: pd.Series) -> MeanStd:
+    """Mean and deviation over the runs that have a figure; NaN where none has."""
+    known = figures.dropna().to_numpy()
+    return mean_std(known) if len(known) else MeanStd(float("nan"), float("nan"), 0)
 
 
 class StudyData:

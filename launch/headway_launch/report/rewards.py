@@ -5,9 +5,9 @@ from typing import Any
 import pandas as pd
 
 from headway import drawing
-from headway.stats import FEWEST_POINTS, frames, mean_std
+from headway.stats import FEWEST_POINTS, frames
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM
-from headway_launch.report.gather import Against, StudyData
+from headway_launch.report.gather import Against, StudyData, over_known
 from headway_launch.report.parts import (
     MISSING,
     Part,
@@ -72,11 +72,10 @@ def published_form(data: StudyData) -> Section:
             "Some run has no training curve, as no episode ended in training: those columns are empty."
         )
     body += [table, *_unequal_budgets(data)]
-    if (data.curves.groupby("run_id").size() < FEWEST_POINTS).any():
+    if data.figures["auc_own"].isna().any():
         body.append(
-            f"Some runs were evaluated fewer than {FEWEST_POINTS} times. The AUC of a curve of two points "
-            "says nothing: by the run's own range it is 0.5 whatever was learnt (`evaluation.every` sets how "
-            "often)."
+            f"Runs evaluated fewer than {FEWEST_POINTS} times have no AUC by their own range, which would be "
+            "0.5 whatever was learnt (`evaluation.every` sets how often): the mean is over the others."
         )
     body += _one_seed(data)
     return Section("published", "The form of the papers", body)
@@ -102,7 +101,7 @@ def _published(data: StudyData, runs: list[str]) -> tuple[list[str], dict[str, o
             if source is None:
                 cells.append(MISSING)
                 continue
-            found = mean_std(source.loc[runs, column].to_numpy())
+            found = over_known(source.loc[runs, column])
             cells.append(with_deviation(found.mean, found.std, None if column == "final_reward" else 3))
             whole |= {f"{name}_{column}_mean": found.mean, f"{name}_{column}_std": found.std}
     return cells, whole

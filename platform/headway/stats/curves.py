@@ -29,9 +29,10 @@ def auc(
     """Area under the min-max-normalised curve over its span of steps, by the trapezoid rule: 0 to 1.
 
     Without bounds, the curve's own extremes are 0 and 1 (per-run normalisation, as published; it says how
-    early a run learns, not how well). With study-wide bounds `low` and `high` (`value_range`), runs may be
-    ranked, and values outside count as they are. A flat curve has no shape: with its own extremes its area
-    is 0.5 by definition. A curve of one point has the area of its normalised value.
+    early a run learns, not how well; NaN for fewer than `FEWEST_POINTS`). With study-wide bounds `low` and
+    `high` (`value_range`), runs may be ranked, values outside count as they are, and a curve of one point has
+    the area of its normalised value. A flat curve has no shape: with its own extremes its area is 0.5 by
+    definition.
 
     Raises ValueError for a curve that is empty or unordered, one bound alone, or `low` not below `high`.
     """
@@ -39,6 +40,8 @@ def auc(
     if (low is None) != (high is None):
         raise ValueError("give both low and high, or neither")
     if low is None or high is None:
+        if len(curve) < FEWEST_POINTS:
+            return float("nan")
         low, high = float(curve.min()), float(curve.max())
         if low == high:
             return 0.5

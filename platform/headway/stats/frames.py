@@ -30,8 +30,9 @@ _COSTS = ("kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "kg_co2", "cpu_seconds")
 
 def curve_figures(curves: pd.DataFrame) -> pd.DataFrame:
     """Of each run, by `run_id`: `controller`, `task`, `final_reward`, `auc_own` (normalised by the run's own
-    range, as published) and `auc_study` (by the range of all curves of the task, for ranking; 0.5 where that
-    is a single value). Raises ValueError for a curve whose steps do not increase."""
+    range, as published; NaN of fewer points than `FEWEST_POINTS`) and `auc_study` (by the range of all curves
+    of the task, for ranking; 0.5 where that is a single value). Raises ValueError for a curve whose
+    steps do not increase."""
     rows = []
     for task, of_task in curves.groupby("task", sort=False):
         low, high = value_range([of_task["value"].to_numpy()])

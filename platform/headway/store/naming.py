@@ -63,12 +63,10 @@ def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
 
 def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
     """What each cell is called. Raises HeadwayError for a run whose record cannot be read."""
-    first: dict[str, RunRow] = {}
-    presets: dict[str, str] = {}
+    cells: dict[str, list[RunRow]] = defaultdict(list)
     for run in runs:
-        first.setdefault(run.cell, run)
-        presets[run.cell] = presets.get(run.cell) or run.preset
-    return names_among({cell: _choice(run, presets[cell]) for cell, run in first.items()})
+        cells[run.cell].append(run)
+    return names_among({cell: _choice(of_cell) for cell, of_cell in cells.items()})
 
 
 def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
@@ -88,11 +86,14 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
     }
 
 
-def _choice(run: RunRow, preset: str) -> CellChoice:
-    record = RunRecord.read(Path(run.directory))
+def _choice(runs: Sequence[RunRow]) -> CellChoice:
+    """Of a cell, whose older runs may not know its preset or candidate."""
+    run, records = runs[0], (RunRecord.read(Path(each.directory)) for each in runs)
+    record = next(records)
+    candidate = record.candidate or next((each.candidate for each in records if each.candidate), "")
+    preset = next((each.preset for each in runs if each.preset), "")
     policies = {_POLICIES: run.policies} if run.policies else {}
-    parameters = {**policies, **record.parameters}
-    return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate)
+    return CellChoice(run.environment, run.algorithm, preset, {**policies, **record.parameters}, candidate)
 
 
 def _told_apart(

@@ -53,11 +53,17 @@ def test_means_of_what_never_varies_have_no_interval() -> None:
 
 
 def test_auc_of_known_shapes() -> None:
-    assert auc([0, 10], [-5, 5]) == 0.5
+    assert auc([0, 5, 10], [-5, 0, 5]) == 0.5
     assert auc([0, 1, 10], [0, 1, 1]) == pytest.approx((0.5 + 9) / 10)
     assert auc([5, 6, 15], [3, 3, 3]) == 0.5  # flat, by definition
     assert auc([0, 10], [2, 2], low=0, high=8) == 0.25
     assert auc([4], [6], low=0, high=8) == 0.75
+
+
+@pytest.mark.parametrize("values", [[3], [3, 3], [-5, 5], [5, -5]])
+def test_a_curve_of_two_points_has_no_area_by_its_own_range(values: list[float]) -> None:
+    """It would be a half, whatever was learnt."""
+    assert np.isnan(auc([10, 20][: len(values)], values))
 
 
 def test_auc_does_not_change_with_scale_or_shift() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from headway_launch.benchmarks.actors import Growth, Wire
+from headway_launch.benchmarks.actors import Growth, Wire, growth_cells
 
 FREE = Wire(bytes_a_step=0.0, parameter_bytes=0.0, message_s=0.0, byte_s=0.0)
 
@@ -32,3 +32,10 @@ def test_what_goes_over_the_wire_is_added(costs: dict[str, float]) -> None:
     """A second more in each case, to four workers' second."""
     growth = Growth(steps=1000, worker_s=0.004, learn_s=0.0, wire=replace(FREE, **costs))
     assert growth.per_second(4, 2) == pytest.approx(500)
+
+
+def test_nothing_is_planned_of_the_worker_from_which_the_plan_was_made() -> None:
+    """Of 32 workers, on two nodes, parameters are sent twice."""
+    wire = replace(FREE, parameter_bytes=1e5, byte_s=1e-6)
+    cells = growth_cells(Growth(steps=1000, worker_s=0.0064, learn_s=0.0, wire=wire), one=151, two=290)
+    assert cells == ["151", "290 (303)", "588", "1,111", "2,000", "2,500", "2,000"]

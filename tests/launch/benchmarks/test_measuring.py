@@ -1,5 +1,11 @@
 """What is measured is the training that `headway run` would do."""
 
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import psutil
 import pytest
 
 import headway.training
@@ -7,7 +13,8 @@ from headway.config import BackendConfig
 from headway.rollout.collecting import Contributors
 from headway.rollout.contributing import AsynchronousPlan
 from headway.rollout.crew import Notify
-from headway_launch.benchmarks.measuring import Task, measure_here
+from headway_launch.benchmarks import measuring
+from headway_launch.benchmarks.measuring import Task, _peak_mb, measure_here
 
 
 def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,3 +30,27 @@ def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: py
     assert measure_here(task).env_steps == 2 * 4 * 8
     (contributors,) = opened
     assert contributors.number == 2
+
+
+def test_memory_is_that_of_other_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of workers; where training is in one process, of none."""
+    task = Task("trivial", "ippo", {}, {}, copies=4, steps=8, block=2, iterations=4)
+    assert measure_here(task).worker_mb == 0
+    asked: list[int] = []
+
+    def peak_mb(process_id: int) -> float:
+        asked.append(process_id)
+        return _peak_mb(process_id)
+
+    monkeypatch.setattr(measuring, "_peak_mb", peak_mb)
+    found = measure_here(replace(task, backend="process", workers=2)).worker_mb
+    assert 5 < found < 2000
+    assert len(set(asked)) == 2
+    assert os.getpid() not in asked
+
+
+def test_the_peak_of_a_process_that_is_gone_is_nothing() -> None:
+    assert _peak_mb(os.getpid()) >= psutil.Process().memory_info().rss / 2**20 * 0.5
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait()
+    assert _peak_mb(child.pid) == 0

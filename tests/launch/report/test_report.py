@@ -172,12 +172,20 @@ def test_of_a_cell_that_diverged_the_captions_say_so(keep_run: KeepRun, root: Pa
     assert pictures["reward_against_energy"].get_ylim()[0] > -30
 
 
-def test_the_area_under_a_curve_of_two_points_is_said_to_say_nothing(keep_run: KeepRun, root: Path) -> None:
-    remark = "The AUC of a curve of two points says nothing"
-    keep_run(TRACKING, 0, 1.0)
+def test_runs_of_few_evaluations_have_no_area_by_their_own_range(keep_run: KeepRun, root: Path) -> None:
+    """Nor a half in the mean over seeds."""
+    remark = "Runs evaluated fewer than 3 times have no AUC"
+    keep_run((*TRACKING, "algo=ippo"), 0, 1.0)
     assert remark not in said(made(root))
-    keep_run(TRACKING, 1, 1.0, points=2)
-    assert remark in said(made(root))
+    keep_run((*TRACKING, "algo=ippo"), 1, 1.0, points=2)
+    keep_run((*TRACKING, "algo=ia2c"), 0, 1.0, points=2)
+    report = made(root)
+    assert remark in said(report)
+    published = table(report, "published_form").set_index("controller")
+    areas = published[["training_auc_own_mean", "greedy_auc_own_mean"]]
+    assert areas.loc["ippo"].tolist() == [pytest.approx(0.75)] * 2
+    assert areas.loc["ia2c"].isna().all()
+    assert published.loc["ia2c", "greedy_auc_study_mean"] == pytest.approx(0.25)
 
 
 def test_controllers_that_are_paid_by_different_rules_while_training_are_said(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.stats import mean_std
-from headway_launch.report.gather import StudyData
+from headway_launch.report.gather import StudyData, over_known
 from headway_launch.report.parts import MISSING, Part, Section, Table, figure, with_deviation
 from headway_launch.report.published.episodes import env_of, tasks_of
 from headway_launch.study import configuration
@@ -101,7 +101,7 @@ def _figures_of(data: StudyData, members: list["RunRow"]) -> dict[str, float]:
     buses = int(configuration(members[0].directory)["env"]["args"]["agents"])
     curves = data.training_figures.loc[runs]
     reward = mean_std(buses * curves["final_reward"].to_numpy())
-    auc = mean_std(curves["auc_own"].to_numpy())
+    auc = over_known(curves["auc_own"])
     return {
         "seeds": len(members),
         "final_reward": reward.mean,
