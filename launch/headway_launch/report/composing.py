@@ -81,7 +81,10 @@ def _best_learner(data: StudyData, task: str) -> str:
 
 def _against_rules(data: StudyData, task: str) -> list[str]:
     if task not in data.best_rules:
-        return [f"No rule was played on {task}: whether learning beats a simple rule is not known."]
+        return [
+            f"No rule was played on {task}: whether learning beats a simple rule is not known. A sweep plays "
+            "them when all of its runs have ended; `headway compare` plays them at any time."
+        ]
     rule = data.best_rules[task]
     better, worse, open_ = [], [], []
     for controller in data.on(task):

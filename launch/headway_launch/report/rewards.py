@@ -69,7 +69,8 @@ def published_form(data: StudyData) -> Section:
     body += _paid_by_several_rules(data)
     if data.training_figures is None:
         body.append(
-            "Some run has no training curve, as no episode ended in training: those columns are empty."
+            "The training columns are empty: in some run no episode ended in training, or the runs of a cell "
+            "share no step at which one did."
         )
     body += [table, *_unequal_budgets(data)]
     if data.figures["auc_own"].isna().any():
