@@ -247,7 +247,7 @@ def test_cells_that_differ_in_what_they_learn_from_are_compared(capsys: pytest.C
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if "\t" in line]
     cells = [row[1] for row in rows[1:] if not row[1].startswith("rule ")]
     assert len(cells) == 3
-    assert any("env.training_args.steps 9" in cell for cell in cells)
+    assert any("env.training_args.steps=9" in cell for cell in cells)
     assert sum("clip_reward_v0" in cell for cell in cells) == 1
     assert run(["run", "env=trivial", *TINY, "env.args.agents=3"]) == 0
     capsys.readouterr()

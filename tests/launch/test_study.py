@@ -188,8 +188,8 @@ def test_the_cells_of_a_search_are_named_by_its_candidates(tmp_path: Path) -> No
     assert "ippo, algo.lr=1, algo.clip=0.1" in labelled_cells(RunIndex(tmp_path).rows())
 
 
-def test_a_cell_of_which_one_run_knows_the_candidate_is_named_by_it(tmp_path: Path) -> None:
-    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "1"})
+def test_a_cell_of_which_the_newest_run_knows_the_candidate_is_named_by_it(tmp_path: Path) -> None:
+    keep_run(tmp_path, 0, "FINISHED", "2020-01-01T00:00:00+00:00", **{"algo.lr": "1"})
     keep_run(tmp_path, 1, "FINISHED", candidate="short", **{"algo.lr": "1"})
     keep_run(tmp_path, 0, "FINISHED", candidate="long", **{"algo.lr": "2"})
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo: long", "ippo: short"]

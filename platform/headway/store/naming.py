@@ -87,13 +87,12 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
 
 
 def _choice(runs: Sequence[RunRow]) -> CellChoice:
-    """Of a cell, whose older runs may not know its preset or candidate."""
-    run, records = runs[0], (RunRecord.read(Path(each.directory)) for each in runs)
-    record = next(records)
-    candidate = record.candidate or next((each.candidate for each in records if each.candidate), "")
+    """Of a cell, whose older runs may not know its preset or candidate: one record is read, the newest."""
+    run = max(runs, key=lambda each: each.started)
+    record = RunRecord.read(Path(run.directory))
     preset = next((each.preset for each in runs if each.preset), "")
-    policies = {_POLICIES: run.policies} if run.policies else {}
-    return CellChoice(run.environment, run.algorithm, preset, {**policies, **record.parameters}, candidate)
+    parameters = {**({_POLICIES: run.policies} if run.policies else {}), **record.parameters}
+    return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate)
 
 
 def _told_apart(
