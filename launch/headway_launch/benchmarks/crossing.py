@@ -9,16 +9,15 @@ import resource
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.configuration import plain
 from headway.contracts import BatchedEnv, Observed, child_seeds
 from headway.registry import env_entry
-from headway_launch.benchmarks.measuring import WARM_UP, Task, measure
+from headway_launch.benchmarks.measuring import Task, first_part, measure
 from headway_launch.composing import compose
 
 PAPER: Mapping[str, Any] = {
@@ -276,16 +275,5 @@ def _training(experiment: str, algo: str) -> tuple[Task, int]:
     """The first part of a training, and the steps of all of it."""
     composed = compose([f"experiment={experiment}", f"algo={algo}"])
     rollout = composed.config.rollout
-    task = Task(
-        env="intersection",
-        algo=algo,
-        env_args=plain(composed.training_env_config),
-        algo_args=plain(composed.algo_config),
-        copies=rollout.copies,
-        steps=rollout.steps,
-        block=rollout.block,
-        iterations=-(-TRAINED_STEPS // (rollout.copies * rollout.steps)) + WARM_UP,
-        backend="process",
-        workers=rollout.copies // rollout.block,
-    )
-    return task, composed.config.env_steps
+    task = first_part(composed, TRAINED_STEPS)
+    return replace(task, workers=rollout.copies // rollout.block), composed.config.env_steps

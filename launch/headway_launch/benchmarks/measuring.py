@@ -9,13 +9,16 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway.config import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
-from headway.configuration import build
+from headway.configuration import build, plain
 from headway.events import Event, IterationFinished, Started
 from headway.registry import algo_entry, env_entry
+
+if TYPE_CHECKING:
+    from headway_launch.composing import Experiment
 
 WARM_UP = 2
 """Iterations not counted: kernels load, memory is touched for the first time."""
@@ -67,6 +70,22 @@ class Measurement:
     def collected_per_second(self) -> float:
         """Environment steps a second while collecting only."""
         return self.env_steps / self.collect_s
+
+
+def first_part(experiment: "Experiment", env_steps: int) -> Task:
+    """Of an experiment's training, by worker processes: so many environment steps that count."""
+    rollout = experiment.config.rollout
+    return Task(
+        env=experiment.config.env.id,
+        algo=experiment.algo_name,
+        env_args=plain(experiment.training_env_config),
+        algo_args=plain(experiment.algo_config),
+        copies=rollout.copies,
+        steps=rollout.steps,
+        block=rollout.block,
+        iterations=-(-env_steps // (rollout.copies * rollout.steps)) + WARM_UP,
+        backend="process",
+    )
 
 
 class DictBased:

@@ -5,10 +5,9 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from headway.configuration import plain
 from headway.contracts import BatchedEnv, child_seeds
 from headway.registry import env_entry
-from headway_launch.benchmarks.measuring import Task, measure
+from headway_launch.benchmarks.measuring import first_part, measure
 from headway_launch.composing import compose
 
 COPIES = 256
@@ -82,26 +81,11 @@ def _report_training() -> None:
     print(f"| algorithm | environment steps/s | a CPU second | episodes/s | {EPISODES:,} episodes, minutes |")
     print("|---|---:|---:|---:|---:|")
     for algo in ("mappo", "maacktr", "madqn"):
-        result = measure([_training(algo)])[0]
+        experiment = compose(["experiment=merge_study", f"algo={algo}"])
+        result = measure([first_part(experiment, TRAINED_STEPS)])[0]
         episodes = result.per_second / EPISODE_STEPS
         print(
             f"| {algo} | {result.per_second:,.0f} | {result.per_cpu_second:,.0f} | {episodes:,.0f} "
             f"| {EPISODES / episodes / 60.0:.1f} |",
             flush=True,
         )
-
-
-def _training(algo: str) -> Task:
-    experiment = compose(["experiment=merge_study", f"algo={algo}"])
-    rollout = experiment.config.rollout
-    return Task(
-        env="merge",
-        algo=algo,
-        env_args=plain(experiment.training_env_config),
-        algo_args=plain(experiment.algo_config),
-        copies=rollout.copies,
-        steps=rollout.steps,
-        block=rollout.block,
-        iterations=-(-TRAINED_STEPS // (rollout.copies * rollout.steps)),
-        backend="process",
-    )
