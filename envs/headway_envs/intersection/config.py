@@ -103,8 +103,8 @@ class IntersectionConfig:
     distances at a scale on which braking shows, and who comes next on the ways that cross the own."""
     av_speed_mode: int = 7
     """SUMO's checks of commanded speeds, as bits: 1 safe gap, 2 greatest acceleration, 4 greatest braking, 8
-    right of way. 1: the paper's, with which vehicles brake harder than they can. 11: a guard that keeps AVs
-    from crashing, and brakes them as hard as that takes (`hardest_braking_av`)."""
+    right of way. 1: the paper's, with which vehicles brake harder than they can. 11: a guard, under which
+    AVs hardly ever crash, since it brakes them as hard as that takes (`hardest_braking_av`)."""
     hdv_speed_mode: int = 31
     """The same of human drivers; 31: all checks. At 1, the paper's, they crash among themselves."""
     av_lane_change_mode: int = 512

@@ -278,15 +278,15 @@ def _late(traffic: Traffic, row: int) -> float:
 
 
 @compiled_allocating
-def _own(crossing: Crossing, traffic: Traffic, row: int) -> float:
-    """What one AV earns by how it drives: the weighted scaled terms of speed, standstill and headway, as if
-    it were all that drives."""
-    speed, weights = traffic.speed[row], crossing.weights
+def _own(crossing: Crossing, speed: float, late: float) -> float:
+    """What one AV earns by how it drives: the weighted scaled terms of speed, standstill and headway
+    (`_late`), as if it were all that drives."""
+    weights = crossing.weights
     nearness = max(1.0 - abs(speed - TARGET_SPEED) / TARGET_SPEED, 0.0)
     quickness = min(speed / SPEED_LIMIT, 1.0)
     standing = 1.0 if speed < 0.1 else 0.0
     paid: float = weights[0] * nearness - weights[1] * standing + (weights[2] + weights[3]) * quickness
-    paid += weights[6] * _late(traffic, row)
+    paid += weights[6] * late
     return paid
 
 
@@ -305,7 +305,9 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
         if traffic.slot[row] >= 0:
             automated += 1
             automated_speeds += speed
-            headways += _late(traffic, row)
+            late = _late(traffic, row)
+            headways += late
+            seen.own[traffic.slot[row]] = _own(crossing, speed, late)
     aim = TARGET_SPEED * np.sqrt(count)
     nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
     fullest = STEP_S * count
@@ -334,9 +336,6 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
     for term in range(8):
         total += crossing.weights[term] * scaled[term]
         combined += paper[term] if term < 6 else 0.0
-    for row in range(count):
-        if traffic.slot[row] >= 0:
-            seen.own[traffic.slot[row]] = _own(crossing, traffic, row)
     seen.rewards[0] = total
     seen.rewards[1] = 0.2 * combined + paper[0] + 0.5 * paper[6]
 
