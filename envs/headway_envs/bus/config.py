@@ -31,11 +31,12 @@ class RewardConfig:
     """a3: weight of m, fuel and wear below their warning levels, breakdowns."""
     regularity: float = 0.4
     """a4: weight of c, even spacing."""
-    shared: bool = True
-    """True: every slot, at the depot too, is paid the team mean, so that the return of a day cannot be raised
-    by staying out longer. False: each its own, 0 at the depot."""
+    scope: Literal["team", "line", "own"] = "team"
+    """Whose r a bus is paid. `team`: every slot, at the depot too, the mean of all lines, so that the return
+    of a day cannot be raised by staying out longer. `line`: every slot its line's, which are the team's in the
+    mean, and tell a bus more of what it did. `own`: each its own with its line's q, and 0 at the depot."""
     follower_share: float = 0.0
-    """Without `shared`: a bus is also paid, for each bus that follows it next, this share of the other's c
+    """With `scope=own`: a bus is also paid, for each bus that follows it next, this share of the other's c
     less its own, since holding moves both spacings; 0: it answers for the spacing ahead of it alone."""
     foresee_upkeep: bool = False
     """True: what low fuel and wear are still to cost until the next time at the depot is charged as it
@@ -47,6 +48,7 @@ class RewardConfig:
     released code."""
 
     def __post_init__(self) -> None:
+        require(self.scope in ("team", "line", "own"), f"scope must be team, line or own, not '{self.scope}'")
         require(self.preset in ("default", "paper"), f"preset must be default or paper, not '{self.preset}'")
         require_at_least(
             0,

@@ -45,7 +45,7 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
             action_space=Discrete(3),
             state_size=state_size(self.network, config.observation, prepared.full_state),
             groups=prepared.groups,
-            shared_reward=config.reward.shared,
+            shared_reward=config.reward.scope == "team",
             has_action_mask=True,
             agents_come_and_go=True,
             metrics=tuple(METRICS),

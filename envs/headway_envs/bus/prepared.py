@@ -132,7 +132,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "breakdown_cost": _breakdown_cost(prepared),
         "foresee_upkeep": float(reward.foresee_upkeep),
         "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
-        "shared": float(reward.shared),
+        "scope": float(("team", "line", "own").index(reward.scope)),
         "weekday": float(config.day_type == "weekday"),
         "observation": float(("paper", "published", "control").index(config.observation)),
         "full_state": float(prepared.full_state),
@@ -140,13 +140,14 @@ def _settings(prepared: Prepared) -> dict[str, float]:
 
 
 def _breakdown_cost(prepared: Prepared) -> float:
-    """Reward that a bus, or its share of the team, loses while it stands broken and is repaired.
+    """Reward that a bus, or its share of its line or the team, loses while it stands broken and is repaired.
 
     An estimate: for that long m is -1 and c -1 instead of 1; of two intervals between buses one of twice the
     length remains, which leaves twice as many waiting there, so that the line's q falls by 2 / buses."""
     config, reward = prepared.config, prepared.config.reward
     intervals = (config.upkeep.broken_s + config.upkeep.service_s) / config.tick_s
-    buses = 1.0 if reward.shared else len(prepared.network.slot_line) / len(prepared.lines)
+    own = reward.scope == "own"
+    buses = len(prepared.network.slot_line) / len(prepared.lines) if own else 1.0
     return intervals * (reward.maintenance + 2.0 * reward.regularity + 2.0 * reward.service / buses)
 
 

@@ -28,8 +28,8 @@ class RewardConfig:
     """It ends."""
     target_headway_s: float = 600.0
     """Intervals between arrivals at a stop that are paid in full, s."""
-    shared: bool = False
-    """False: each bus is paid its own, as in the released runs; true: all the mean, as the paper says."""
+    scope: Literal["own", "team"] = "own"
+    """`own`: each bus is paid its own, as in the released runs; `team`: all the mean, as the paper says."""
 
     def __post_init__(self) -> None:
         require_at_least(
@@ -39,6 +39,7 @@ class RewardConfig:
             regularity=self.regularity,
             efficiency=self.efficiency,
         )
+        require(self.scope in ("own", "team"), f"scope must be own or team, not '{self.scope}'")
         total = self.occupancy + self.uptime + self.regularity + self.efficiency
         require(total > 0, "at least one of the weights must be above 0")
         require(

@@ -59,7 +59,7 @@ class BusPublishedBatchedEnv(KeptArrays[World, Outputs]):
             observation_size=OBSERVATION_SIZE,
             action_space=Discrete(ACTIONS),
             groups=prepared.groups,
-            shared_reward=prepared.config.reward.shared,
+            shared_reward=prepared.config.reward.scope == "team",
             metrics=tuple(METRICS),
             snapshots=True,
         )

@@ -48,7 +48,7 @@ class Prepared:
             "target_headway_s": reward.target_headway_s,
             "demand_unit": max(float(self.network.demand.max()), 1.0) if scaled else 1.0,
             "stop_unit": max(len(self.network.demand) - 1.0, 1.0) if scaled else 1.0,
-            "shared": reward.shared,
+            "shared": reward.scope == "team",
             "max_steps": config.max_steps,
             "agents_per_route": config.agents_per_route,
         }

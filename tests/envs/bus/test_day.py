@@ -1,5 +1,6 @@
 """Laws that hold on every day, whatever the agents do."""
 
+import itertools
 import pickle
 from dataclasses import replace
 
@@ -211,7 +212,7 @@ def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, stat
 
 
 def test_own_rewards_differ_and_are_nothing_at_the_depot(line: Prepared) -> None:
-    reward = replace(line.config.reward, shared=False)
+    reward = replace(line.config.reward, scope="own")
     env = _begun(replace(line, config=replace(line.config, reward=reward)), 1)
     for _ in range(300):
         outcome, _ = env.step(np.ones((1, 14), np.int64))
@@ -234,24 +235,42 @@ def _day_of_rewards(env: BusBatchedEnv, seed: int) -> NDArray[np.float64]:
     return total
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_foreseen_upkeep_adds_the_same_to_every_day(line: Prepared, shared: bool) -> None:
+def test_a_line_s_rewards_are_of_its_own_and_sum_to_the_team_s() -> None:
+    """All slots of a line, those at the depot too, are paid the same, lines differ, and the mean over all slots
+    is what the team is paid."""
+    corridor = prepare(BusConfig(scenario="corridor"))
+    slots = len(corridor.agents)
+    team, lines = (_begun(_with_reward(corridor, scope=scope), 1) for scope in ("team", "line"))
+    rng, different = np.random.default_rng(0), 0
+    for _ in range(200):
+        actions = _actions(rng, (1, slots))
+        of_team, _ = team.step(actions)
+        of_lines, _ = lines.step(actions)
+        paid = of_lines.rewards[0].astype(np.float64)
+        assert np.mean(paid) == pytest.approx(of_team.rewards[0, 0], abs=1e-5)
+        firsts = corridor.network.line_slots
+        of_each = [set(paid[first:last]) for first, last in itertools.pairwise(firsts)]
+        assert all(len(rewards) == 1 for rewards in of_each)
+        different += len(set.union(*of_each)) > 1
+    assert different > 150
+
+
+@pytest.mark.parametrize("scope", ["team", "line", "own"])
+def test_foreseen_upkeep_adds_the_same_to_every_day(line: Prepared, scope: str) -> None:
     """Whatever is done, a slot's day differs by minus its potential at the start, so policies rank as before;
     single intervals differ, or it would be of no use."""
-    plain, foreseeing = (
-        _with_reward(line, shared=shared, foresee_upkeep=foresee) for foresee in (False, True)
-    )
+    plain, foreseeing = (_with_reward(line, scope=scope, foresee_upkeep=foresee) for foresee in (False, True))
     env = _begun(foreseeing, 1)
     owed = -env.world.slots["upkeep_ahead"][0]
     assert owed.max() > 10
-    expected = np.full(14, owed.mean()) if shared else owed
+    expected = owed if scope == "own" else np.full(14, owed.mean())
     for seed in range(3):
         difference = _day_of_rewards(_begun(foreseeing, 1), seed) - _day_of_rewards(_begun(plain, 1), seed)
         assert difference == pytest.approx(expected, abs=0.01)
 
 
 def test_foreseen_upkeep_is_refunded_when_a_worn_bus_goes_to_service(line: Prepared) -> None:
-    env = _begun(_with_reward(line, shared=False, foresee_upkeep=True), 1)
+    env = _begun(_with_reward(line, scope="own", foresee_upkeep=True), 1)
     actions = np.full((1, 14), MOVE)
     for _ in range(60 * 8):
         env.step(actions)
@@ -268,7 +287,7 @@ def test_foreseen_upkeep_is_refunded_when_a_worn_bus_goes_to_service(line: Prepa
 
 def test_a_follower_share_pays_a_bus_for_the_spacing_behind_it(line: Prepared) -> None:
     """The bus ahead's reward rises by weight x share x (the follower's c - its own); the others' stays."""
-    own, mixed = (_begun(_with_reward(line, shared=False, follower_share=s), 1) for s in (0.0, 0.25))
+    own, mixed = (_begun(_with_reward(line, scope="own", follower_share=s), 1) for s in (0.0, 0.25))
     actions, moved = np.full((1, 14), MOVE), 0
     for _ in range(400):
         before, _ = own.step(actions)

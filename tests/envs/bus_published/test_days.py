@@ -98,7 +98,7 @@ def test_scaled_observations_lie_within_0_and_1(begun: Begun) -> None:
 
 
 def test_a_shared_reward_is_the_mean(begun: Begun) -> None:
-    rng, own, shared = np.random.default_rng(0), begun(3), begun(3, reward=RewardConfig(shared=True))
+    rng, own, shared = np.random.default_rng(0), begun(3), begun(3, reward=RewardConfig(scope="team"))
     assert shared.spec.shared_reward
     for _ in range(100):
         actions = rng.integers(0, 3, (3, 5))

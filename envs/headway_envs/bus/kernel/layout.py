@@ -29,6 +29,9 @@ STANDING: at a stop, boards, then decides; AWAY: at the service centre; BROKEN: 
 WAIT, MOVE, SERVICE_CENTER = 0, 1, 2
 """Actions."""
 
+PAY_TEAM, PAY_LINE, PAY_OWN = 0, 1, 2
+"""Whose reward a bus is paid."""
+
 
 class Network(NamedTuple):
     """What all copies share: geometry, timetable, mean travel times and demand."""
@@ -124,13 +127,14 @@ SETTINGS = np.dtype(
     ]
     + [
         (name, np.int64)
-        for name in ("capacity", "shared", "foresee_upkeep", "weekday", "observation", "full_state")
+        for name in ("capacity", "scope", "foresee_upkeep", "weekday", "observation", "full_state")
     ],
     align=True,
 )
 """The configuration's numbers as the kernel reads them. `captive_arrivals`: share of captives among those who
 arrive; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy under
-which e punishes, 0 for none; `observation`: 0 paper, 1 published, 2 control."""
+which e punishes, 0 for none; `observation`: 0 paper, 1 published, 2 control; `scope`:
+PAY_TEAM, PAY_LINE or PAY_OWN."""
 
 SLOT = np.dtype(
     [

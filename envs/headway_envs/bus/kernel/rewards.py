@@ -5,7 +5,17 @@ from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
 from headway_envs.bus.kernel.curves import bin_of
-from headway_envs.bus.kernel.layout import BROKEN, DEPOT, DRIVING, STANDING, Network, Record, World
+from headway_envs.bus.kernel.layout import (
+    BROKEN,
+    DEPOT,
+    DRIVING,
+    PAY_LINE,
+    PAY_TEAM,
+    STANDING,
+    Network,
+    Record,
+    World,
+)
 from headway_envs.bus.kernel.passengers import catch_up
 from headway_envs.bus.kernel.spacing import COUNTED, LEFT_OUT
 
@@ -73,6 +83,19 @@ def _score_line(net: Network, k: Record, world: World, c: int, line: int) -> Non
 
 
 @compiled
+def _pay_lines(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+    """Each slot its line's reward."""
+    for line in range(net.line_slots.shape[0] - 1):
+        record = world.lines[c, line]
+        rewards[net.line_slots[line] : net.line_slots[line + 1]] = (
+            k.weight_service * record.service
+            + k.weight_efficiency * record.efficiency
+            + k.weight_maintenance * record.maintenance
+            + k.weight_regularity * record.regularity
+        )
+
+
+@compiled
 def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
     """Each bus its own components and its line's service; nothing at the depot.
 
@@ -122,7 +145,9 @@ def pay(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float
     day.maintenance += m
     day.regularity += r
     day.reward += team
-    if k.shared:
+    if k.scope == PAY_TEAM:
         rewards[:] = team
+    elif k.scope == PAY_LINE:
+        _pay_lines(net, k, world, c, rewards)
     else:
         _pay_own(net, k, world, c, rewards)

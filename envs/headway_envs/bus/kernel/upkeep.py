@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.bus.kernel.layout import AWAY, DEPOT, Network, Record, World
+from headway_envs.bus.kernel.layout import AWAY, DEPOT, PAY_LINE, PAY_OWN, PAY_TEAM, Network, Record, World
 
 
 @compiled
@@ -52,18 +52,24 @@ def upkeep_ahead(net: Network, k: Record, world: World, c: int, n: int) -> float
 
 @compiled
 def foresee(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Add the change of each slot's potential to rewards (N,): its own, or the team's mean. At the end of the
-    day all potentials are 0."""
+    """Add the change of each slot's potential to rewards (N,): its own, or the mean of its line or the team.
+    At the end of the day all potentials are 0."""
     over, total = world.days[c].now >= k.end_s, 0.0
-    slots = world.slots.shape[1]
-    for n in range(slots):
-        slot = world.slots[c, n]
-        potential = 0.0 if over else upkeep_ahead(net, k, world, c, n)
-        change = potential - slot.upkeep_ahead
-        slot.upkeep_ahead = potential
-        total += change
-        if not k.shared:
-            rewards[n] += change
-    if k.shared:
-        for n in range(slots):
-            rewards[n] += total / slots
+    for line in range(net.line_slots.shape[0] - 1):
+        first, last = net.line_slots[line], net.line_slots[line + 1]
+        of_line = 0.0
+        for n in range(first, last):
+            slot = world.slots[c, n]
+            potential = 0.0 if over else upkeep_ahead(net, k, world, c, n)
+            change = potential - slot.upkeep_ahead
+            slot.upkeep_ahead = potential
+            of_line += change
+            if k.scope == PAY_OWN:
+                rewards[n] += change
+        if k.scope == PAY_LINE:
+            for n in range(first, last):
+                rewards[n] += of_line / (last - first)
+        total += of_line
+    if k.scope == PAY_TEAM:
+        for n in range(rewards.shape[0]):
+            rewards[n] += total / rewards.shape[0]
