@@ -33,8 +33,9 @@ class RewardConfig:
     """a4: weight of c, even spacing."""
     scope: Literal["team", "line", "own"] = "team"
     """Whose r a bus is paid. `team`: every slot, at the depot too, the mean of all lines, so that the return
-    of a day cannot be raised by staying out longer. `line`: every slot its line's, which are the team's in the
-    mean, and tell a bus more of what it did. `own`: each its own with its line's q, and 0 at the depot."""
+    of a day cannot be raised by staying out longer. `line`: every slot its line's, whose mean over all slots
+    is the team's: it tells a bus more of what it did. `own`: each its own with its line's q, and 0 at the
+    depot."""
     follower_share: float = 0.0
     """With `scope=own`: a bus is also paid, for each bus that follows it next, this share of the other's c
     less its own, since holding moves both spacings; 0: it answers for the spacing ahead of it alone."""

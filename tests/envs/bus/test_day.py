@@ -236,8 +236,8 @@ def _day_of_rewards(env: BusBatchedEnv, seed: int) -> NDArray[np.float64]:
 
 
 def test_a_line_s_rewards_are_of_its_own_and_sum_to_the_team_s() -> None:
-    """All slots of a line, those at the depot too, are paid the same, lines differ, and the mean over all slots
-    is what the team is paid."""
+    """All slots of a line, those at the depot too, are paid the same, lines differ, and the mean over all
+    slots is what the team is paid."""
     corridor = prepare(BusConfig(scenario="corridor"))
     slots = len(corridor.agents)
     team, lines = (_begun(_with_reward(corridor, scope=scope), 1) for scope in ("team", "line"))
