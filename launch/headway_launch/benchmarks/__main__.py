@@ -3,11 +3,22 @@
 import platform
 import sys
 
-from headway_launch.benchmarks import actors, crossing, kernel, lightness, merge, store, table3, training
+from headway_launch.benchmarks import (
+    actors,
+    city,
+    crossing,
+    kernel,
+    lightness,
+    merge,
+    store,
+    table3,
+    training,
+)
 
 REPORTS = {
     "training": training.report,
     "kernel": kernel.report,
+    "city": city.report,
     "merge": merge.report,
     "crossing": crossing.report,
     "lightness": lightness.report,
