@@ -144,16 +144,16 @@ def test_a_rule_that_is_not_there_is_refused_before_anything_starts() -> None:
 
 
 def test_training_arguments_lie_over_those_that_are_reported_on() -> None:
-    found = compose(["env=bus", "env.args.capacity=50", "env.training_args.reward.shared=false"]).prepare()
-    assert found.prepared.config.reward.shared
-    assert not found.training.config.reward.shared
+    found = compose(["env=bus", "env.args.capacity=50", "env.training_args.reward.scope=own"]).prepare()
+    assert found.prepared.config.reward.scope == "team"
+    assert found.training.config.reward.scope == "own"
     assert found.prepared.config.capacity == found.training.config.capacity == 50
     assert not found.spec.shared_reward
     same = compose(["env=trivial"]).prepare()
     assert same.training is same.prepared
 
 
-@pytest.mark.parametrize("overrides", [("preset=bus_tuned",), ("env.training_args.reward.shared=false",)])
+@pytest.mark.parametrize("overrides", [("preset=bus_tuned",), ("env.training_args.reward.scope=own",)])
 def test_without_training_arguments_what_is_reported_on_is_learned_from(overrides: tuple[str, ...]) -> None:
     """`null` takes away what a preset has, which `{}` cannot: mappings are laid over each other."""
     words = ("env=bus", "algo=ippo", *overrides)

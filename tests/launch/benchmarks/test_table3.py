@@ -30,5 +30,5 @@ def test_the_study_is_the_published_one(algorithm: str) -> None:
     assert (len(config.seed), config.env_steps) == (50, 400_000)
     assert config.rollout.copies * config.rollout.steps == 1000
     assert (algo.policies, algo.model.hidden) == ("independent", (128, 128))
-    assert (experiment.env_config.agents, experiment.env_config.reward.shared) == (5, False)
+    assert (experiment.env_config.agents, experiment.env_config.reward.scope) == (5, "own")
     assert len(config.seed) % config.backend.stack == 0
