@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from headway.contracts import Observed
 from headway.contracts.acting import Parameters
 
-SLOTS_EACH = 4
-"""Slots for each agent that is there, from which on empty ones are left out. Where few are empty, to pick the
-others costs more than it saves."""
+SLOTS_EACH = 2
+"""Slots for each agent that is there, from which on empty ones are left out. Where fewer are, to pick the
+others costs about what it saves."""
 
 Answer = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
 """Actions (C, N, ...), log-probabilities (C, N), and what is remembered (C, N, M), if anything is."""
