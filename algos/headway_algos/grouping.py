@@ -84,7 +84,7 @@ class Grouping:
         """
         steps, copies, agents, *rest = by_agent.shape
         split = by_agent.reshape(steps, replicas, copies // replicas, agents, *rest)
-        stacked = np.moveaxis(split, (1, 3), (0, 1))
+        stacked = split.transpose(1, 3, 0, 2, *range(4, split.ndim))
         if not self._in_order:
             stacked = stacked[:, self.members.ravel()]
         return np.ascontiguousarray(stacked).reshape(replicas * self.num_policies, -1, *rest)
@@ -101,5 +101,5 @@ class Grouping:
         stacked = by_policy.reshape(replicas, slots, steps, -1, *rest)
         if not self._in_order:
             stacked = stacked[:, self._place]
-        by_agent = np.moveaxis(stacked, (0, 1), (1, 3))
+        by_agent = stacked.transpose(2, 0, 3, 1, *range(4, stacked.ndim))
         return np.ascontiguousarray(by_agent).reshape(steps, -1, by_agent.shape[3], *rest)

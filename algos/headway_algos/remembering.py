@@ -1,7 +1,8 @@
 """Acting from memory: the numpy twin of an actor with gated recurrent units."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from headway.contracts import ActingPolicy, EnvSpec, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting import StackedActingPolicy, actor_outputs
 from headway_algos.config import AlgoConfig
+from headway_algos.where_alive import Answer, answer_where_alive
 
 
 def acting_policy(config: AlgoConfig, spec: EnvSpec) -> ActingPolicy:
@@ -88,7 +90,25 @@ class RecurrentActingPolicy:
         memory: NDArray[Any],
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
-        """See `headway.contracts.RememberingPolicy`."""
+        """See `headway.contracts.RememberingPolicy`. Rows of agents not alive as without memory."""
+        actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
+        assert remembered is not None
+        return actions, log_probs, remembered
+
+    @cached_property
+    def alone(self) -> Self | None:
+        """See `AnsweringPolicy`."""
+        return None if self.flat.alone is None else replace(self, flat=self.flat.alone)
+
+    def answer(
+        self,
+        parameters: Parameters,
+        observed: Observed,
+        memory: NDArray[Any] | None,
+        noise: NDArray[np.float64] | None,
+    ) -> Answer:
+        """See `AnsweringPolicy`."""
+        assert memory is not None
         flat, replicas = self.flat, self.flat.replicas(parameters)
         features = flat.hidden_features(parameters, flat.rows(parameters, observed))
         given = np.matmul(parameters["gru_weight_input"], features)

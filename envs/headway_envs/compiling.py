@@ -1,12 +1,33 @@
 """How kernels are compiled and when what was compiled is no longer theirs."""
 
 import os
+import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
-import numba
+
+@contextmanager
+def _out_of_reach(*names: str) -> Iterator[None]:
+    """Modules that were not imported yet cannot be, meanwhile."""
+    hidden: dict[str, Any] = {name: None for name in names if name not in sys.modules}
+    sys.modules.update(hidden)
+    try:
+        yield
+    finally:
+        for name in hidden:
+            del sys.modules[name]
+
+
+# When it is loaded numba tries whether there is scipy's linear algebra, which no kernel here calls: 16 MB of
+# every worker, and half the time that it takes to load its kernels. Who calls it finds it later.
+with _out_of_reach("scipy", "scipy.linalg.cython_blas"):
+    import numba
+
+    import_module("numba.np.arraymath")
 
 P = ParamSpec("P")
 R = TypeVar("R")

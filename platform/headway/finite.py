@@ -1,6 +1,6 @@
 """NaN and infinity are caught where they come in, with the place named."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import isfinite
 
 import numpy as np
@@ -26,24 +26,37 @@ def check_finite(
     Whole arrays are tested first, so a step without fault costs a few microseconds. `outcome` is None
     where nothing was done yet.
     """
-
-    def check(what: str, values: NDArray[np.float32], present: NDArray[np.bool_], remedy: str) -> None:
+    ended = outcome is not None and (
+        np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated)
+    )
+    if (
+        not ended
+        and _surely_finite(observed.observations)
+        and _surely_finite(observed.states)
+        and (outcome is None or _surely_finite(outcome.rewards))
+    ):
+        return
+    for what, values, present, remedy in _looked_at(outcome, observed):
         if _surely_finite(values):
-            return
+            continue
         bad = ~np.isfinite(values).all(axis=-1) & present
         if bad.any():
             raise HeadwayError(_line(spec, what, values, bad, step, name_copy) + remedy)
 
+
+def _looked_at(
+    outcome: Outcome | None, observed: Observed
+) -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.bool_], str]]:
+    """What is looked at by name: (C, N or 1, size), where it counts (C, N or 1), and how to mend it."""
+    yield "observation", observed.observations, observed.alive, ", or mark the agent as not alive there"
     everywhere = np.ones((len(observed.states), 1), np.bool_)
-    check("observation", observed.observations, observed.alive, ", or mark the agent as not alive there")
-    check("state", observed.states[:, None], everywhere, "")
+    yield "state", observed.states[:, None], everywhere, ""
     if outcome is None:
         return
-    check("reward", outcome.rewards[..., None], np.ones_like(observed.alive), "; who gets nothing gets 0")
-    over = outcome.terminated | outcome.truncated
-    if over.any():
-        check("final observation", outcome.final_observations, over, "")
-        check("final state", outcome.final_states[:, None], outcome.episode_ended[:, None], "")
+    every_slot = np.ones_like(observed.alive)
+    yield "reward", outcome.rewards[..., None], every_slot, "; who gets nothing gets 0"
+    yield "final observation", outcome.final_observations, outcome.terminated | outcome.truncated, ""
+    yield "final state", outcome.final_states[:, None], outcome.episode_ended[:, None], ""
 
 
 def _surely_finite(values: NDArray[np.float32]) -> bool:

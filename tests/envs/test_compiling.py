@@ -1,5 +1,7 @@
 """Machine code is kept as long as every source it was compiled with is as it was, and no longer."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 from headway_envs.compiling import drop_stale_cache
@@ -29,3 +31,18 @@ def test_machine_code_goes_when_a_source_beside_it_changes(tmp_path: Path) -> No
     (tmp_path / "b.py").write_text("LENGTH = 5\n")
     drop_stale_cache(tmp_path)
     assert not kept.exists()
+
+
+_SCIPY_AFTER = """
+import sys
+from headway_envs.intersection import kernel
+kernel.warm()
+assert not [name for name in sys.modules if name.partition(".")[0] == "scipy"]
+import numba, numpy as np, scipy.linalg.cython_blas
+squared = numba.njit(lambda a: a @ a)(2 * np.eye(3))
+assert squared.trace() == 12, squared
+"""
+
+
+def test_kernels_load_no_scipy_and_who_needs_it_finds_it() -> None:
+    subprocess.run([sys.executable, "-c", _SCIPY_AFTER], check=True, timeout=60)

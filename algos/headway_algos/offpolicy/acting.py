@@ -1,7 +1,8 @@
 """How the workers explore: epsilon-greedy choices and Ornstein-Uhlenbeck noise, in numpy."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from headway.contracts import Box, EnvSpec, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.offpolicy.config import ReplayConfig
+from headway_algos.where_alive import Answer, answer_where_alive
 
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 
@@ -26,6 +28,11 @@ class ExploringStack:
         shapes.pop("log_std", None)
         stack = replicas * self.flat.grouping.num_policies
         return shapes | {"exploration": ((stack, 1, 1), np.dtype(self.flat.precision))}
+
+    @property
+    def alone(self) -> "ExploringStack | None":
+        """See `AnsweringPolicy`."""
+        return None if self.flat.alone is None else ExploringStack(self.flat.alone)
 
     def outputs(self, parameters: Parameters, observed: Observed) -> NDArray[Any]:
         """What the networks give for each agent, (C, N, A)."""
@@ -66,7 +73,24 @@ class EpsilonGreedyPolicy:
     def act(
         self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action."""
+        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action, zeros where
+        most are not."""
+        actions, log_probs, _ = answer_where_alive(self, parameters, observed, None, noise)
+        return actions, log_probs
+
+    @cached_property
+    def alone(self) -> Self | None:
+        """See `AnsweringPolicy`."""
+        return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
+
+    def answer(
+        self,
+        parameters: Parameters,
+        observed: Observed,
+        memory: NDArray[Any] | None,
+        noise: NDArray[np.float64] | None,
+    ) -> Answer:
+        """See `AnsweringPolicy`. Nothing is remembered."""
         values = self.stack.outputs(parameters, observed)
         allowed = np.ones(values.shape, np.bool_)
         if observed.action_masks is not None:
@@ -79,7 +103,7 @@ class EpsilonGreedyPolicy:
             drawn = (noise[..., 1] * choices).astype(np.int64)
             any_allowed = (allowed.cumsum(axis=-1) > drawn[..., None]).argmax(axis=-1)
             actions = np.where(noise[..., 0] < epsilon, any_allowed, best)
-        return actions, np.log(epsilon / choices + (1 - epsilon) * (actions == best))
+        return actions, np.log(epsilon / choices + (1 - epsilon) * (actions == best)), memory
 
 
 @dataclass(frozen=True)
@@ -141,6 +165,24 @@ class WanderingPolicy:
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[Any]]:
         """See `headway.contracts.RememberingPolicy`. Greedy acting leaves x as it is. A deterministic policy
         has no density: log-probabilities are 0."""
+        actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
+        assert remembered is not None
+        return actions, log_probs, remembered
+
+    @cached_property
+    def alone(self) -> Self | None:
+        """See `AnsweringPolicy`."""
+        return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
+
+    def answer(
+        self,
+        parameters: Parameters,
+        observed: Observed,
+        memory: NDArray[Any] | None,
+        noise: NDArray[np.float64] | None,
+    ) -> Answer:
+        """See `AnsweringPolicy`."""
+        assert memory is not None
         low, high = np.array(self._box.low), np.array(self._box.high)
         chosen = np.tanh(self.stack.outputs(parameters, observed))
         if noise is not None:

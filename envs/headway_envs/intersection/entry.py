@@ -46,7 +46,7 @@ def _zero(prepared: "Prepared") -> Rule:
 
 
 def _full_throttle(prepared: "Prepared") -> Rule:
-    from headway_envs.intersection.env import STRONGEST
+    from headway_envs.intersection.kernel import STRONGEST
     from headway_envs.intersection.rules import Constant
 
     return Constant(STRONGEST)

@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 from headway.contracts import Box, EnvSpec, HeadwayError, Observed, Outcome, generator
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
-from headway_envs.intersection.kernel import STATE_SIZE
+from headway_envs.intersection.kernel import STATE_SIZE, STRONGEST
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.reporting import METRICS, Ledger
 from headway_envs.intersection.simulation import Simulation
 from headway_envs.intersection.street import Street
-
-STRONGEST = 3.0
-"""Bound of a commanded acceleration, m/s^2."""
 
 
 def paid_share(config: IntersectionConfig) -> bool:
@@ -57,6 +54,7 @@ class IntersectionBatchedEnv:
             metrics=METRICS,
             max_copies_per_process=1,
         )
+        self._asked = (1, config.slots, 1)
         self.events: dict[int, str] = {}
         """Slots whose vehicle left or crashed in the last step: `arrived` or `collided`."""
         self._seed, self._episode = 0, 0
@@ -112,14 +110,16 @@ class IntersectionBatchedEnv:
         return self._observed
 
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
-        """0.1 s; accelerations (1, N, 1) in m/s^2, cut at 3."""
+        """0.1 s; accelerations (1, N, 1) in m/s^2, cut at 3. Raises ValueError for another shape."""
+        if actions.shape != self._asked:
+            raise ValueError(f"actions must have shape {self._asked}, not {actions.shape}")
         outcome, seen, ledger, street = self._outcome, self._seen, self.ledger, self.street
         outcome.acting[0] = seen.alive
         if self.events or outcome.episode_ended[0]:
             outcome.terminated.fill(False)
             outcome.truncated.fill(False)
             self.events = {}
-        street.command(np.minimum(np.maximum(actions[0, :, 0], -STRONGEST), STRONGEST))
+        street.command(actions[0, :, 0])
         changes = street.advance(ledger.steps + 1)
         if changes.left or changes.crashed:
             self._let_go(changes.left, outcome.truncated[0] if self._cut_at_exit else outcome.terminated[0])

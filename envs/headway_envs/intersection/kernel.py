@@ -4,12 +4,12 @@ Axes: V vehicles, N slots, L = 16 links (ways through the junction), D, S.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.compiling import compiled_allocating, drop_stale_cache
+from headway_envs.compiling import compiled, compiled_apart, drop_stale_cache
 from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.demand import MIN_GAP_M
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
@@ -38,6 +38,8 @@ LANES = 8
 CELLS = 4
 """Of 50 m on each approach, in the state."""
 STATE_SIZE = 4 * (3 * CELLS + 2 + 2) + 2
+STRONGEST = 3.0
+"""Bound of a commanded acceleration, m/s^2."""
 TARGET_SPEED = 20.0
 _LONGEST_S = 20.0
 """Times of arrival are cut here, s."""
@@ -121,9 +123,21 @@ class Seen(NamedTuple):
     """(len(SUMS),)"""
     present: Floats
     """(4,): steps that AVs have spent here, by approach."""
+    first: Whole
+    """(8,): the row of the first on each lane; -1: none. Room for the kernel to work in, as the next two."""
+    soonest: Floats
+    """(4,): when those arrive who come next on ways that cross one's own, s."""
+    ranked: Whole
+    """(4,): their rows; -1: nobody."""
 
 
-@compiled_allocating
+_TRAFFIC = len(Crossing._fields)
+_HAPPENED = _TRAFFIC + len(Traffic._fields)
+_SEEN = _HAPPENED + len(Happened._fields)
+"""Where each record begins among all of a step, one after another."""
+
+
+@compiled
 def _until_line(traffic: Traffic, row: int) -> float:
     """Time to the stop line at the speed of now, s, cut; 0 for who has passed it."""
     distance = max(ROAD_M - traffic.position[row], 0.0)
@@ -131,7 +145,7 @@ def _until_line(traffic: Traffic, row: int) -> float:
     return min(seconds, _LONGEST_S)
 
 
-@compiled_allocating
+@compiled
 def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[np.float32]) -> None:
     """Section 5.2 of the paper: own place on its edge, speed, leader and follower; the fifth is taken over
     the speed limit, as in Flow, where the paper prints the length. The way through the junction is one
@@ -157,9 +171,9 @@ def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[
     out[5] = follow_gap / crossing.total_length
 
 
-@compiled_allocating
+@compiled
 def _observe_extended(
-    crossing: Crossing, traffic: Traffic, count: int, row: int, out: NDArray[np.float32]
+    crossing: Crossing, traffic: Traffic, count: int, row: int, seen: Seen, out: NDArray[np.float32]
 ) -> None:
     """Which part of the way (3), distance and time to the stop line, the turn (3); what is near (4): the stop
     line, the leader as distance and as time headway, the follower; then those who come next on ways that
@@ -182,20 +196,21 @@ def _observe_extended(
     if around[2] >= 0:
         out[near + 3] = min((around[3] + MIN_GAP_M) / _NEAR_M, 1.0)
     if part < 2:
-        _show_crossing(crossing, traffic, count, row, out[near + NEAR_SIZE :])
+        _show_crossing(crossing, traffic, count, row, seen, out[near + NEAR_SIZE :])
 
 
-@compiled_allocating
+@compiled
 def _show_crossing(
-    crossing: Crossing, traffic: Traffic, count: int, row: int, out: NDArray[np.float32]
+    crossing: Crossing, traffic: Traffic, count: int, row: int, seen: Seen, out: NDArray[np.float32]
 ) -> None:
     """Of all whose ways cross the own, those inside the junction and the first on each lane, four at most,
     the soonest first: 1, distance to their stop line (negative past it), speed, how much later they arrive,
     whether automated, whether they go first."""
     link = traffic.link[row]
-    first = np.full(LANES, -1, np.int64)
-    soonest = np.full(NEIGHBOURS, np.inf)
-    rows = np.full(NEIGHBOURS, -1, np.int64)
+    first, soonest, rows = seen.first, seen.soonest, seen.ranked
+    first[:] = -1
+    soonest[:] = np.inf
+    rows[:] = -1
     for other in range(count):
         other_link = traffic.link[other]
         if not crossing.foes[link, other_link]:
@@ -224,7 +239,7 @@ def _show_crossing(
         place += NEIGHBOUR_SIZE
 
 
-@compiled_allocating
+@compiled
 def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
     """Keep rows (n,) in the order of their keys (n,), the smallest first; the last drops out."""
     place = len(keys) - 1
@@ -236,7 +251,7 @@ def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
     keys[place], rows[place] = key, row
 
 
-@compiled_allocating
+@compiled
 def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """The state: for each approach, AVs, HDVs and mean speed in each cell of the road, then vehicles inside
     the junction and beyond it with their mean speeds; the share of the episode passed, vehicles waiting."""
@@ -267,7 +282,7 @@ def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happen
     state[4 * width + 1] = min(happened.pending / 50.0, 5.0)
 
 
-@compiled_allocating
+@compiled
 def _late(traffic: Traffic, row: int) -> float:
     """Time headway under 1 s of an AV that drives behind somebody, as what is missing; at most 0."""
     speed = traffic.speed[row]
@@ -277,7 +292,7 @@ def _late(traffic: Traffic, row: int) -> float:
     return missing
 
 
-@compiled_allocating
+@compiled
 def _own(crossing: Crossing, speed: float, late: float) -> float:
     """What one AV earns by how it drives: the weighted scaled terms of speed, standstill and headway
     (`_late`), as if it were all that drives."""
@@ -290,7 +305,7 @@ def _own(crossing: Crossing, speed: float, late: float) -> float:
     return paid
 
 
-@compiled_allocating
+@compiled
 def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists. By
     its equation 4 it pays 0.2 x the sum of the first six + the velocity's + 0.5 x the headway's."""
@@ -340,7 +355,7 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
     seen.rewards[1] = 0.2 * combined + paper[0] + 0.5 * paper[6]
 
 
-@compiled_allocating
+@compiled
 def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
     """Means over the vehicles of this step, in the order of SUMS."""
     sums = seen.sums
@@ -378,7 +393,7 @@ def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
         sums[8] += change_hdv / human
 
 
-@compiled_allocating
+@compiled
 def look(crossing: Crossing, traffic: Traffic, count: int, seen: Seen) -> None:
     """Observations of all AVs among V vehicles; rows of empty slots are 0."""
     seen.observations[:] = 0.0
@@ -390,16 +405,67 @@ def look(crossing: Crossing, traffic: Traffic, count: int, seen: Seen) -> None:
         seen.alive[slot] = True
         _observe_paper(crossing, traffic, row, seen.observations[slot])
         if crossing.extended:
-            _observe_extended(crossing, traffic, count, row, seen.observations[slot])
+            _observe_extended(crossing, traffic, count, row, seen, seen.observations[slot])
 
 
-@compiled_allocating
 def take_in(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
     """All that follows from a step."""
+    # One by one: handing records over takes longer than all that is done with them.
+    _take_in(count, *crossing, *traffic, *happened, *seen)
+
+
+@compiled_apart
+def _take_in(count: int, *parts: Any) -> None:  # noqa: ANN401 - of the records, in order
+    crossing, traffic = Crossing(*parts[:_TRAFFIC]), Traffic(*parts[_TRAFFIC:_HAPPENED])
+    happened, seen = Happened(*parts[_HAPPENED:_SEEN]), Seen(*parts[_SEEN:])
     look(crossing, traffic, count, seen)
     _describe(crossing, traffic, count, happened, seen)
     _pay(crossing, traffic, count, happened, seen)
     _add_up(traffic, count, seen)
+
+
+@compiled_apart
+def read_in(
+    answers: Floats,
+    offset: Floats,
+    automated: Whole,
+    count: int,
+    position: Floats,
+    speed: Floats,
+    before: Floats,
+    fuel: Floats,
+    around: Floats,
+) -> None:
+    """Fill the columns of `Traffic` with what SUMO answered: of each of V vehicles its speed, then of each
+    the distance it has been driven, to which its `offset` (V,) is added, then of each its fuel; then what
+    is `around` each row (M,) of an automated vehicle."""
+    for row in range(count):
+        before[row] = speed[row]
+        speed[row] = answers[row]
+        position[row] = answers[count + row] + offset[row]
+        fuel[row] = answers[2 * count + row]
+    place = 3 * count
+    for row in automated:
+        for column in range(4):
+            around[row, column] = answers[place + column]
+        place += 4
+
+
+@compiled_apart
+def wish(
+    accelerations: NDArray[np.float32], slots: Whole, rows: Whole, speed: Floats, wished: Floats
+) -> None:
+    """Speeds (M,) that accelerations (N,) ask for, cut at STRONGEST, of AVs in these slots (M,) and rows of
+    the vehicles' speeds (M,). Backwards nobody drives."""
+    for i in range(len(slots)):
+        acceleration = accelerations[slots[i]]
+        if acceleration > STRONGEST:
+            acceleration = np.float32(STRONGEST)
+        elif acceleration < -STRONGEST:
+            acceleration = np.float32(-STRONGEST)
+        wished[i] = speed[rows[i]] + acceleration * np.float32(STEP_S)
+        if wished[i] < 0.0:
+            wished[i] = 0.0
 
 
 def empty_traffic(rows: int) -> Traffic:
@@ -421,6 +487,9 @@ def empty_seen(slots: int, extended: bool) -> Seen:
         own=np.zeros(slots),
         sums=np.zeros(len(SUMS)),
         present=np.zeros(4),
+        first=np.zeros(LANES, np.int64),
+        soonest=np.zeros(NEIGHBOURS),
+        ranked=np.zeros(NEIGHBOURS, np.int64),
     )
 
 
@@ -430,7 +499,13 @@ def nothing_happened(passed: float = 0.0) -> Happened:
 
 
 def warm() -> None:
-    """Compile, or load from the cache, by a look at an empty crossing."""
+    """Compile, or load from the cache, by a step of an empty crossing."""
     none = np.zeros((16, 16), np.bool_)
     crossing = Crossing(np.ones(16), none, none, np.ones(len(TERMS)), 1600.0, True)
-    take_in(crossing, empty_traffic(1), 0, nothing_happened(), empty_seen(1, True))
+    traffic, seen, nobody = empty_traffic(1), empty_seen(1, True), np.zeros(0, np.int64)
+    take_in(crossing, traffic, 0, nothing_happened(), seen)
+    wish(np.zeros(1, np.float32), nobody, nobody, traffic.speed, np.zeros(0))
+    read_in(
+        np.zeros(0), np.zeros(1), nobody, 0,
+        traffic.position, traffic.speed, traffic.before, traffic.fuel, traffic.around,
+    )  # fmt: skip

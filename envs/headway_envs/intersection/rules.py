@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observed
 from headway_envs.intersection.config import STEP_S
-from headway_envs.intersection.env import STRONGEST, IntersectionBatchedEnv
+from headway_envs.intersection.env import IntersectionBatchedEnv
+from headway_envs.intersection.kernel import STRONGEST
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.roster import Roster
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.demand import AV, HDV, MIN_GAP_M
 from headway_envs.intersection.humans import next_speeds
-from headway_envs.intersection.kernel import Crossing
+from headway_envs.intersection.kernel import Crossing, read_in, wish
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
-from headway_envs.intersection.roster import Roster
+from headway_envs.intersection.roster import MOST_VEHICLES, Roster
 from headway_envs.intersection.simulation import Simulation
 
 NO_LANE_CHANGES = 512
@@ -22,7 +22,7 @@ _AHEAD_M = 200.0
 _NOBODY = ("", 0.0)
 
 
-@dataclass
+@dataclass(slots=True)
 class Changes:
     """What a step brought."""
 
@@ -66,6 +66,8 @@ class Street:
         self._handed_over: int | None = None
         self._waiting = 0
         self._draw = np.random.default_rng(0)
+        self._wished = np.zeros(config.slots)
+        self._answers = np.zeros(3 * MOST_VEHICLES + 4 * config.slots)
 
     def begin(self, seed: int, draw: np.random.Generator) -> None:
         """An empty crossing; `draw` is for the noise of human drivers."""
@@ -88,14 +90,15 @@ class Street:
             self._vehicle.setSpeed(vehicle, _SUMOS_OWN)
 
     def command(self, accelerations: NDArray[np.float32]) -> None:
-        """Speeds of the next step: AVs' from accelerations (N,), noisy humans' from their model."""
-        roster = self.roster
+        """Speeds of the next step: AVs' from accelerations (N,), cut at 3 m/s^2, noisy humans' from their
+        model."""
+        roster, wished = self.roster, self._wished
         if self._handed_over is None and roster.automated:
-            change = accelerations[roster.automated_slots] * STEP_S
-            wished = (roster.traffic.speed[roster.automated_rows] + change).tolist()
-            set_speed = self._vehicle.setSpeed
-            for vehicle, target in zip(roster.automated_ids, wished, strict=True):
-                set_speed(vehicle, max(target, 0.0))
+            asked = np.ascontiguousarray(accelerations, np.float32)
+            wish(asked, roster.automated_slots, roster.automated_rows, roster.traffic.speed, wished)
+            set_speed, targets = self._vehicle.setSpeed, wished[: len(roster.automated)].tolist()
+            for vehicle, target in zip(roster.automated_ids, targets, strict=True):
+                set_speed(vehicle, target)
         if self.config.human_noise > 0:
             self._drive_humans()
 
@@ -168,27 +171,31 @@ class Street:
 
     def _read(self, changes: Changes) -> None:
         roster, vehicle, ids = self.roster, self._vehicle, self.roster.ids
-        traffic, count = roster.traffic, len(ids)
-        get_speed, get_distance, get_fuel = vehicle.getSpeed, vehicle.getDistance, vehicle.getFuelConsumption
-        traffic.before[:count] = traffic.speed[:count]
-        traffic.speed[:count] = list(map(get_speed, ids))
-        np.add(list(map(get_distance, ids)), roster.offset[:count], out=traffic.position[:count])
-        traffic.fuel[:count] = list(map(get_fuel, ids))
-        if roster.automated:
-            self._read_neighbours()
+        answers = [
+            *map(vehicle.getSpeed, ids),
+            *map(vehicle.getDistance, ids),
+            *map(vehicle.getFuelConsumption, ids),
+            *self._neighbours(),
+        ]
+        self._answers[: len(answers)] = answers
+        columns, rows = roster.traffic, roster.automated_rows
+        read_in(
+            self._answers, roster.offset, rows, len(ids),
+            columns.position, columns.speed, columns.before, columns.fuel, columns.around,
+        )  # fmt: skip
         if self.config.av_lane_change_mode != NO_LANE_CHANGES and self._handed_over is None:
             changes.lane_changes = self._count_lane_changes()
 
-    def _read_neighbours(self) -> None:
-        """Leaders and followers of AVs."""
-        roster, row_of = self.roster, self.roster.row.get
+    def _neighbours(self) -> list[float]:
+        """Of each AV, the row of its leader and the gap, the row of its follower and the gap."""
+        row_of = self.roster.row.get
         get_leader, get_follower = self._vehicle.getLeader, self._vehicle.getFollower
-        around = []
-        for each in roster.automated_ids:
+        around: list[float] = []
+        for each in self.roster.automated_ids:
             leader, lead_gap = get_leader(each, _AHEAD_M) or _NOBODY
             follower, follow_gap = get_follower(each, _AHEAD_M)
-            around.append((row_of(leader, -1), lead_gap, row_of(follower, -1), follow_gap))
-        roster.traffic.around[roster.automated_rows] = around
+            around += (row_of(leader, -1), lead_gap, row_of(follower, -1), follow_gap)
+        return around
 
     def _count_lane_changes(self) -> int:
         """AVs that are on another lane of the same road than a step before."""

@@ -65,6 +65,24 @@ def _seen(traffic: kernel.Traffic, count: int, happened: Happened) -> kernel.See
     return seen
 
 
+def test_speeds_asked_for_follow_from_accelerations_within_their_bounds() -> None:
+    """Slot 4 belongs to row 2, and so on; nobody drives backwards."""
+    accelerations = np.array([9.0, 0.7, -0.3, -8.0, -2.0], np.float32)
+    slots, rows, wished = np.array([4, 0, 3, 1]), np.array([2, 0, 3, 1]), np.full(6, 7.0)
+    kernel.wish(accelerations, slots, rows, np.array([10.0, 11.0, 0.1, 12.0]), wished)
+    tenth = np.float32(0.1)
+    change = [np.float32(3) * tenth, np.float32(-3) * tenth, np.float32(0.7) * tenth]
+    expected = [0.0, 10.0 + float(change[0]), 12.0 + float(change[1]), 11.0 + float(change[2])]
+    assert wished.tolist() == [*expected, 7.0, 7.0]
+
+
+def test_actions_of_another_shape_are_refused(crossing: Callable[..., Any]) -> None:
+    env = crossing(horizon=20)
+    env.reset(SEED)
+    with pytest.raises(ValueError, match=r"actions must have shape \(1, 96, 1\), not \(1, 95, 1\)"):
+        env.step(np.zeros((1, 95, 1), np.float32))
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("crashes", [0, 2])
 def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:

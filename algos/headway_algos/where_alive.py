@@ -1,0 +1,130 @@
+"""Acting where most slots are empty: only what somebody is there for is computed."""
+
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Observed
+from headway.contracts.acting import Parameters
+
+SLOTS_EACH = 2
+"""Slots for each agent that is there, from which on empty ones are left out. Where fewer are, to pick the
+others costs about what it saves."""
+
+Answer = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
+"""Actions (C, N, ...), log-probabilities (C, N), and what is remembered (C, N, M), if anything is."""
+
+
+class AnsweringPolicy(Protocol):
+    """An acting policy, of which `answer` computes every slot."""
+
+    @property
+    def alone(self) -> Self | None:
+        """The same policy for one agent, who is always there: which rows stand in one product changes no
+        more than last bits. None where agents do not come and go, or follow several policies."""
+        ...
+
+    def answer(
+        self,
+        parameters: Parameters,
+        observed: Observed,
+        memory: NDArray[Any] | None,
+        noise: NDArray[np.float64] | None,
+    ) -> Answer:
+        """As `headway.contracts.RememberingPolicy.act_from`; memory is None for a policy without."""
+        ...
+
+
+def answer_where_alive(
+    policy: AnsweringPolicy,
+    parameters: Parameters,
+    observed: Observed,
+    memory: NDArray[Any] | None,
+    noise: NDArray[np.float64] | None,
+) -> Answer:
+    """What a policy answers, zeros in empty slots where it leaves these out. Each of R replicas is computed
+    as if it were the only one, so that the others who are there do not change its last bits."""
+    alone = policy.alone
+    if alone is None:
+        return policy.answer(parameters, observed, memory, noise)
+    replicas = len(parameters["observation_mean"])
+    if replicas == 1:
+        return _answer_of_one(policy, alone, parameters, observed, memory, noise)
+    copies = len(observed.alive) // replicas
+    blocks = [slice(r * copies, (r + 1) * copies) for r in range(replicas)]
+    if not any(_mostly_empty(observed.alive[block]) for block in blocks):
+        return policy.answer(parameters, observed, memory, noise)
+    answers = [
+        _answer_of_one(
+            policy,
+            alone,
+            {name: array[r : r + 1] for name, array in parameters.items()},
+            Observed(
+                observed.observations[block],
+                observed.states[block],
+                observed.alive[block],
+                None if observed.action_masks is None else observed.action_masks[block],
+            ),
+            None if memory is None else memory[block],
+            None if noise is None else noise[block],
+        )
+        for r, block in enumerate(blocks)
+    ]
+    return (
+        np.concatenate([actions for actions, _, _ in answers]),
+        np.concatenate([log_probs for _, log_probs, _ in answers]),
+        None if memory is None else np.concatenate([after for _, _, after in answers if after is not None]),
+    )
+
+
+def _mostly_empty(alive: NDArray[np.bool_]) -> bool:
+    return int(np.count_nonzero(alive)) * SLOTS_EACH <= alive.size
+
+
+def _answer_of_one(
+    policy: AnsweringPolicy,
+    alone: AnsweringPolicy,
+    parameters: Parameters,
+    observed: Observed,
+    memory: NDArray[Any] | None,
+    noise: NDArray[np.float64] | None,
+) -> Answer:
+    """Of a single replica, whose agents that are there become copies (B) of one agent."""
+    if not _mostly_empty(observed.alive):
+        return policy.answer(parameters, observed, memory, noise)
+    there = observed.alive.ravel().nonzero()[0]
+    masks, shape = observed.action_masks, observed.alive.shape
+    picked = Observed(
+        _pick(observed.observations, there),
+        np.zeros((len(there), 0), np.float32),
+        np.ones((len(there), 1), np.bool_),
+        None if masks is None else _pick(masks, there),
+    )
+    actions, log_probs, after = alone.answer(
+        parameters,
+        picked,
+        None if memory is None else _pick(memory, there),
+        None if noise is None else _pick(noise, there),
+    )
+    remembered = None
+    if memory is not None and after is not None:
+        remembered = _place(after, there, memory.copy())
+    return (
+        _place(actions, there, np.zeros((*shape, *actions.shape[2:]), actions.dtype)),
+        _place(log_probs, there, np.zeros(shape)),
+        remembered,
+    )
+
+
+def _pick(by_agent: NDArray[Any], there: NDArray[np.int64]) -> NDArray[Any]:
+    """(C, N, ...) -> (B, 1, ...)"""
+    copies, agents, *rest = by_agent.shape
+    return by_agent.reshape(copies * agents, 1, *rest).take(there, axis=0)
+
+
+def _place(picked: NDArray[Any], there: NDArray[np.int64], by_agent: NDArray[Any]) -> NDArray[Any]:
+    """(B, 1, ...) into (C, N, ...), which is contiguous and is returned."""
+    copies, agents, *rest = by_agent.shape
+    by_agent.reshape(copies * agents, 1, *rest)[there] = picked
+    return by_agent
