@@ -13,7 +13,7 @@ from headway.contracts.acting import Parameters
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.offpolicy.config import ReplayConfig
-from headway_algos.where_alive import Answer, answer_where_alive
+from headway_algos.where_alive import FEWEST_SLOTS, Answer, answer_where_alive
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations are cut at this many standard deviations, as by OpenAI Baselines' VecNormalize."""
@@ -103,7 +103,8 @@ class StackedActingPolicy:
     def alone(self) -> Self | None:
         """See `AnsweringPolicy`."""
         spec = self.spec
-        if not spec.agents_come_and_go or self.grouping.num_policies > 1:
+        several = self.grouping.num_policies > 1
+        if not spec.agents_come_and_go or several or spec.num_agents < FEWEST_SLOTS:
             return None
         single = replace(spec, agents=spec.agents[:1], groups=spec.groups[:1], agents_come_and_go=False)
         return replace(self, spec=single, grouping=Grouping.of("shared", single))

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from headway.contracts import Observed
 from headway.contracts.acting import Parameters
 
+FEWEST_SLOTS = 32
+"""Slots in a copy from which on any are left out. With fewer, calls cost more than their arithmetic."""
 SLOTS_EACH = 2
 """Slots for each agent that is there, from which on empty ones are left out. Where fewer are, to pick the
 others costs about what it saves."""
@@ -22,7 +24,8 @@ class AnsweringPolicy(Protocol):
     @property
     def alone(self) -> Self | None:
         """The same policy for one agent, who is always there: which rows stand in one product changes no
-        more than last bits. None where agents do not come and go, or follow several policies."""
+        more than last bits. None where agents do not come and go, follow several policies, or have few
+        slots."""
         ...
 
     def answer(

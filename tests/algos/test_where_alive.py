@@ -14,7 +14,7 @@ from headway_algos.offpolicy.acting import EpsilonGreedyPolicy, ExploringStack, 
 from headway_algos.remembering import RecurrentActingPolicy
 from headway_algos.where_alive import SLOTS_EACH, Answer
 
-SLOTS, COPIES, SIZE = 24, 3, 5
+SLOTS, COPIES, SIZE = 32, 3, 5
 MODEL = ModelConfig(hidden=(9, 7))
 Precision = Literal["float32", "float64"]
 Policy = StackedActingPolicy | RecurrentActingPolicy | EpsilonGreedyPolicy | WanderingPolicy
@@ -155,10 +155,11 @@ def test_where_few_slots_are_empty_every_one_is_computed(count: int) -> None:
         np.testing.assert_array_equal(mine, whole)
 
 
-def test_only_agents_that_come_and_go_and_share_a_policy_can_be_left_out() -> None:
+def test_only_agents_of_many_that_come_and_go_and_share_a_policy_can_be_left_out() -> None:
     shared = _policy("discrete")
     assert isinstance(shared, StackedActingPolicy)
     assert shared.alone is not None
     assert replace(shared, spec=replace(shared.spec, agents_come_and_go=False)).alone is None
+    assert replace(shared, spec=replace(shared.spec, agents=shared.spec.agents[1:])).alone is None
     assert _policy("discrete", policies="independent").alone is None
     assert _policy("wandering", policies="independent").alone is None
