@@ -112,6 +112,13 @@ class BackendConfig:
         cpus = self.worker_cpus
         require(cpus is None or cpus >= 0, "worker_cpus must be at least 0, or null")
 
+    @property
+    def cpus_of_a_worker(self) -> float:
+        """That the cluster is asked for."""
+        if self.worker_cpus is not None:
+            return self.worker_cpus
+        return 0.0 if self.address == "local" else 1.0
+
 
 @dataclass(frozen=True)
 class EvaluationConfig:
