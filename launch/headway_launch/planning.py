@@ -196,8 +196,10 @@ def share_cores(
 ) -> Shares:
     """As many training processes as cores (at most one a job); each has its share of the cores as workers,
     or, where workers are on a cluster, of its CPUs. Jobs whose number of workers is fixed run side by side as
-    far as these go round."""
-    most = max([1, *(_fixed_workers(job) or 1 for job in jobs)])
+    far as these go round. On this machine a stack whose parts have workers of their own counts as one part:
+    they take turns with a learner that has as many times more to do, and alone would leave cores idle."""
+    parts = [1 if cluster_cpus is not None else len(_groups(job)) for job in jobs]
+    most = max([1, *((_fixed_workers(job) or 1) // part for job, part in zip(jobs, parts, strict=True))])
     for_workers = cores if cluster_cpus is None else cluster_cpus
     at_once = max(1, min(cores, for_workers // most))
     parallel = max(1, min(backend.parallel or at_once, len(jobs)))
@@ -223,8 +225,12 @@ def _fixed_workers(job: PlannedJob) -> int | None:
 def _most_workers(job: PlannedJob) -> int:
     """That have work to do: each has a block of the copies of all seeds, or of those that a process can hold
     at once."""
-    rollout, groups = job.config.rollout, replica_groups(job.spec.max_copies_per_process, len(job.seeds))
-    return len(groups) * (rollout.copies // rollout.block)
+    rollout = job.config.rollout
+    return len(_groups(job)) * (rollout.copies // rollout.block)
+
+
+def _groups(job: PlannedJob) -> list[tuple[int, int]]:
+    return replica_groups(job.spec.max_copies_per_process, len(job.seeds))
 
 
 def gpus_of(device: str, there: float) -> float:

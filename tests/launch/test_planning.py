@@ -107,9 +107,9 @@ def test_a_stack_has_a_worker_for_each_part_of_it_that_a_process_can_hold() -> N
     words = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=1", "algo=ippo"]
     stacked = compose([*words, "seed=0..6", "backend.stack=5", "rollout.copies=2", "rollout.block=2"])
     jobs = plan_jobs(stacked)
-    for cores, parallel in ((2, 1), (19, 1), (20, 2)):
-        shares = share_cores(stacked.config.backend, jobs, cores)
-        assert shares.parallel == parallel
+    for cores, cluster_cpus, parallel in ((2, None, 1), (3, None, 1), (4, None, 2), (9, 19, 1), (9, 20, 2)):
+        shares = share_cores(stacked.config.backend, jobs, cores, cluster_cpus)
+        assert shares.parallel == parallel  # on a cluster each worker keeps its place
         assert [workers_of(job, shares) for job in jobs] == [10, 4]  # of seven seeds two are left over
 
 
