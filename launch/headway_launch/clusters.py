@@ -63,7 +63,7 @@ class SessionCluster:
         has no more workers than a machine has CPUs."""
         if not self.learners or self.cpus is None or self.node_cpus is None:
             return share_cores(backend, jobs, cores, self.cpus)
-        shares = share_cores(backend, jobs, self.cpus)
+        shares = share_cores(backend, jobs, self.cpus, self.cpus)
         return replace(shares, workers=min(shares.workers, self.node_cpus))
 
     def open_training(self, job: "TrainingJob") -> Training:

@@ -9,9 +9,9 @@ from pathlib import Path
 from headway.config import ExperimentConfig
 from headway.energy import EnergyMeter, EnergyReport
 from headway.events import Event
+from headway.rollout.usage import usable_cores
 from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
-from headway.store.provenance import usable_cores
 from headway.store.session import SessionStore
 from headway.training import TrainingJob
 from headway_launch.cell_work import CellWork, Rules

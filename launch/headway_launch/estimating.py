@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from heapq import heapify, heapreplace
 
 from headway.drawing import counted
-from headway.store.provenance import usable_cores
+from headway.rollout.usage import usable_cores
 from headway_launch.calibrating import Expectation, Pace, calibrate
 from headway_launch.planning import CellPlan, share_cores
 from headway_launch.progress import duration

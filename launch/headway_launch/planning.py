@@ -10,6 +10,7 @@ from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
+from headway.rollout.plan import replica_groups, within_limit
 from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
 from headway_launch.telling import tell
@@ -138,15 +139,13 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
     if limit is None:
         return config
     stack = min(backend.stack, len(config.seed))
-    most = limit // stack
-    if most == 0:
-        raise HeadwayError(f"{_holds(spec, limit)}; set backend.stack={limit}")
     if backend.name == "serial":
+        most = limit // stack
         if rollout.copies > most:
-            raise HeadwayError(f"{_holds(spec, limit)}; set rollout.copies={most}, or backend=process")
+            within = f"rollout.copies={most}" if most else f"backend.stack={limit}"
+            raise HeadwayError(f"{_holds(spec, limit)}; set {within}, or backend=process")
         return config
-    block = max(size for size in range(1, min(most, rollout.block) + 1) if rollout.copies % size == 0)
-    workers = -(-(rollout.copies // block) // (most // block))
+    block, workers = within_limit(limit, stack, rollout.copies, rollout.block)
     if backend.workers is not None and backend.workers < workers:
         raise HeadwayError(f"{_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
     return replace(
@@ -197,8 +196,10 @@ def share_cores(
 ) -> Shares:
     """As many training processes as cores (at most one a job); each has its share of the cores as workers,
     or, where workers are on a cluster, of its CPUs. Jobs whose number of workers is fixed run side by side as
-    far as these go round."""
-    most = max([1, *(_fixed_workers(job) or 1 for job in jobs)])
+    far as these go round. On this machine a stack whose parts have workers of their own counts as one part:
+    they take turns with a learner that has as many times more to do, and alone would leave cores idle."""
+    parts = [1 if cluster_cpus is not None else len(_groups(job)) for job in jobs]
+    most = max([1, *((_fixed_workers(job) or 1) // part for job, part in zip(jobs, parts, strict=True))])
     for_workers = cores if cluster_cpus is None else cluster_cpus
     at_once = max(1, min(cores, for_workers // most))
     parallel = max(1, min(backend.parallel or at_once, len(jobs)))
@@ -208,10 +209,7 @@ def share_cores(
 def workers_of(job: PlannedJob, shares: Shares) -> int:
     """Rollout workers of a job: what its checkpoints were made with, or what it asks for, or its share of the
     cores; a new job has no more than have work to do."""
-    if job.workers is not None:
-        return job.workers
-    rollout = job.config.rollout
-    return min(_fixed_workers(job) or shares.workers, rollout.copies // rollout.block)
+    return _fixed_workers(job) or min(shares.workers, _most_workers(job))
 
 
 def _fixed_workers(job: PlannedJob) -> int | None:
@@ -219,7 +217,20 @@ def _fixed_workers(job: PlannedJob) -> int | None:
     if job.workers is not None:
         return job.workers
     backend = job.config.backend
-    return 1 if backend.name == "serial" else backend.workers
+    if backend.name == "serial":
+        return 1
+    return None if backend.workers is None else min(backend.workers, _most_workers(job))
+
+
+def _most_workers(job: PlannedJob) -> int:
+    """That have work to do: each has a block of the copies of all seeds, or of those that a process can hold
+    at once."""
+    rollout = job.config.rollout
+    return len(_groups(job)) * (rollout.copies // rollout.block)
+
+
+def _groups(job: PlannedJob) -> list[tuple[int, int]]:
+    return replica_groups(job.spec.max_copies_per_process, len(job.seeds))
 
 
 def gpus_of(device: str, there: float) -> float:

@@ -86,12 +86,17 @@ class BackendConfig:
     cluster."""
     workers: int | None = None
     """Worker processes of each training process; null: what the machine's cores allow, and more where a
-    process can hold only few copies of the environment. An asynchronous algorithm has one a block."""
+    process can hold only few copies of the environment, of all seeds of a stack. An asynchronous algorithm
+    has one a block."""
     parallel: int | None = None
     """Training processes at once; null: one per core, at most one per seed, and fewer where each has a fixed
     number of workers."""
     stack: int = 1
-    """Seeds trained in one process as one stack (for GPUs; on a CPU processes are faster)."""
+    """Seeds trained in one process as one stack: on a GPU; and on a CPU where minibatches are small, as a
+    stack shares what each of the many calls costs besides its arithmetic. With large ones, on a CPU,
+    processes side by side are faster. Where a process can hold fewer copies of the environment than a stack
+    has seeds, each worker has copies of a part of the seeds only, and each part is evaluated apart; `serial`
+    refuses such a stack."""
     address: str = "local"
     """Of `ray`: HOST:PORT of a cluster's head; `auto`: the cluster that this machine is part of, or that
     RAY_ADDRESS names; `local`: one on this machine, for this session only."""
@@ -111,6 +116,13 @@ class BackendConfig:
         require(is_address, f"address must be auto, local or HOST:PORT, not {self.address!r}")
         cpus = self.worker_cpus
         require(cpus is None or cpus >= 0, "worker_cpus must be at least 0, or null")
+
+    @property
+    def cpus_of_a_worker(self) -> float:
+        """That the cluster is asked for."""
+        if self.worker_cpus is not None:
+            return self.worker_cpus
+        return 0.0 if self.address == "local" else 1.0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / "rollout"))  # workers, too, must find these two
-from rehearsal import TOYS, Fault, FaultConfig, FaultyVisitors
+from rehearsal import TOYS, VISITORS, Fault, FaultConfig, FaultyVisitors, LoneVisitors
 from runs import Backend, Log, job_of, log_of, logs_of, train_quietly, trained
 
 from headway import training
@@ -29,7 +29,7 @@ from headway.rollout.crew import WorkerFailedError
 from headway.rollout.episodes import evaluation_seeds
 from headway.store.checkpoint import latest_iteration, write_checkpoint
 from headway.store.gate import open_gate
-from headway.store.log import RunLog, read_rows
+from headway.store.log import RunLog, Table, read_rows
 from headway.training import TrainingJob, train
 
 
@@ -210,6 +210,22 @@ def test_stopped_and_resumed_equals_never_stopped(
     assert logs_of(job) == [whole]
     assert _end(trained(replace(job, resume=True))) == (6, False)  # nothing is left to do
     assert logs_of(job) == [whole]
+
+
+def test_a_stack_of_which_a_process_holds_one_seed_trains_and_resumes_as_any_stack(tmp_path: Path) -> None:
+    seeds = (5, 6)
+    anywhere = job_of(tmp_path / "anywhere", seeds=seeds, block=1)
+    # Evaluation in the blocks of one that the other's processes can hold.
+    anywhere = replace(anywhere, spec=replace(anywhere.spec, max_copies_per_process=8))
+    trained(anywhere)
+    job = job_of(tmp_path, (LoneVisitors, VISITORS), seeds, "process", workers=8, block=1)
+    assert _end(trained(job, stop_after=3)) == (3, True)
+    events = trained(replace(job, resume=True))
+    assert _of(Started, events)[0].iteration == 3
+    tables: tuple[Table, ...] = ("curve", "episodes", "evaluation")
+    for ours, theirs in zip(logs_of(job), logs_of(anywhere), strict=True):
+        for table in tables:
+            assert ours[table] == theirs[table]
 
 
 def test_stopped_before_the_first_iteration_and_resumed(whole: Log, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from headway_launch.planning import (
 )
 
 ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
+TWO = replace(ONE, max_copies_per_process=2)
 SIX = replace(ONE, max_copies_per_process=6)
 
 
@@ -38,6 +39,9 @@ def _config(copies: int, block: int, **backend: object) -> ExperimentConfig:
         (SIX, 9, 9, 1, (3, 2)),
         (SIX, 8, 8, 2, (2, 4)),
         (SIX, 8, 2, 3, (2, 4)),
+        (ONE, 8, 4, 2, (1, 16)),
+        (ONE, 1, 1, 5, (1, 3)),
+        (TWO, 4, 2, 3, (1, 8)),
     ],
 )
 def test_blocks_shrink_and_workers_grow(
@@ -63,7 +67,12 @@ def test_what_needs_no_change_is_left_alone() -> None:
     [
         (ONE, _config(2, 1, name="serial"), "1 copy of bridge; set rollout.copies=1, or backend=process"),
         (ONE, _config(8, 1, workers=2), "1 copy of bridge; set backend.workers=8, or leave it out"),
-        (ONE, _config(8, 1, stack=2), "1 copy of bridge; set backend.stack=1"),
+        (ONE, _config(8, 1, stack=2, workers=8), "1 copy of bridge; set backend.workers=16, or leave it out"),
+        (
+            ONE,
+            _config(1, 1, stack=2, name="serial"),
+            "1 copy of bridge; set backend.stack=1, or backend=proc",
+        ),
         (SIX, _config(8, 8, stack=3, name="serial"), "6 copies of bridge; set rollout.copies=2"),
     ],
 )
@@ -92,6 +101,16 @@ def test_jobs_have_the_workers_that_their_own_configuration_needs() -> None:
         assert [workers_of(job, shares) for job in jobs] == [1, 1, 2, 1, 2, 2]
     assert {job.config.rollout.block for job in cells[-1]} == {4}
     assert all(job.experiment is crowded for job in cells[-1])  # it is known by what was asked for
+
+
+def test_a_stack_has_a_worker_for_each_part_of_it_that_a_process_can_hold() -> None:
+    words = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=1", "algo=ippo"]
+    stacked = compose([*words, "seed=0..6", "backend.stack=5", "rollout.copies=2", "rollout.block=2"])
+    jobs = plan_jobs(stacked)
+    for cores, cluster_cpus, parallel in ((2, None, 1), (3, None, 1), (4, None, 2), (9, 19, 1), (9, 20, 2)):
+        shares = share_cores(stacked.config.backend, jobs, cores, cluster_cpus)
+        assert shares.parallel == parallel  # on a cluster each worker keeps its place
+        assert [workers_of(job, shares) for job in jobs] == [10, 4]  # of seven seeds two are left over
 
 
 def test_jobs_use_a_gpu_by_their_own_device() -> None:

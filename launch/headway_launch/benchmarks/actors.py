@@ -107,7 +107,7 @@ def _report_wire() -> dict[str, Wire]:
             plan = _plan_of(task)
             shapes = plan.policy.parameter_shapes(plan.replicas)
             parameters = {key: np.zeros(shape, dtype) for key, (shape, dtype) in shapes.items()}
-            collector = actor_collector(BackendConfig("ray"), plan, task.workers, print)
+            collector = actor_collector(BackendConfig("ray"), plan, plan.shards(task.workers), print)
             try:
                 collector.begin()
                 collector.collect(1, parameters)

@@ -254,18 +254,24 @@ def _report_growth(resets: int = 1000) -> None:
 
 
 def _report_training() -> None:
-    """Of one seed of the experiments, without evaluations: what their budgets take."""
+    """Of one seed of the experiments, without evaluations: what their budgets take, trained alone and, where
+    an experiment stacks its seeds, as one of a stack."""
     print("\n## The crossing: training one seed, without evaluations\n")
     print(
-        "| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | a worker or evaluation, MB |"
+        "| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | as one of a stack "
+        "| a worker or evaluation, MB |"
     )
-    print("|---|---|---:|---:|---:|---:|")
+    print("|---|---|---:|---:|---:|---:|---:|")
     for experiment, algo in TRAININGS:
         task, budget = _training(experiment, algo)
-        result = measure([task])[0]
+        alone = measure([_alone(task)])[0]
+        stacked = ""
+        if task.stack > 1:
+            together = measure([task])[0]
+            stacked = f"{budget / together.per_cpu_second / 60.0:.1f} (of {task.stack})"
         print(
-            f"| {experiment} | {algo} | {result.per_cpu_second:,.0f} | {budget:,} "
-            f"| {budget / result.per_cpu_second / 60.0:.1f} | {result.worker_mb:.0f} |",
+            f"| {experiment} | {algo} | {alone.per_cpu_second:,.0f} | {budget:,} "
+            f"| {budget / alone.per_cpu_second / 60.0:.1f} | {stacked} | {alone.worker_mb:.0f} |",
             flush=True,
         )
     print(f"\nMeasured over {TRAINED_STEPS:,} steps; what is learned later may crowd the road less, or more.")
@@ -274,6 +280,12 @@ def _report_training() -> None:
 def _training(experiment: str, algo: str) -> tuple[Task, int]:
     """The first part of a training, and the steps of all of it."""
     composed = compose([f"experiment={experiment}", f"algo={algo}"])
-    rollout = composed.config.rollout
+    rollout, stack = composed.config.rollout, composed.config.backend.stack
     task = first_part(composed, TRAINED_STEPS)
-    return replace(task, workers=rollout.copies // rollout.block), composed.config.env_steps
+    workers = stack * (rollout.copies // rollout.block)  # a process holds one copy
+    return replace(task, workers=workers, stack=stack), composed.config.env_steps
+
+
+def _alone(task: Task) -> Task:
+    """The same of one seed."""
+    return replace(task, workers=task.workers // task.stack, stack=1)

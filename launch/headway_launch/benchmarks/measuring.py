@@ -41,6 +41,8 @@ class Task:
     backend: str = "serial"
     workers: int = 1
     seed: int = 0
+    stack: int = 1
+    """Seeds, from `seed` on, that are trained together."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Measurement:
     """What the counted iterations took."""
 
     env_steps: int
+    """Of all seeds."""
     wall_s: float
     cpu_s: float
     collect_s: float
@@ -125,6 +128,7 @@ def measure_here(task: Task) -> Measurement:
 
     entry, algo = env_entry(task.env), algo_entry(task.algo)
     prepared = entry.prepare(build(entry.config, task.env_args))
+    seeds = tuple(range(task.seed, task.seed + task.stack))
     make = DictBased(task.env) if task.dict_based else entry.make
     config = ExperimentConfig(
         env_steps=task.copies * task.steps * task.iterations,
@@ -161,17 +165,17 @@ def measure_here(task: Task) -> Measurement:
             make_policy=algo.acting_policy,
             make_learner=algo.learner,
             algo_config=build(algo.config, task.algo_args),
-            seeds=(task.seed,),
+            seeds=seeds,
             config=config,
             workers=task.workers,
-            directories=(folder,),
+            directories=tuple(str(Path(folder, str(seed))) for seed in seeds),
             make_contributor=algo.contributor,
             contributor_preload=algo.preload,
         )
         train(job, note, lambda: False)
     counted = marks[WARM_UP:]
     return Measurement(
-        env_steps=task.copies * task.steps * len(counted),
+        env_steps=task.copies * task.steps * len(counted) * task.stack,
         wall_s=counted[-1][0] - marks[WARM_UP - 1][0],
         cpu_s=counted[-1][1] - marks[WARM_UP - 1][1],
         collect_s=sum(mark[2] for mark in counted),

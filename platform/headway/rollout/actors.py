@@ -25,7 +25,7 @@ from headway.events import Usage
 from headway.rollout.cluster import connect, disconnect
 from headway.rollout.crew import Link, Notify
 from headway.rollout.crewed import CrewCollector
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.sampler import part_of
 from headway.rollout.worker import Broken, Collect, Command, Done, Sampling, Serving, Setup
 
@@ -41,12 +41,13 @@ _REASON_LENGTH = 200
 Experience = Mapping[str, NDArray[Any]]
 
 
-def actor_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> CrewCollector:
-    """Actors that are given the parameters and give back the experience of their copies.
+def actor_collector(
+    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+) -> CrewCollector:
+    """Actors, one a shard, that are given the parameters and give back the experience of their copies.
 
     Raises HeadwayError where there is no cluster.
     """
-    shards = plan.shards(workers)
     return CrewCollector(plan, Broadcast(backend, plan, shards, notify), len(shards), notify)
 
 
@@ -62,16 +63,16 @@ class ShardSetup:
 
     plan: bytes
     """A `RolloutPlan`, pickled."""
-    first: int
-    count: int
+    shard: Shard
     parameters: dict[str, NDArray[Any]] = field(default_factory=dict)
     """Filled before each command."""
 
     def open(self) -> Sampling:
         """The service of an actor that samples, into a trajectory of its own."""
         plan: RolloutPlan = pickle.loads(self.plan)
-        trajectory = Trajectory.allocate(replace(plan, copies=self.count).layout)
-        return Sampling(plan, (self.first, self.count), trajectory, self.parameters, place=0)
+        ours = plan.of_replicas(self.shard.first_replica, self.shard.replicas)
+        trajectory = Trajectory.allocate(replace(ours, copies=self.shard.count).layout)
+        return Sampling(plan, self.shard, trajectory, self.parameters, own=True)
 
 
 @dataclass(frozen=True)
@@ -133,9 +134,7 @@ class Actors:
         """Connects to the cluster. Raises HeadwayError where that fails."""
         self.notify, self.here = notify, Place.here()
         self.setups = [pickle.dumps(setup) for setup in setups]
-        self.cpus = backend.worker_cpus
-        if self.cpus is None:
-            self.cpus = 0.0 if backend.address == "local" else 1.0
+        self.cpus = backend.cpus_of_a_worker
         self.elsewhere: set[str] = set()
         """Other machines that workers were seen on."""
         self.published: Any = None
@@ -203,12 +202,12 @@ class Broadcast(Actors):
     """Actors that sample: what they are given and bring goes through the object store."""
 
     def __init__(
-        self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[tuple[int, int]], notify: Notify
+        self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
     ) -> None:
         pickled = pickled_whole(plan)
-        super().__init__(backend, [ShardSetup(pickled, first, count) for first, count in shards], notify)
+        super().__init__(backend, [ShardSetup(pickled, shard) for shard in shards], notify)
         self.trajectory = Trajectory.allocate(plan.layout)
-        self.parts = [part_of(self.trajectory, plan.replicas, first, count) for first, count in shards]
+        self.parts = [part_of(self.trajectory, plan.replicas, shard) for shard in shards]
 
     def publish(self, parameters: Parameters) -> None:
         """See `Exchange`. In C order, as in the memory that processes share: products are rounded by it."""
@@ -313,7 +312,7 @@ def experience_of(trajectory: Trajectory) -> Experience:
 
 
 def place_experience(part: Mapping[str, NDArray[Any]], experience: Experience) -> None:
-    """Copy what `experience_of` gave to its part (T, R, count, ...) of a trajectory of all copies."""
+    """Copy what `experience_of` gave to its part, as `part_of` has it, of a trajectory of all copies."""
     shape = part["terminated"].shape
     ended = (experience["terminated"] | experience["truncated"]).reshape(shape)
     for name, array in part.items():

@@ -1,4 +1,4 @@
-"""Evaluation in a process of its own, for environments of which a process may hold few copies."""
+"""Evaluation in processes of its own, for environments of which a process may hold few copies."""
 
 from typing import Any
 

@@ -116,10 +116,10 @@ class SerialContributors:
                 f"{self.plan.spec.name} allows {limit} copies in a process, and this one would hold "
                 f"{self.plan.copies}; set backend=process, or rollout.copies={limit}"
             )
-        self.workers = [Contributing(plan, first, count) for first, count in plan.shards]
+        self.workers = [Contributing(plan, shard) for shard in plan.shards]
         self.tasks: dict[int, Contribute] = {}
         apart = self.plan.evaluating_apart
-        self.apart = None if limit is None else process_collector(apart, 1, notify)
+        self.apart = None if limit is None else process_collector(apart, [apart.whole], notify)
 
     @property
     def number(self) -> int:
@@ -150,7 +150,7 @@ class SerialContributors:
         if self.apart is not None:
             return self.apart.evaluate(root, episodes, greedy, parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
-        return joined(self.plan, [evaluate_policy(self.plan, parameters, request) for request in requests])
+        return joined([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:
         """Of each worker: where it stands, and what it is to do next."""

@@ -1,7 +1,7 @@
 """Backends by name. Every one gives the same trajectory bit for bit."""
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from headway.config import BackendConfig
 from headway.rollout.apart import EvaluatingApart
@@ -9,18 +9,19 @@ from headway.rollout.asynchronous import CrewContributors, SerialContributors
 from headway.rollout.collecting import Collector, Contributors
 from headway.rollout.contributing import AsynchronousPlan, ContributorSetup
 from headway.rollout.crew import Notify, Workplace
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.processes import Processes, process_collector
 from headway.rollout.serial import SerialCollector
+from headway.rollout.usage import usable_cores
 
 
 def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
     """The backend of that name, with its workers started. Where a process may hold few copies, which
-    training needs, evaluation has a worker of its own, beside the serial backend too.
+    training needs, evaluation has workers of its own, beside the serial backend too.
 
     Raises HeadwayError where it cannot be had.
     """
-    collector = _COLLECTORS[backend.name](backend, plan, workers, notify)
+    collector = _COLLECTORS[backend.name](backend, plan, plan.shards(workers), notify)
     if plan.spec.max_copies_per_process is None:
         return collector
     try:
@@ -39,27 +40,32 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
 
 
 def _evaluating(backend: BackendConfig, plan: RolloutPlan, notify: Notify) -> Collector:
+    """One worker for all replicas, or a few where they must be played apart."""
     name = "process" if backend.name == "serial" else backend.name
-    return _COLLECTORS[name](backend, plan.evaluating_apart, 1, notify)
+    apart, number = plan.evaluating_apart, min(len(plan.groups), usable_cores())
+    if name == "ray" and backend.cpus_of_a_worker:
+        number = 1  # each would keep its place in the cluster while training goes on
+    # Whoever only evaluates may be told to for any replicas: its shard is never used.
+    return _COLLECTORS[name](backend, apart, [apart.whole] * number, notify)
 
 
-def _serial(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+def _serial(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
     return SerialCollector(plan)
 
 
-def _process(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
-    return process_collector(plan, workers, notify)
+def _process(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
+    return process_collector(plan, shards, notify)
 
 
-def _ray(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+def _ray(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
     from headway.rollout.actors import actor_collector  # which imports Ray, an extra
 
-    return actor_collector(backend, plan, workers, notify)
+    return actor_collector(backend, plan, shards, notify)
 
 
 def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
     pickled = pickle.dumps(plan)
-    setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
+    setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
     return Processes(setups, [*plan.rollout.preload, *plan.preload], b"_main__" in pickled)
 
 
@@ -67,11 +73,11 @@ def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> W
     from headway.rollout.actors import Actors, pickled_whole
 
     pickled = pickled_whole(plan)
-    setups = [ContributorSetup(pickled, first, count) for first, count in plan.shards]
+    setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
     return Actors(backend, setups, notify)
 
 
-_COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, int, Notify], Collector]] = {
+_COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, Sequence[Shard], Notify], Collector]] = {
     "serial": _serial,
     "process": _process,
     "ray": _ray,

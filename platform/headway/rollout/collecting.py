@@ -86,10 +86,9 @@ def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: boo
     return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec, plan.replicas))
 
 
-def joined(plan: RolloutPlan, parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
+def joined(parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
     """The blocks of an evaluation, each one list a replica, one after another."""
-    collected = list(parts)
-    return [[row for part in collected for row in part[r]] for r in range(plan.replicas)]
+    return [[row for rows in of_replica for row in rows] for of_replica in zip(*parts, strict=True)]
 
 
 def require_shards(snapshots: list[Any], shards: int) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from headway.contracts import Contributor, EnvSpec, HeadwayError, Trajectory
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.sampler import Sampler
 from headway.rollout.usage import OwnUsage
 from headway.rollout.worker import Begin, Collect, Command, Contribute, Done, Evaluate, Restore
@@ -27,8 +27,8 @@ class AsynchronousPlan:
     """The algorithm entry's."""
 
     @property
-    def shards(self) -> list[tuple[int, int]]:
-        """(first, count) copies of each worker: one block, so that every rollout is as long.
+    def shards(self) -> list[Shard]:
+        """What each worker holds: one block of the copies, so that every rollout is as long.
 
         Raises HeadwayError where a block is more than the environment allows in a process.
         """
@@ -58,21 +58,20 @@ class ContributorSetup:
 
     plan: bytes
     """An `AsynchronousPlan`, pickled."""
-    first: int
-    count: int
+    shard: Shard
 
     def open(self) -> "Contributing":
         """The service of a worker that contributes."""
         plan: AsynchronousPlan = pickle.loads(self.plan)
-        return Contributing(plan, self.first, self.count)
+        return Contributing(plan, self.shard)
 
 
 class Contributing:
     """Some copies of one seed, and a contributor that learns from them."""
 
-    def __init__(self, plan: AsynchronousPlan, first: int, count: int) -> None:
-        self.trajectory = Trajectory.allocate(replace(plan.rollout, copies=count).layout)
-        self.sampler = Sampler(plan.rollout, first, count, self.trajectory, place=0)
+    def __init__(self, plan: AsynchronousPlan, shard: Shard) -> None:
+        self.trajectory = Trajectory.allocate(replace(plan.rollout, copies=shard.count).layout)
+        self.sampler = Sampler(plan.rollout, shard, self.trajectory, own=True)
         self.contributor = plan.make_contributor(plan.algo_config, plan.rollout.spec, plan.rollout.seeds)
         self.own_usage = OwnUsage()
 

@@ -52,14 +52,17 @@ class CrewCollector:
         return in_order(episode for part in done for episode in part.episodes)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, blocks dealt out to the workers in turn."""
+        """Evaluation episodes, blocks of as many replicas as a process can hold dealt out to the workers in
+        turn."""
         self.exchange.publish(parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
-        parts: list[list[list[Row]]] = []
-        for start in range(0, len(requests), len(self.crew.workers)):
-            round_ = requests[start : start + len(self.crew.workers)]
-            parts += [done.evaluation for done in self.crew.all([Evaluate(request) for request in round_])]
-        return joined(self.plan, parts)
+        tasks = [Evaluate(request, *group) for group in self.plan.groups for request in requests]
+        played: list[list[list[Row]]] = []
+        for start in range(0, len(tasks), len(self.crew.workers)):
+            done = self.crew.all(tasks[start : start + len(self.crew.workers)])
+            played += [each.evaluation for each in done]
+        starts = range(0, len(tasks), len(requests))  # of the groups
+        return [rows for start in starts for rows in joined(played[start : start + len(requests)])]
 
     def snapshot(self) -> list[Any]:
         """One a worker, as of the end of the last iteration."""

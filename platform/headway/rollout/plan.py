@@ -7,10 +7,38 @@ from typing import Any, Self
 
 from headway.config import RolloutConfig
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
-from headway.contracts.acting import ActingPolicy, memory_size
+from headway.contracts.acting import ActingPolicy, Parameters, memory_size
 
 EVALUATION_BLOCK = 10
 """Evaluation episodes run at once, the same on every backend."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """What one worker holds: some copies of some replicas, as many of each."""
+
+    first_replica: int
+    replicas: int
+    first: int
+    """Of its copies of each of these replicas."""
+    count: int
+
+
+def replica_groups(limit: int | None, replicas: int) -> list[tuple[int, int]]:
+    """(first, number) replicas of which one worker holds copies: all of them together, unless one copy of
+    each is more than the `limit` of copies in a process; then as few groups as can be, as equal as can be."""
+    number = 1 if limit is None else -(-replicas // limit)
+    edges = [replicas * i // number for i in range(number + 1)]
+    return [(edges[i], edges[i + 1] - edges[i]) for i in range(number)]
+
+
+def within_limit(limit: int, replicas: int, copies: int, block: int) -> tuple[int, int]:
+    """(block, workers) with which no process holds more than `limit` copies: the largest block up to `block`
+    that divides `copies`, and the fewest workers."""
+    groups = replica_groups(limit, replicas)
+    most = limit // max(number for _, number in groups)
+    block = max(size for size in range(1, min(most, block) + 1) if copies % size == 0)
+    return block, len(groups) * -(-(copies // block) // (most // block))
 
 
 def evaluation_block(spec: EnvSpec, replicas: int) -> int:
@@ -76,6 +104,27 @@ class RolloutPlan:
         block = evaluation_block(self.spec, self.replicas)
         return replace(self, copies=block, block=block, steps=1)
 
+    @property
+    def groups(self) -> list[tuple[int, int]]:
+        """(first, number) replicas that one process holds copies of at once."""
+        return replica_groups(self.spec.max_copies_per_process, self.replicas)
+
+    @property
+    def whole(self) -> Shard:
+        """All copies of all replicas."""
+        return Shard(0, self.replicas, 0, self.copies)
+
+    def of_replicas(self, first: int, number: int) -> "RolloutPlan":
+        """The same plan of fewer seeds: what it decides for each of them is what this one does."""
+        return replace(self, seeds=self.seeds[first : first + number])
+
+    def parameters_of(self, parameters: Parameters, first: int, number: int) -> Parameters:
+        """Views of the parameters of some of the replicas."""
+        return {
+            name: array[len(array) // self.replicas * first :][: len(array) // self.replicas * number]
+            for name, array in parameters.items()
+        }
+
     def make(self, copies: int) -> BatchedEnv:
         """The environment that is reported on, `copies` copies of each replica."""
         return self.make_env(self.prepared, self.replicas * copies)
@@ -85,28 +134,23 @@ class RolloutPlan:
         prepared = self.prepared if self.training_prepared is None else self.training_prepared
         return self.make_env(prepared, self.replicas * copies)
 
-    def shards(self, workers: int) -> list[tuple[int, int]]:
-        """(first, count) copies of each worker: whole blocks, as equal as can be, none empty.
+    def shards(self, workers: int) -> list[Shard]:
+        """What each worker holds: whole blocks of the copies of a group of replicas, as equal as can be, none
+        empty.
 
         Raises HeadwayError where a worker would hold more copies than the environment allows in a process.
         """
-        blocks = self.copies // self.block
-        used = min(workers, blocks)
+        blocks, limit = self.copies // self.block, self.spec.max_copies_per_process
+        groups = self.groups if len(self.groups) <= workers else [(0, self.replicas)]
+        used = min(workers // len(groups), blocks)
         edges = [blocks * i // used * self.block for i in range(used + 1)]
-        shards = [(edges[i], edges[i + 1] - edges[i]) for i in range(used)]
-        most, limit = max(count for _, count in shards) * self.replicas, self.spec.max_copies_per_process
+        shards = [Shard(*group, edges[i], edges[i + 1] - edges[i]) for group in groups for i in range(used)]
+        most = max(shard.replicas * shard.count for shard in shards)
         if limit is not None and most > limit:
             raise HeadwayError(
                 f"{self.spec.name} allows {limit} copies in a process, and a worker would hold {most}; "
-                f"set {self._settings_within(limit)}"
+                "set rollout.block={} and backend.workers={}".format(
+                    *within_limit(limit, self.replicas, self.copies, self.copies)
+                )
             )
         return shards
-
-    def _settings_within(self, limit: int) -> str:
-        """Settings with which no worker holds more than `limit` copies."""
-        most = limit // self.replicas
-        if most == 0:
-            return f"backend.stack={limit} or less"
-        block = max(size for size in range(1, most + 1) if self.copies % size == 0)
-        workers = -(-(self.copies // block) // (most // block))
-        return f"rollout.block={block} and backend.workers={workers}"

@@ -15,7 +15,7 @@ from headway.contracts.acting import Parameters
 from headway.rollout.crew import Link, Notify
 from headway.rollout.crewed import CrewCollector
 from headway.rollout.memory import SharedBlock
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.worker import (
     Broken,
     Command,
@@ -31,9 +31,9 @@ GRACE_S = 5.0
 """How long workers that are told to end may finish what they do, and that hung up may take to die."""
 
 
-def process_collector(plan: RolloutPlan, workers: int, notify: Notify) -> CrewCollector:
-    """Worker processes that write into one shared trajectory and read one shared set of parameters."""
-    shards = plan.shards(workers)
+def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> CrewCollector:
+    """Worker processes, one a shard, that write into one shared trajectory and read one shared set of
+    parameters."""
     return CrewCollector(plan, SharedMemory(plan, shards), len(shards), notify)
 
 
@@ -76,12 +76,12 @@ class Processes:
 class SharedMemory(Processes):
     """Worker processes that sample into, and by the parameters in, memory that they share with this one."""
 
-    def __init__(self, plan: RolloutPlan, shards: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
         pickled, shapes = pickle.dumps(plan), plan.policy.parameter_shapes(plan.replicas)
         self.blocks = SharedBlock.create(plan.layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
         self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
-        setups = [WorkerSetup(pickled, first, count, *self.blocks) for first, count in shards]
+        setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]
         super().__init__(setups, plan.preload, b"_main__" in pickled)
 
     def publish(self, parameters: Parameters) -> None:

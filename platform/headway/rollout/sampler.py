@@ -12,7 +12,7 @@ from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.finite import check_finite
 from headway.rollout.blockwise import BlockwiseActing
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, Shard
 
 
 @dataclass(frozen=True)
@@ -59,19 +59,20 @@ class Tally:
 
 
 class Sampler:
-    """Copies first to first + count - 1 of every replica, and their part of the trajectory."""
+    """The copies of one shard, and their part of the trajectory."""
 
-    def __init__(
-        self, plan: RolloutPlan, first: int, count: int, trajectory: Trajectory, place: int | None = None
-    ) -> None:
-        """`place`: which of the trajectory's copies of a replica is its first; None: `first`, as in one of
-        all copies."""
-        self.plan, self.first, self.count = plan, first, count
-        self.env = plan.make_for_training(count)
-        self.acting = BlockwiseActing(plan, count, plan.block)
-        self.views = part_of(trajectory, plan.replicas, first if place is None else place, count)
+    def __init__(self, plan: RolloutPlan, shard: Shard, trajectory: Trajectory, own: bool = False) -> None:
+        """`plan`: the whole one; `own`: the trajectory is of this shard alone, and not of all copies."""
+        self.whole, self.shard, self.first, self.count = plan, shard, shard.first, shard.count
+        self.plan = plan.of_replicas(shard.first_replica, shard.replicas)
+        self.env = self.plan.make_for_training(shard.count)
+        self.acting = BlockwiseActing(self.plan, shard.count, plan.block)
+        if own:
+            self.views = part_of(trajectory, shard.replicas, Shard(0, shard.replicas, 0, shard.count))
+        else:
+            self.views = part_of(trajectory, plan.replicas, shard)
         self.observed: Observed | None = None
-        self.tally = Tally(plan.replicas * count, plan.spec.metrics)
+        self.tally = Tally(shard.replicas * shard.count, plan.spec.metrics)
 
     def begin(self, purpose: str = "env") -> None:
         """Start the first episodes, on seeds of the global copies."""
@@ -98,8 +99,10 @@ class Sampler:
         self.acting.restore(snapshot)
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
-        """Fill this sampler's part of the trajectory; the episodes that ended meanwhile."""
+        """Fill this sampler's part of the trajectory, by the parameters of all replicas; the episodes that
+        ended meanwhile."""
         assert self.observed is not None, "begin or restore first"
+        parameters = self.whole.parameters_of(parameters, self.shard.first_replica, self.shard.replicas)
         observed, views, spec = self.observed, self.views, self.plan.spec
         noise = self._noise(iteration)
         episodes = []
@@ -149,14 +152,18 @@ class Sampler:
         return f"copy {self.first + copy} of seed {self.plan.seeds[replica]}"
 
     def _episode(self, copy: int, row: dict[str, float | int | str]) -> Episode:
-        return Episode(copy // self.count, {"copy": self.first + copy % self.count, **row})
+        replica = self.shard.first_replica + copy // self.count
+        return Episode(replica, {"copy": self.first + copy % self.count, **row})
 
 
-def part_of(trajectory: Trajectory, replicas: int, first: int, count: int) -> dict[str, NDArray[Any]]:
-    """Writable views (T, R, count, ...) of a trajectory's arrays."""
+def part_of(trajectory: Trajectory, replicas: int, shard: Shard) -> dict[str, NDArray[Any]]:
+    """Writable views (T, shard.replicas, shard.count, ...) of the arrays of a trajectory of so many
+    replicas."""
+    of_replicas = slice(shard.first_replica, shard.first_replica + shard.replicas)
+    of_copies = slice(shard.first, shard.first + shard.count)
     views = {}
     for field in fields(trajectory):
         array = getattr(trajectory, field.name)
         split = array.reshape(array.shape[0], replicas, array.shape[1] // replicas, *array.shape[2:])
-        views[field.name] = split[:, :, first : first + count]
+        views[field.name] = split[:, of_replicas, of_copies]
     return views

@@ -18,7 +18,7 @@ class SerialCollector:
         self.plan = plan
         plan.shards(1)
         self.trajectory = Trajectory.allocate(plan.layout)
-        self.sampler = Sampler(plan, 0, plan.copies, self.trajectory)
+        self.sampler = Sampler(plan, plan.whole, self.trajectory)
 
     def begin(self) -> None:
         """Start the first episodes."""
@@ -31,7 +31,7 @@ class SerialCollector:
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes, block after block."""
         requests = evaluation_requests(self.plan, root, episodes, greedy)
-        return joined(self.plan, [evaluate_policy(self.plan, parameters, request) for request in requests])
+        return joined([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:
         """One shard."""

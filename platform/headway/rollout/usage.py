@@ -1,5 +1,7 @@
 """What a process has used and could still have, by the operating system's account."""
 
+import os
+import sys
 import time
 from pathlib import Path
 
@@ -37,6 +39,13 @@ def cpu_seconds_of(process_id: int) -> float:
     except psutil.Error:
         return 0.0
     return float(times.user + times.system)
+
+
+def usable_cores() -> int:
+    """Logical processors that this process may run on."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def proportional_memory() -> int:

@@ -20,7 +20,7 @@ from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.sampler import Episode, Sampler
 from headway.rollout.usage import OwnUsage
 
@@ -31,8 +31,7 @@ class WorkerSetup:
 
     plan: bytes
     """A `RolloutPlan`, pickled."""
-    first: int
-    count: int
+    shard: Shard
     trajectory: SharedBlock
     parameters: SharedBlock
 
@@ -42,7 +41,7 @@ class WorkerSetup:
         shapes = plan.policy.parameter_shapes(plan.replicas)
         return Sampling(
             plan,
-            (self.first, self.count),
+            self.shard,
             Trajectory.over(self.trajectory.buffer, plan.layout),
             parameter_arrays(shapes, self.parameters.buffer),
         )
@@ -71,9 +70,11 @@ class Collect:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Play evaluation episodes."""
+    """Play evaluation episodes of some of the replicas."""
 
     request: EvaluationRequest
+    first_replica: int
+    replicas: int
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,7 @@ class Done:
 
     episodes: list[Episode]
     evaluation: list[list[Row]]
+    """One list a replica that was to be evaluated, one row an episode."""
     snapshot: Any
     usage: Usage
     contribution: Contribution | None = None
@@ -187,28 +189,28 @@ class Sampling:
     def __init__(
         self,
         plan: RolloutPlan,
-        shard: tuple[int, int],
+        shard: Shard,
         trajectory: Trajectory,
         parameters: Parameters,
-        place: int | None = None,
+        own: bool = False,
     ) -> None:
-        """`shard`: first and count of its copies; `parameters` may change between two commands; `place`: as
-        `Sampler`'s."""
-        self.plan, self.shard, self.place = plan, shard, place
+        """`parameters`: of all replicas, may change between two commands; `own`: as `Sampler`'s."""
+        self.plan, self.shard, self.own = plan, shard, own
         self.trajectory, self.parameters = trajectory, parameters
         self.own_usage = OwnUsage()
 
     @cached_property
     def sampler(self) -> Sampler:
         """Not made by a worker that only evaluates."""
-        return Sampler(self.plan, *self.shard, self.trajectory, self.place)
+        return Sampler(self.plan, self.shard, self.trajectory, self.own)
 
     def carry_out(self, command: Command) -> Done:
         """Do as told."""
         episodes: list[Episode] = []
         match command:
-            case Evaluate(request=request):
-                evaluation = evaluate_policy(self.plan, self.parameters, request)
+            case Evaluate(request=request, first_replica=first, replicas=number):
+                plan, parameters = self.plan, self.plan.parameters_of(self.parameters, first, number)
+                evaluation = evaluate_policy(plan.of_replicas(first, number), parameters, request)
                 return Done([], evaluation, None, self.own_usage.read())
             case Begin(purpose=purpose):
                 self.sampler.begin(purpose)

@@ -1,14 +1,14 @@
 """What a run was made with: versions, revision, hardware."""
 
-import os
 import platform
 import subprocess
-import sys
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
 import psutil
+
+from headway.rollout.usage import usable_cores
 
 _PACKAGES = ("headway", "numpy", "torch", "gymnasium", "pettingzoo", "supersuit", "mlflow", "codecarbon")
 _GIT_SECONDS = 5.0
@@ -63,13 +63,6 @@ def _hardware() -> dict[str, str]:
     }
     gpus = _gpu_models()
     return found | ({"hardware.gpu": ", ".join(gpus)} if gpus else {})
-
-
-def usable_cores() -> int:
-    """Logical processors that this process may run on."""
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _cpu_model() -> str:

@@ -64,6 +64,8 @@ class FaultConfig:
     """It strikes environments of this many copies only: not those of evaluation, say."""
     times: int = 1
     snapshots: bool = True
+    limit: int | None = None
+    """Copies that a process can hold, as is said; nobody counts them."""
 
 
 class FaultyVisitors:
@@ -76,7 +78,8 @@ class FaultyVisitors:
 
     @property
     def spec(self) -> EnvSpec:
-        return replace(self._env.spec, name="faulty", snapshots=self._config.snapshots)
+        snapshots, limit = self._config.snapshots, self._config.limit
+        return replace(self._env.spec, name="faulty", snapshots=snapshots, max_copies_per_process=limit)
 
     @property
     def num_copies(self) -> int:
@@ -184,6 +187,12 @@ class RareVisitors(Visitors):
 
     def close(self) -> None:
         RareVisitors.held -= self.num_copies
+
+
+class LoneVisitors(RareVisitors):
+    """Visitors of whom a process can hold one copy."""
+
+    LIMIT = 1
 
 
 class Showing:

@@ -1,6 +1,7 @@
 """What the tests of the training loop share: small jobs of IPPO, and their logs made comparable."""
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,11 +39,13 @@ def job_of(
     model = ModelConfig(hidden=(8,), core=core, gru_size=4, sequence_length=6)
     algo = IPPOConfig(model=model, epochs=2, minibatches=2, precision=precision)
     make, prepared = env
+    with closing(make(prepared, 1)) as one:
+        spec = one.spec
     return TrainingJob(
         make_env=make,
         preload=(),
         prepared=prepared,
-        spec=make(prepared, 1).spec,
+        spec=spec,
         make_policy=ENTRIES["ippo"].acting_policy,
         make_learner=ENTRIES["ippo"].learner,
         algo_config=algo,

@@ -17,6 +17,7 @@ from rehearsal import (
     Fault,
     FaultConfig,
     FaultyVisitors,
+    LoneVisitors,
     RareVisitors,
     Showing,
     Taken,
@@ -36,6 +37,7 @@ from headway.rollout.backends import open_collector, open_contributors
 from headway.rollout.contributing import AsynchronousPlan
 from headway.rollout.crew import WorkerFailedError
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.usage import usable_cores
 from headway.rollout.worker import Contribute
 
 without_ray = importlib.util.find_spec("ray") is None
@@ -84,6 +86,23 @@ def test_actors_give_what_processes_give_bit_for_bit(toy: str, core: str) -> Non
             collector.restore(snapshots, 2)
             gone_on.append(iterations_of(collector, parameters, 3, 3))
     assert_same(*gone_on)
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_actors_may_each_hold_one_seed_of_a_stack() -> None:
+    plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=2)
+    parameters, given = parameters_of(plan), []
+    for name in ("process", "ray"):
+        with collector_of(plan, name, 4) as collector:
+            collector.begin()
+            evaluated = collector.evaluate(7, 3, False, parameters)
+            given.append((evaluated, iterations_of(collector, parameters, 1, 2)))
+            assert len(collector.process_ids()) == 4 + min(2, usable_cores())
+    assert given[0][0] == given[1][0]
+    assert_same(given[0][1], given[1][1])
+    plainly = _collected(plan_of_toy("visitors", seeds=(5, 6), copies=2), "process")
+    assert_same(plainly[:2], given[1][1])
 
 
 @needs_ray

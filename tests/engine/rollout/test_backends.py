@@ -7,6 +7,7 @@ import pytest
 from rehearsal import (
     TOYS,
     VISITORS,
+    LoneVisitors,
     RareVisitors,
     Taken,
     assert_same,
@@ -20,6 +21,7 @@ from rehearsal import (
 from headway.contracts import HeadwayError
 from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.usage import usable_cores
 from headway_envs.toy.visitors import OptimalVisitors
 
 
@@ -99,6 +101,39 @@ def test_a_process_never_holds_more_copies_than_the_environment_allows(seeds: tu
     assert given[0] == given[1]
     ruled = evaluate_rule(RareVisitors, lambda prepared: OptimalVisitors(), VISITORS, 7, 5)
     assert [row["length"] for row in ruled] == [row["length"] for row in given[0][0][0]]
+
+
+@pytest.mark.parametrize(("make", "groups", "workers"), [(LoneVisitors, 3, 6), (RareVisitors, 2, 4)])
+def test_a_stack_of_which_a_process_holds_a_part_sees_what_any_stack_sees(
+    make: type[RareVisitors], groups: int, workers: int
+) -> None:
+    """Of three seeds a process holds one, or two of them; of each it holds one copy."""
+    seeds = (5, 6, 7)
+    plan = plan_of(make, VISITORS, seeds, copies=2)
+    parameters = parameters_of(plan)
+    with collector_of(plan, "process", workers) as collector:
+        assert len(collector.process_ids()) == workers + min(groups, usable_cores())
+        collector.begin()
+        evaluated = collector.evaluate(7, 5, False, parameters)
+        taken = iterations_of(collector, parameters, 1, 2)
+        snapshots = collector.snapshot()
+        taken += iterations_of(collector, parameters, 3, 3)
+    assert_same(_collected(plan_of_toy("visitors", seeds=seeds, copies=2), "serial"), taken)
+    assert {episode.replica for each in taken for episode in each.episodes} == {0, 1, 2}
+    for replica, seed in enumerate(seeds):
+        alone = plan_of(make, VISITORS, (seed,), copies=1)
+        with collector_of(alone, "process", 1) as collector:
+            assert collector.evaluate(7, 5, False, parameters_of(alone)) == [evaluated[replica]]
+    with collector_of(plan, "process", workers) as collector:
+        collector.restore(snapshots, 2)
+        assert_same(taken[2:], iterations_of(collector, parameters, 3, 3))
+
+
+def test_serially_such_a_stack_is_refused_in_one_line() -> None:
+    plan = plan_of(LoneVisitors, VISITORS, (5, 6), copies=1)
+    line = "visitors allows 1 copies in a process, and a worker would hold 2; set rollout.block=1 and"
+    with pytest.raises(HeadwayError, match=line), collector_of(plan, "serial", 1):
+        pass
 
 
 def test_evaluation_takes_nothing_from_training() -> None:

@@ -69,6 +69,28 @@ def test_a_worker_killed_in_mid_iteration_leaves_no_trace_in_the_data(tmp_path: 
     assert "from where it stood" in notices[0]
 
 
+@pytest.mark.parametrize("snapshots", [True, False])
+def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, snapshots: bool) -> None:
+    """Two seeds of two copies, each copy in a process of its own; the others go on as they would have."""
+
+    def taken(times: int, notices: list[str]) -> list[Taken]:
+        config = FaultConfig("kill", str(tmp_path), 30, 1, times, snapshots, limit=1)
+        plan = plan_of(FaultyVisitors, config, seeds=(5, 6), copies=2)
+        with collector_of(plan, workers=4, notify=notices.append) as collector:
+            collector.begin()
+            return iterations_of(collector, parameters_of(plan), 1, 3)
+
+    notices: list[str] = []
+    undisturbed, disturbed = taken(0, []), taken(1, notices)
+    assert len(notices) == 1
+    assert ("from where it stood" if snapshots else "its episodes start again") in notices[0]
+    if snapshots:
+        assert_same(undisturbed, disturbed)
+    seen = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]
+    changed = [not np.array_equal(seen[0][:, c], seen[1][:, c], equal_nan=True) for c in range(4)]
+    assert sum(changed) == (not snapshots)
+
+
 def test_both_workers_killed_in_one_iteration_are_both_replaced(tmp_path: Path) -> None:
     notices: list[str] = []
     # The two strike at the same step; a replaced one finds that both marks are made.

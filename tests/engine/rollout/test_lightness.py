@@ -37,7 +37,7 @@ plan = RolloutPlan(make_spy, (), config, spec, policy, (0,), 8, 512, 4)
 parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
 for attempt in ("cold", "warm"):
     began = time.monotonic()
-    collector = process_collector(plan, 2, print)
+    collector = process_collector(plan, plan.shards(2), print)
     collector.begin()
     ready = time.monotonic() - began
     collector.collect(1, parameters)
@@ -78,7 +78,7 @@ from rehearsal import parameters_of, plan_of_toy
 from headway.rollout.processes import process_collector
 
 plan = plan_of_toy("visitors", copies=8, steps=500)
-collector = process_collector(plan, 3, print)
+collector = process_collector(plan, plan.shards(3), print)
 collector.begin()
 print("ready", flush=True)
 for iteration in range(10**9):

@@ -125,13 +125,21 @@ def test_shards_are_whole_blocks_as_equal_as_can_be(
     copies: int, block: int, workers: int, counts: list[int]
 ) -> None:
     shards = plan_of_toy("visitors", copies=copies, block=block).shards(workers)
-    assert [count for _, count in shards] == counts
-    assert [first for first, _ in shards] == [sum(counts[:i]) for i in range(len(counts))]
+    assert [shard.count for shard in shards] == counts
+    assert [shard.first for shard in shards] == [sum(counts[:i]) for i in range(len(counts))]
 
 
 @pytest.mark.parametrize(
     ("limit", "seeds", "copies", "block", "workers"),
-    [(1, (5,), 4, 1, 2), (3, (5,), 8, 4, 2), (2, (5, 6), 4, 2, 4), (5, (5, 6), 4, 4, 1)],
+    [
+        (1, (5,), 4, 1, 2),
+        (3, (5,), 8, 4, 2),
+        (2, (5, 6), 4, 2, 4),
+        (5, (5, 6), 4, 4, 1),
+        (1, (5, 6, 7), 2, 1, 2),
+        (2, (5, 6, 7), 4, 2, 4),
+        (3, (5, 6, 7, 8), 2, 2, 3),
+    ],
 )
 def test_too_many_copies_for_a_process_are_refused_with_settings_that_work(
     limit: int, seeds: tuple[int, ...], copies: int, block: int, workers: int
@@ -143,7 +151,14 @@ def test_too_many_copies_for_a_process_are_refused_with_settings_that_work(
         plan(block).shards(workers)
     words = dict(word.split("=") for word in str(refusal.value).replace(";", "").split() if "=" in word)
     shards = plan(int(words["rollout.block"])).shards(int(words["backend.workers"]))
-    assert max(count for _, count in shards) * len(seeds) <= limit
+    assert max(shard.replicas * shard.count for shard in shards) <= limit
+    held = [
+        (replica, copy)
+        for shard in shards
+        for replica in range(shard.first_replica, shard.first_replica + shard.replicas)
+        for copy in range(shard.first, shard.first + shard.count)
+    ]
+    assert sorted(held) == [(replica, copy) for replica in range(len(seeds)) for copy in range(copies)]
 
 
 def test_a_collector_is_closed_where_its_companion_cannot_open(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,10 +188,25 @@ def test_memory_is_not_read_at_every_glance(monkeypatch: pytest.MonkeyPatch) -> 
     assert len(reads) == 1
 
 
-def test_a_stack_larger_than_a_process_allows_is_told_to_shrink() -> None:
-    plan = _limited(plan_of_toy("visitors", seeds=(5, 6, 7)), 2)
-    with pytest.raises(HeadwayError, match=r"set backend\.stack=2"):
-        plan.shards(4)
+@pytest.mark.parametrize(
+    ("limit", "seeds", "workers", "groups"),
+    [
+        (None, 3, 1, [(0, 3)]),
+        (3, 3, 4, [(0, 3)]),
+        (1, 3, 12, [(0, 1), (1, 1), (2, 1)]),
+        (2, 3, 8, [(0, 1), (1, 2)]),
+        (2, 4, 8, [(0, 2), (2, 2)]),
+    ],
+)
+def test_replicas_are_held_together_unless_one_copy_of_each_is_too_many(
+    limit: int | None, seeds: int, workers: int, groups: list[tuple[int, int]]
+) -> None:
+    plan = plan_of_toy("visitors", seeds=range(seeds))
+    plan = plan if limit is None else _limited(plan, limit)
+    shards = plan.shards(workers)
+    assert sorted({(shard.first_replica, shard.replicas) for shard in shards}) == plan.groups == groups
+    assert len(shards) == workers
+    assert len(plan.shards(workers + len(groups) - 1)) == workers  # no group has more than another
 
 
 def _limited(plan: RolloutPlan, limit: int) -> RolloutPlan:

@@ -25,7 +25,7 @@ from headway.contracts.acting import Parameters
 from headway.rollout import episodes
 from headway.rollout.blockwise import BlockwiseActing
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
-from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan
+from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, Shard
 from headway.rollout.sampler import Episode, Sampler
 from headway_envs.toy.trivial import TrivialConfig
 from headway_envs.toy.trivial_parallel import TrivialParallel
@@ -120,7 +120,7 @@ def _sampled(
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), seeds, copies, steps, copies)
     layout = TrajectoryLayout(plan.spec, steps, len(seeds) * copies)
     trajectory = Trajectory.allocate(layout)
-    sampler = Sampler(plan, 0, copies, trajectory)
+    sampler = Sampler(plan, plan.whole, trajectory)
     sampler.begin()
     trajectories, episodes = [], []
     parameters = {"shift": np.zeros(len(seeds), np.int64)}
@@ -176,7 +176,7 @@ def test_episode_rows_count_across_iterations() -> None:
 def test_seeds_and_noise_belong_to_global_copies() -> None:
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5, 6), 3, 4, 1)
     trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, 4, 6))
-    sampler = Sampler(plan, 1, 2, trajectory)  # copies 1 and 2 of both replicas
+    sampler = Sampler(plan, Shard(0, 2, 1, 2), trajectory)  # copies 1 and 2 of both replicas
     sampler.begin()
     expected = [child_seeds(seed, "env", copy, 1)[0] for seed in (5, 6) for copy in (1, 2)]
     assert isinstance(sampler.env, Clock)
@@ -255,10 +255,10 @@ def test_training_arguments_are_learned_from_and_never_reported_on() -> None:
     plan = RolloutPlan(make, (), "reported", Clock(None, 1).spec, StepPolicy([]), (5,), 3, 4, 1)
     plan = replace(plan, training_prepared="learned from")
     trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, 4, 3))
-    Sampler(plan, 0, 3, trajectory)
+    Sampler(plan, plan.whole, trajectory)
     evaluate_policy(plan, {}, EvaluationRequest(77, 0, 2, greedy=True))
     assert made == ["learned from", "reported"]
-    Sampler(replace(plan, training_prepared=None), 0, 3, trajectory)
+    Sampler(replace(plan, training_prepared=None), plan.whole, trajectory)
     assert made[2] == "reported"
 
 
@@ -292,7 +292,7 @@ def test_nan_of_an_adapted_environment_is_named_by_its_global_copy_and_seed() ->
 
     plan = replace(plan_of_toy("trivial", seeds=(5, 6)), make_env=make, spec=make(None, 1).spec)
     trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, plan.steps, 2 * plan.copies))
-    sampler = Sampler(plan, 1, 2, trajectory)  # a worker's part: copies 1 and 2
+    sampler = Sampler(plan, Shard(0, 2, 1, 2), trajectory)  # a worker's part: copies 1 and 2
     sampler.begin()
     agent = plan.spec.agents[1]
     with pytest.raises(

@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import fields, replace
 from typing import Any, Literal
@@ -26,12 +26,12 @@ from headway_envs.intersection.entry import ENTRY
 SHARED = AlgoConfig(policies="shared", critic="local")
 
 
-def _plan(copies: int, steps: int = 120, **arguments: Any) -> RolloutPlan:  # noqa: ANN401 - any argument
+def _plan(copies: int, steps: int = 120, seeds: Sequence[int] = (5,), **arguments: Any) -> RolloutPlan:  # noqa: ANN401 - any argument
     prepared = ENTRY.prepare(IntersectionConfig(**{"horizon": 200, "slots": 24, **arguments}))
     with closing(ENTRY.make(prepared, 1)) as env:
         spec = env.spec
     policy = ALGORITHMS["ippo"].acting_policy(SHARED, spec)
-    return RolloutPlan(ENTRY.make, ENTRY.preload, prepared, spec, policy, (5,), copies, steps, 1)
+    return RolloutPlan(ENTRY.make, ENTRY.preload, prepared, spec, policy, tuple(seeds), copies, steps, 1)
 
 
 def _parameters(plan: RolloutPlan) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def _parameters(plan: RolloutPlan) -> dict[str, Any]:
 def _collector(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> Iterator[Collector]:
     said = [] if notices is None else notices
     with closing(
-        open_collector(build(BackendConfig, {"name": name}), plan, plan.copies, said.append)
+        open_collector(build(BackendConfig, {"name": name}), plan, plan.replicas * plan.copies, said.append)
     ) as collector:
         yield collector
 
@@ -69,6 +69,30 @@ def test_both_backends_play_the_same_and_evaluation_takes_nothing_from_training(
     assert one[0].alive.any()
     for field in fields(Trajectory):
         np.testing.assert_array_equal(getattr(one[0], field.name), getattr(other[0], field.name), field.name)
+
+
+def test_seeds_of_a_stack_have_processes_of_their_own_and_see_what_they_see_alone() -> None:
+    stacked = _plan(copies=1, seeds=(5, 6))
+    parameters = _parameters(stacked)
+    with _collector(stacked, "process") as collector:
+        collector.begin()
+        collector.collect(1, parameters)
+        episodes = collector.collect(2, parameters)
+        together = _copied(collector.trajectory)
+        evaluated = collector.evaluate(7, 2, False, parameters)
+    assert not np.array_equal(together.alive[:, 0], together.alive[:, 1])
+    for replica, seed in enumerate(stacked.seeds):
+        alone = _plan(copies=1, seeds=(seed,))
+        own = stacked.parameters_of(parameters, replica, 1)
+        with _collector(alone, "process") as collector:
+            collector.begin()
+            collector.collect(1, own)
+            expected = [(replica, episode.row) for episode in collector.collect(2, own)]
+            assert [(e.replica, e.row) for e in episodes if e.replica == replica] == expected
+            for field in fields(Trajectory):
+                ours = getattr(together.of_copies(replica, 1), field.name)
+                np.testing.assert_array_equal(ours, getattr(collector.trajectory, field.name), field.name)
+            assert collector.evaluate(7, 2, False, own) == [evaluated[replica]]
 
 
 def test_a_killed_simulation_is_replaced_and_the_run_goes_on() -> None:
