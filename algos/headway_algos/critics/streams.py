@@ -74,8 +74,8 @@ def lambda_advantages(
     if len(endings):
         final_values = endings.put(worth(Scene.after_endings(trajectory, endings)), final_values.shape)
     present = streams.present
-    if spec.shared_reward and not present[-1].all():
-        values, present = with_teammates_values(values, present)
+    if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
+        values, present = with_teammates_values(values, present, () if spec.shared_reward else spec.groups)
     advantages = generalised_advantages(
         streams.rewards, values, final_values, streams.terminated, streams.truncated, present,
         config.gamma, config.gae_lambda,

@@ -59,6 +59,10 @@ class RewardConfig:
             regularity=self.regularity,
         )
         _share(follower_share=self.follower_share)
+        require(
+            self.follower_share == 0 or self.scope == "own",
+            f"follower_share is for scope=own; with scope={self.scope} it must be 0",
+        )
         total = self.service + self.efficiency + self.maintenance + self.regularity
         require(total > 0, "at least one of the weights must be above 0")
 

@@ -46,6 +46,7 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
             state_size=state_size(self.network, config.observation, prepared.full_state),
             groups=prepared.groups,
             shared_reward=config.reward.scope == "team",
+            shared_in_groups=config.reward.scope == "line",
             has_action_mask=True,
             agents_come_and_go=True,
             metrics=tuple(METRICS),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.kernel.layout import SETTINGS, Network
+from headway_envs.bus.kernel.layout import PAY_LINE, PAY_OWN, PAY_TEAM, SETTINGS, Network
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
@@ -132,7 +132,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "breakdown_cost": _breakdown_cost(prepared),
         "foresee_upkeep": float(reward.foresee_upkeep),
         "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
-        "scope": float(("team", "line", "own").index(reward.scope)),
+        "scope": float({"team": PAY_TEAM, "line": PAY_LINE, "own": PAY_OWN}[reward.scope]),
         "weekday": float(config.day_type == "weekday"),
         "observation": float(("paper", "published", "control").index(config.observation)),
         "full_state": float(prepared.full_state),

@@ -92,10 +92,15 @@ def check_masks(make: Make, recording: Recording) -> None:
 
 
 def check_shared_reward(make: Make, recording: Recording) -> None:
-    """Where the spec says that the reward is shared, every slot has it, absent agents' too."""
-    rewards = recording.trajectory.rewards
-    if recording.spec.shared_reward:
+    """Where the spec says that the reward is shared, by all or in each group, every slot of these has it,
+    absent agents' too."""
+    rewards, spec = recording.trajectory.rewards, recording.spec
+    if spec.shared_reward:
         assert (rewards == rewards[..., :1]).all(), "shared_reward is true, and rewards differ"
+    if spec.shared_in_groups:
+        assert spec.groups, "shared_in_groups is true, and there are no groups"
+        firsts = [spec.groups.index(group) for group in spec.groups]
+        assert (rewards == rewards[..., firsts]).all(), "shared_in_groups is true, and rewards differ in one"
 
 
 def check_determinism(make: Make, recording: Recording) -> None:

@@ -25,6 +25,8 @@ class EnvSpec:
     """The group of each agent (a bus line, say) for `policies: groups`; empty: all in one group."""
     shared_reward: bool = False
     """The team's reward stands in every agent's slot, absent agents' too: a team's critic reads one."""
+    shared_in_groups: bool = False
+    """A group's reward stands in the slot of each of its agents, absent agents' too."""
     has_action_mask: bool = False
     agents_come_and_go: bool = False
     """`alive` can be false before the episode ends."""

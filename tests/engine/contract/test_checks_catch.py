@@ -83,6 +83,8 @@ def spoil_metrics(outcome: Outcome, observed: Observed, call: int) -> None:
         ("masks", allow_nothing, {}),
         ("shared reward", keep, {"shared_reward": True}),
         ("shared reward", pay_the_team_where_it_acted, {"shared_reward": True}),
+        ("shared reward", keep, {"shared_in_groups": True}),
+        ("shared reward", keep, {"shared_in_groups": True, "groups": ("a", "a", "b", "b", "c", "c")}),
         ("determinism", pay_by_call, {}),
         ("copies", pay_by_neighbour, {}),
         ("snapshots", pay_by_call, {}),

@@ -241,6 +241,8 @@ def test_a_line_s_rewards_are_of_its_own_and_sum_to_the_team_s() -> None:
     corridor = prepare(BusConfig(scenario="corridor"))
     slots = len(corridor.agents)
     team, lines = (_begun(_with_reward(corridor, scope=scope), 1) for scope in ("team", "line"))
+    assert lines.spec.shared_in_groups
+    assert not team.spec.shared_in_groups
     rng, different = np.random.default_rng(0), 0
     for _ in range(200):
         actions = _actions(rng, (1, slots))
