@@ -22,15 +22,15 @@ def report() -> None:
     print("\n## The city: agent-ticks a second on one core\n")
     kernel.report_rates({"city": 2})
     experiment = compose([f"experiment={EXPERIMENT}"])
-    rollout = experiment.config.rollout
-    trained = measure([first_part(experiment, ITERATIONS * rollout.copies * rollout.steps)])[0]
+    env_steps = ITERATIONS * experiment.config.rollout.copies * experiment.config.rollout.steps
+    trained = measure([first_part(experiment, env_steps)])[0]
     minutes = experiment.config.env_steps / trained.per_cpu_second / 60.0
     print(f"\n## Training the city: one seed of {EXPERIMENT}\n")
     print("| steps/CPU s | budget, steps | CPU minutes, evaluations aside | memory of the session, MB |")
     print("|---:|---:|---:|---:|")
     print(
         f"| {trained.per_cpu_second:.0f} | {experiment.config.env_steps:,} | {minutes:.1f} "
-        f"| {_session_mb(ITERATIONS * rollout.copies * rollout.steps):.0f} |"
+        f"| {_session_mb(env_steps):.0f} |"
     )
     print("\nMemory: all processes of `headway run`, pages that they share counted once, at most.")
 
@@ -46,15 +46,15 @@ def _session_mb(env_steps: int) -> float:
         session = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         most = 0.0
         while session.poll() is None:
-            most = max(most, _tree_mb(session.pid))
+            most = max(most, tree_mb(session.pid))
             time.sleep(_EVERY_S)
     if session.returncode:
         raise SystemExit("benchmark: the measured session failed; its error stands above")
     return most
 
 
-def _tree_mb(process_id: int) -> float:
-    """Proportional set size of a process and all that came of it."""
+def tree_mb(process_id: int) -> float:
+    """Proportional set size of a process and all that came of it, MB; 0 where it has ended."""
     total = 0
     try:
         parent = psutil.Process(process_id)
