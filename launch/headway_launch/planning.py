@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import gcd
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.rollout.plan import replica_groups, within_limit
+from headway.rollout.plan import process_holds, replica_groups, within_limit
 from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
 from headway_launch.telling import tell
@@ -140,19 +141,37 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
         return config
     stack = min(backend.stack, len(config.seed))
     if backend.name == "serial":
-        most = limit // stack
-        if rollout.copies > most:
-            within = f"rollout.copies={most}" if most else f"backend.stack={limit}"
-            raise HeadwayError(f"{_holds(spec, limit)}; set {within}, or backend=process")
+        if stack * rollout.copies > limit:
+            ways = f"{_serially(limit, stack, rollout)}, or {_by_processes(limit, stack, config)}"
+            raise HeadwayError(f"{process_holds(spec, limit)}; set {ways}")
         return config
     block, workers = within_limit(limit, stack, rollout.copies, rollout.block)
     if backend.workers is not None and backend.workers < workers:
-        raise HeadwayError(f"{_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
+        raise HeadwayError(f"{process_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
     return replace(
         config,
         rollout=replace(rollout, block=block),
         backend=replace(backend, workers=backend.workers or workers),
     )
+
+
+def _serially(limit: int, stack: int, rollout: RolloutConfig) -> str:
+    """Settings with which one process holds no more than `limit` copies."""
+    if rollout.copies <= limit < stack:
+        return f"backend.stack={limit // rollout.copies}"
+    copies = limit // stack or limit
+    settings = ["backend.stack=1"] if limit < stack else []
+    settings.append(f"rollout.copies={copies}")
+    if copies % rollout.block:
+        settings.append(f"rollout.block={gcd(copies, rollout.block)}")
+    return " and ".join(settings)
+
+
+def _by_processes(limit: int, stack: int, config: ExperimentConfig) -> str:
+    """Settings with which processes hold no more than `limit` copies each."""
+    _, workers = within_limit(limit, stack, config.rollout.copies, config.rollout.block)
+    few = config.backend.workers is not None and config.backend.workers < workers
+    return f"backend=process and backend.workers={workers}" if few else "backend=process"
 
 
 def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
@@ -184,11 +203,6 @@ def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
         f"rollout of {rollout.block} x {rollout.steps} steps"
     )
     tell(f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line)
-
-
-def _holds(spec: EnvSpec, limit: int) -> str:
-    copies = "1 copy" if limit == 1 else f"{limit} copies"
-    return f"a process can hold {copies} of {spec.name}"
 
 
 def share_cores(
