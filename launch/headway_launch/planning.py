@@ -206,18 +206,37 @@ def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
 
 
 def share_cores(
-    backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int, cluster_cpus: int | None = None
+    backend: BackendConfig,
+    jobs: Sequence[PlannedJob],
+    cores: int,
+    cluster_cpus: int | None = None,
+    node_cpus: int | None = None,
 ) -> Shares:
     """As many training processes as cores (at most one a job); each has its share of the cores as workers,
     or, where workers are on a cluster, of its CPUs. Jobs whose number of workers is fixed run side by side as
-    far as these go round. On this machine a stack whose parts have workers of their own counts as one part:
-    they take turns with a learner that has as many times more to do, and alone would leave cores idle."""
-    parts = [1 if cluster_cpus is not None else len(_groups(job)) for job in jobs]
-    most = max([1, *((_fixed_workers(job) or 1) // part for job, part in zip(jobs, parts, strict=True))])
+    far as these go round: each keeps its place on a cluster, and beside their learner they count as
+    `cores_taken` says. `node_cpus`: all that one job can have, where `cores` are of several machines."""
+    fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
+    if cluster_cpus is None:
+        most = max(
+            [1, *(cores_taken(job.spec, len(job.seeds), workers, node_cpus) for job, workers in fixed)]
+        )
+    else:
+        most = max([1, *(workers for _, workers in fixed)])
     for_workers = cores if cluster_cpus is None else cluster_cpus
     at_once = max(1, min(cores, for_workers // most))
     parallel = max(1, min(backend.parallel or at_once, len(jobs)))
-    return Shares(parallel, max(1, for_workers // parallel))
+    workers = max(1, for_workers // parallel)
+    return Shares(parallel, workers if node_cpus is None else min(workers, node_cpus))
+
+
+def cores_taken(spec: EnvSpec, seeds: int, workers: int, node_cpus: int | None = None) -> int:
+    """Cores that a training process with its workers beside it counts as, at most those of a machine: one a
+    worker, as workers take turns with the learner. Of a stack whose parts have workers of their own only one
+    part's count: its learner has as many times more to do, and all of them would leave cores idle
+    meanwhile."""
+    taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds)))
+    return taken if node_cpus is None else min(taken, node_cpus)
 
 
 def workers_of(job: PlannedJob, shares: Shares) -> int:

@@ -36,8 +36,8 @@ class AsynchronousPlan:
         if limit is not None and rollout.block > limit:
             block = max(size for size in range(1, limit + 1) if rollout.copies % size == 0)
             raise HeadwayError(
-                f"{process_holds(rollout.spec, limit)}, and a worker, which has a block of copies, would hold "
-                f"{rollout.block}; set rollout.block={block}"
+                f"{process_holds(rollout.spec, limit)}, and a worker, which has a block of copies, would "
+                f"hold {rollout.block}; set rollout.block={block}"
             )
         return rollout.shards(rollout.copies // rollout.block)
 
