@@ -110,7 +110,7 @@ class StackedActingPolicy:
         return replace(self, spec=single, grouping=Grouping.of("shared", single))
 
     def replicas(self, parameters: Parameters) -> int:
-        """R, of which parameters are."""
+        """See `AnsweringPolicy`."""
         stack: int = parameters["observation_mean"].shape[0]
         return stack // self.grouping.num_policies
 

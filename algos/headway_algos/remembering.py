@@ -100,6 +100,10 @@ class RecurrentActingPolicy:
         """See `AnsweringPolicy`."""
         return None if self.flat.alone is None else replace(self, flat=self.flat.alone)
 
+    def replicas(self, parameters: Parameters) -> int:
+        """See `AnsweringPolicy`."""
+        return self.flat.replicas(parameters)
+
     def answer(
         self,
         parameters: Parameters,

@@ -28,6 +28,10 @@ class AnsweringPolicy(Protocol):
         slots."""
         ...
 
+    def replicas(self, parameters: Parameters) -> int:
+        """R, of which parameters are."""
+        ...
+
     def answer(
         self,
         parameters: Parameters,
@@ -51,7 +55,7 @@ def answer_where_alive(
     alone = policy.alone
     if alone is None:
         return policy.answer(parameters, observed, memory, noise)
-    replicas = len(parameters["observation_mean"])
+    replicas = policy.replicas(parameters)
     if replicas == 1:
         return _answer_of_one(policy, alone, parameters, observed, memory, noise)
     copies = len(observed.alive) // replicas

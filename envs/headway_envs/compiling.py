@@ -23,7 +23,9 @@ def _out_of_reach(*names: str) -> Iterator[None]:
 
 
 # When it is loaded numba tries whether there is scipy's linear algebra, which no kernel here calls: 16 MB of
-# every worker, and half the time that it takes to load its kernels. Who calls it finds it later.
+# every worker, and half the time that it takes to load its kernels. Other compiled code that calls `dot` or
+# `numpy.linalg` finds scipy later. But numba decides here for good (`_HAVE_BLAS`), for this process, that
+# compiled `numpy.convolve` and `correlate` do without BLAS: more slowly, and with other last bits.
 with _out_of_reach("scipy", "scipy.linalg.cython_blas"):
     import numba
 

@@ -26,7 +26,7 @@ class SessionCluster:
     cpus: int | None = None
     """Of all its machines; None: the cores of this machine."""
     node_cpus: int | None = None
-    """Of its largest machine."""
+    """Of its largest machine; None as for `cpus`."""
     learners: bool = False
     """Runs train on it, instead of only their workers."""
 
@@ -60,11 +60,11 @@ class SessionCluster:
 
     def share_cores(self, backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> Shares:
         """See `headway_launch.planning.share_cores`; `cores` are this machine's. A run that is placed whole
-        has no more workers than a machine has CPUs."""
-        if not self.learners or self.cpus is None or self.node_cpus is None:
+        takes cores as one on this machine does, and no more than a machine of the cluster has: as workers, if
+        it does not say how many it needs, and as a place, if it does."""
+        if not self.learners or self.cpus is None:
             return share_cores(backend, jobs, cores, self.cpus)
-        shares = share_cores(backend, jobs, self.cpus, self.cpus)
-        return replace(shares, workers=min(shares.workers, self.node_cpus))
+        return share_cores(backend, jobs, self.cpus, node_cpus=self.node_cpus)
 
     def open_training(self, job: "TrainingJob") -> Training:
         """Start a training process, here or, with workers beside it as processes, on the cluster."""
@@ -74,7 +74,7 @@ class SessionCluster:
         from headway_launch.training_actor import TrainingActor
 
         whole = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
-        return TrainingActor(whole, self.shared_out)
+        return TrainingActor(whole, self.node_cpus)
 
     def close(self) -> None:
         """Disconnect; a cluster that this session started ends."""

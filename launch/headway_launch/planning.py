@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import gcd
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from headway.config import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.rollout.plan import replica_groups, within_limit
+from headway.rollout.plan import process_holds, replica_groups, within_limit
 from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
 from headway_launch.telling import tell
@@ -140,19 +141,37 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
         return config
     stack = min(backend.stack, len(config.seed))
     if backend.name == "serial":
-        most = limit // stack
-        if rollout.copies > most:
-            within = f"rollout.copies={most}" if most else f"backend.stack={limit}"
-            raise HeadwayError(f"{_holds(spec, limit)}; set {within}, or backend=process")
+        if stack * rollout.copies > limit:
+            ways = f"{_serially(limit, stack, rollout)}, or {_by_processes(limit, stack, config)}"
+            raise HeadwayError(f"{process_holds(spec, limit)}; set {ways}")
         return config
     block, workers = within_limit(limit, stack, rollout.copies, rollout.block)
     if backend.workers is not None and backend.workers < workers:
-        raise HeadwayError(f"{_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
+        raise HeadwayError(f"{process_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
     return replace(
         config,
         rollout=replace(rollout, block=block),
         backend=replace(backend, workers=backend.workers or workers),
     )
+
+
+def _serially(limit: int, stack: int, rollout: RolloutConfig) -> str:
+    """Settings with which one process holds no more than `limit` copies."""
+    if rollout.copies <= limit < stack:
+        return f"backend.stack={limit // rollout.copies}"
+    copies = limit // stack or limit
+    settings = ["backend.stack=1"] if limit < stack else []
+    settings.append(f"rollout.copies={copies}")
+    if copies % rollout.block:
+        settings.append(f"rollout.block={gcd(copies, rollout.block)}")
+    return " and ".join(settings)
+
+
+def _by_processes(limit: int, stack: int, config: ExperimentConfig) -> str:
+    """Settings with which processes hold no more than `limit` copies each."""
+    _, workers = within_limit(limit, stack, config.rollout.copies, config.rollout.block)
+    few = config.backend.workers is not None and config.backend.workers < workers
+    return f"backend=process and backend.workers={workers}" if few else "backend=process"
 
 
 def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
@@ -186,24 +205,38 @@ def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
     tell(f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line)
 
 
-def _holds(spec: EnvSpec, limit: int) -> str:
-    copies = "1 copy" if limit == 1 else f"{limit} copies"
-    return f"a process can hold {copies} of {spec.name}"
-
-
 def share_cores(
-    backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int, cluster_cpus: int | None = None
+    backend: BackendConfig,
+    jobs: Sequence[PlannedJob],
+    cores: int,
+    cluster_cpus: int | None = None,
+    node_cpus: int | None = None,
 ) -> Shares:
     """As many training processes as cores (at most one a job); each has its share of the cores as workers,
     or, where workers are on a cluster, of its CPUs. Jobs whose number of workers is fixed run side by side as
-    far as these go round. On this machine a stack whose parts have workers of their own counts as one part:
-    they take turns with a learner that has as many times more to do, and alone would leave cores idle."""
-    parts = [1 if cluster_cpus is not None else len(_groups(job)) for job in jobs]
-    most = max([1, *((_fixed_workers(job) or 1) // part for job, part in zip(jobs, parts, strict=True))])
+    far as these go round: each keeps its place on a cluster, and beside their learner they count as
+    `cores_taken` says. `node_cpus`: all that one job can have, where `cores` are of several machines."""
+    fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
+    if cluster_cpus is None:
+        most = max(
+            [1, *(cores_taken(job.spec, len(job.seeds), workers, node_cpus) for job, workers in fixed)]
+        )
+    else:
+        most = max([1, *(workers for _, workers in fixed)])
     for_workers = cores if cluster_cpus is None else cluster_cpus
     at_once = max(1, min(cores, for_workers // most))
     parallel = max(1, min(backend.parallel or at_once, len(jobs)))
-    return Shares(parallel, max(1, for_workers // parallel))
+    workers = max(1, for_workers // parallel)
+    return Shares(parallel, workers if node_cpus is None else min(workers, node_cpus))
+
+
+def cores_taken(spec: EnvSpec, seeds: int, workers: int, node_cpus: int | None = None) -> int:
+    """Cores that a training process with its workers beside it counts as, at most those of a machine: one a
+    worker, as workers take turns with the learner. Of a stack whose parts have workers of their own only one
+    part's count: its learner has as many times more to do, and all of them would leave cores idle
+    meanwhile."""
+    taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds)))
+    return taken if node_cpus is None else min(taken, node_cpus)
 
 
 def workers_of(job: PlannedJob, shares: Shares) -> int:

@@ -26,7 +26,7 @@ from headway.events import (
 )
 from headway.rollout.actors import PATIENCE_S, Place, pickled_whole, reason_of
 from headway.training import TrainingJob
-from headway_launch.planning import gpus_of
+from headway_launch.planning import cores_taken, gpus_of
 from headway_launch.telling import tell
 from headway_launch.threads import ONE_THREAD
 from headway_launch.training_process import train_and_tell
@@ -92,18 +92,20 @@ class Placement:
     gpus: float = 0.0
 
     @classmethod
-    def of(cls, job: TrainingJob, shared_out: bool) -> "Placement":
-        """A CPU for each of its workers, which take turns with the learner; on this machine, whose cores are
-        shared out already, none. A GPU where it trains on one."""
-        gpus = gpus_of(job.config.device, ray.cluster_resources().get("GPU", 0.0))
-        return cls(0.0 if shared_out else float(job.workers), gpus)
+    def of(cls, job: TrainingJob, node_cpus: int | None, there: float) -> "Placement":
+        """CPUs as `cores_taken` says, at most `node_cpus`, those of the largest node; where that is None, on
+        this machine, whose cores are shared out already, none. A GPU where it trains on one, if so many are
+        `there`."""
+        taken = 0 if node_cpus is None else cores_taken(job.spec, len(job.seeds), job.workers, node_cpus)
+        return cls(float(taken), gpus_of(job.config.device, there))
 
 
 class TrainingActor:
     """See `headway_launch.session.Training`."""
 
-    def __init__(self, job: TrainingJob, shared_out: bool) -> None:
-        asks = Placement.of(job, shared_out)
+    def __init__(self, job: TrainingJob, node_cpus: int | None) -> None:
+        """`node_cpus`: see `Placement.of`."""
+        asks = Placement.of(job, node_cpus, ray.cluster_resources().get("GPU", 0.0))
         made = ray.remote(TrainingHost).options(
             num_cpus=asks.cpus,
             num_gpus=asks.gpus,

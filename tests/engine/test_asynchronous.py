@@ -201,7 +201,9 @@ def test_a_process_holds_no_more_copies_than_the_environment_allows(
     with pytest.raises(HeadwayError, match=r"would hold 4; set backend=process, or rollout\.copies=2$"):
         trained(_job("a3c", tmp_path / "serial", env=rare))
     monkeypatch.setattr(RareVisitors, "held", 0)
-    with pytest.raises(HeadwayError, match=r"which has a block of them, would hold 4; set rollout\.block=2$"):
+    with pytest.raises(
+        HeadwayError, match=r"which has a block of copies, would hold 4; set rollout\.block=2$"
+    ):
         trained(_job("a3c", tmp_path / "large", env=rare, backend="process", block=4))
 
 

@@ -215,7 +215,7 @@ def test_stopped_and_resumed_equals_never_stopped(
 def test_a_stack_of_which_a_process_holds_one_seed_trains_and_resumes_as_any_stack(tmp_path: Path) -> None:
     seeds = (5, 6)
     anywhere = job_of(tmp_path / "anywhere", seeds=seeds, block=1)
-    # Evaluation in the blocks of one that the other's processes can hold.
+    # It evaluates apart as well, but four episodes of each seed at once, where the other plays one.
     anywhere = replace(anywhere, spec=replace(anywhere.spec, max_copies_per_process=8))
     trained(anywhere)
     job = job_of(tmp_path, (LoneVisitors, VISITORS), seeds, "process", workers=8, block=1)

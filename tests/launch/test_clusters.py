@@ -248,6 +248,36 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
     assert whole.share_cores(BackendConfig("ray"), planned, cores) == Shares(jobs, min(64 // jobs, 8))
 
 
+@needs_ray
+@pytest.mark.parametrize(
+    ("words", "workers", "node_cpus", "asked", "parallel"),
+    [
+        (("backend.stack=5", "env.max_copies_per_process=1"), 10, 4, 2, 2),
+        (("backend.stack=5", "env.max_copies_per_process=1"), 10, 1, 1, 2),
+        (("backend.workers=6", "rollout.copies=6", "rollout.block=1"), 6, 4, 4, 2),
+        (("backend.workers=6", "rollout.copies=6", "rollout.block=1"), 6, 8, 6, 1),
+        (("backend.stack=5", "env.max_copies_per_process=1"), 10, None, 0, 2),
+    ],
+)
+def test_a_run_that_is_placed_whole_asks_for_what_a_node_has(
+    words: tuple[str, ...], workers: int, node_cpus: int | None, asked: int, parallel: int
+) -> None:
+    from headway_launch.composing import compose
+    from headway_launch.planning import plan_jobs, workers_of
+    from headway_launch.training_actor import Placement
+
+    bare = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "algo=ippo", "seed=0..9", "backend=ray"]
+    composed = compose([*bare, "rollout.copies=2", "rollout.block=2", *words])
+    jobs = plan_jobs(composed)
+    cpus = None if node_cpus is None else 8
+    cluster = SessionCluster("head:1", node_cpus is None, cpus, node_cpus, learners=True)
+    shares = cluster.share_cores(composed.config.backend, jobs, cores=4)
+    job = jobs[0].training_job(composed.config, workers_of(jobs[0], shares), ())
+    assert job.workers == workers
+    assert Placement.of(job, node_cpus, 0.0) == Placement(asked)
+    assert shares.parallel == parallel
+
+
 @pytest.mark.parametrize(
     ("device", "there", "asked"),
     [("cpu", 4, 0), ("auto", 0, 0), ("auto", 4, 1), ("cuda", 4, 1), ("cuda:1", 0, 1)],

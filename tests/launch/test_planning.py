@@ -73,12 +73,42 @@ def test_what_needs_no_change_is_left_alone() -> None:
             _config(1, 1, stack=2, name="serial"),
             "1 copy of bridge; set backend.stack=1, or backend=proc",
         ),
-        (SIX, _config(8, 8, stack=3, name="serial"), "6 copies of bridge; set rollout.copies=2"),
+        (
+            SIX,
+            _config(8, 8, stack=3, name="serial"),
+            "6 copies of bridge; set rollout.copies=2 and rollout.block=2, or backend=process",
+        ),
+        (TWO, _config(2, 1, stack=3, name="serial"), "2 copies of bridge; set backend.stack=1, or backend="),
+        (
+            TWO,
+            _config(9, 3, stack=3, name="serial", workers=1),
+            "2 copies of bridge; set backend.stack=1 and rollout.copies=2 and rollout.block=1, "
+            "or backend=process and backend.workers=18",
+        ),
     ],
 )
-def test_what_cannot_be_is_refused(spec: EnvSpec, config: ExperimentConfig, line: str) -> None:
-    with pytest.raises(HeadwayError, match=f"a process can hold {line}"):
+def test_what_cannot_be_is_refused_with_settings_that_work(
+    spec: EnvSpec, config: ExperimentConfig, line: str
+) -> None:
+    with pytest.raises(HeadwayError, match=f"a process can hold {line}") as refusal:
         within_processes(config, spec)
+    ways = str(refusal.value).split("; set ")[1].split(", or ")
+    for way in ways:
+        within_processes(_following(way, config), spec)
+
+
+def _following(way: str, config: ExperimentConfig) -> ExperimentConfig:
+    """The configuration with settings that a line names."""
+    changed: dict[str, dict[str, object]] = {"rollout": {}, "backend": {}}
+    for setting in way.replace("leave it out", "backend.workers=").split(" and "):
+        key, value = setting.split("=")
+        group, _, name = key.partition(".")
+        changed[group][name or "name"] = (int(value) if value else None) if name else value
+    return replace(
+        config,
+        rollout=replace(config.rollout, **changed["rollout"]),  # type: ignore[arg-type]  # as they stand
+        backend=replace(config.backend, **changed["backend"]),  # type: ignore[arg-type]
+    )
 
 
 def _crowded(*overrides: str) -> Experiment:

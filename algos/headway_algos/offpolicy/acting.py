@@ -83,6 +83,10 @@ class EpsilonGreedyPolicy:
         """See `AnsweringPolicy`."""
         return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
 
+    def replicas(self, parameters: Parameters) -> int:
+        """See `AnsweringPolicy`."""
+        return self.stack.flat.replicas(parameters)
+
     def answer(
         self,
         parameters: Parameters,
@@ -173,6 +177,10 @@ class WanderingPolicy:
     def alone(self) -> Self | None:
         """See `AnsweringPolicy`."""
         return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
+
+    def replicas(self, parameters: Parameters) -> int:
+        """See `AnsweringPolicy`."""
+        return self.stack.flat.replicas(parameters)
 
     def answer(
         self,

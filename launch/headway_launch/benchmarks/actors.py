@@ -28,7 +28,8 @@ TASKS = {
 _REPEATS = 50
 _LARGE = 16 * 2**20
 """Bytes of an answer large enough for its size to be what it costs."""
-_PLANNED_WORKERS = (4, 8, 16, 32, 64)
+_PLANNED_WORKERS = (4, 8, 16, 32)
+"""As many as a task has copies, at most: with more, some would have nothing to do."""
 _WORKERS_A_NODE = 16
 """Of the planned cluster: assumed."""
 _OVERLAP = 8
@@ -161,19 +162,20 @@ def _report_growth(with_two: Mapping[str, Sequence[Measurement]], wires: Mapping
         # What one worker's collection took holds what went over the wire, too.
         growth = Growth(steps, max(collected_s - wire.sent_s(steps, 1, 1) / steps, 0.0), learn_s, wire)
         one, two = (median(result.per_second for result in results) for results in (alone, with_two[name]))
-        print(f"| {name} | {' | '.join(growth_cells(growth, one, two))} |", flush=True)
+        cells = growth_cells(growth, task.copies, one, two)
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
     print(
         "\nPlanned from the one worker measured, with all workers as fast as it. Assumed, not measured: "
-        f"{_WORKERS_A_NODE} workers a node, with a copy each at least, and {_OVERLAP} calls and answers "
-        "under way at once."
+        f"{_WORKERS_A_NODE} workers a node, and {_OVERLAP} calls and answers under way at once. Nothing is "
+        "planned for more workers than a task has copies."
     )
 
 
-def growth_cells(growth: Growth, one: float, two: float) -> list[str]:
-    """Steps a second as measured with one worker and with two, and planned for two and more. Of one nothing
-    is planned: the plan was made from it."""
+def growth_cells(growth: Growth, copies: int, one: float, two: float) -> list[str]:
+    """Steps a second as measured with one worker and with two, and planned for two and more, empty for more
+    than there are copies. Of one nothing is planned: the plan was made from it."""
     planned = [
-        f"{growth.per_second(workers, max(1, workers // _WORKERS_A_NODE)):,.0f}"
+        f"{growth.per_second(workers, max(1, workers // _WORKERS_A_NODE)):,.0f}" if workers <= copies else ""
         for workers in (2, *_PLANNED_WORKERS)
     ]
     return [f"{one:,.0f}", f"{two:,.0f} ({planned[0]})", *planned[1:]]

@@ -19,6 +19,7 @@ from headway.contracts import BatchedEnv, Observed, child_seeds
 from headway.registry import env_entry
 from headway_launch.benchmarks.measuring import Task, first_part, measure
 from headway_launch.composing import compose
+from headway_launch.planning import within_processes
 
 PAPER: Mapping[str, Any] = {
     "observation": "paper",
@@ -264,7 +265,7 @@ def _report_training() -> None:
     print("|---|---|---:|---:|---:|---:|---:|")
     for experiment, algo in TRAININGS:
         task, budget = _training(experiment, algo)
-        alone = measure([_alone(task)])[0]
+        alone = measure([_training(experiment, algo, alone=True)[0]])[0]
         stacked = ""
         if task.stack > 1:
             together = measure([task])[0]
@@ -277,15 +278,13 @@ def _report_training() -> None:
     print(f"\nMeasured over {TRAINED_STEPS:,} steps; what is learned later may crowd the road less, or more.")
 
 
-def _training(experiment: str, algo: str) -> tuple[Task, int]:
-    """The first part of a training, and the steps of all of it."""
-    composed = compose([f"experiment={experiment}", f"algo={algo}"])
-    rollout, stack = composed.config.rollout, composed.config.backend.stack
-    task = first_part(composed, TRAINED_STEPS)
-    workers = stack * (rollout.copies // rollout.block)  # a process holds one copy
-    return replace(task, workers=workers, stack=stack), composed.config.env_steps
-
-
-def _alone(task: Task) -> Task:
-    """The same of one seed."""
-    return replace(task, workers=task.workers // task.stack, stack=1)
+def _training(experiment: str, algo: str, alone: bool = False) -> tuple[Task, int]:
+    """The first part of a training, and the steps of all of it; `alone`: of one of its seeds."""
+    words = [f"experiment={experiment}", f"algo={algo}", *(["backend.stack=1"] if alone else [])]
+    composed = compose(words)
+    config = within_processes(composed.config, composed.prepare().spec)
+    workers, stack = config.backend.workers or 1, min(config.backend.stack, len(config.seed))
+    task = replace(
+        first_part(composed, TRAINED_STEPS), block=config.rollout.block, workers=workers, stack=stack
+    )
+    return task, config.env_steps

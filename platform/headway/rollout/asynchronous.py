@@ -12,6 +12,7 @@ from headway.rollout.collecting import Collector, evaluation_requests, joined, r
 from headway.rollout.contributing import AsynchronousPlan, Contributing
 from headway.rollout.crew import Crew, Notify, Workplace, standing
 from headway.rollout.episodes import evaluate_policy
+from headway.rollout.plan import process_holds
 from headway.rollout.processes import process_collector
 from headway.rollout.worker import Begin, Contribute, Done, Restore
 
@@ -113,7 +114,7 @@ class SerialContributors:
         limit = self.plan.spec.max_copies_per_process
         if limit is not None and self.plan.copies > limit:
             raise HeadwayError(
-                f"{self.plan.spec.name} allows {limit} copies in a process, and this one would hold "
+                f"{process_holds(self.plan.spec, limit)}, and this one would hold "
                 f"{self.plan.copies}; set backend=process, or rollout.copies={limit}"
             )
         self.workers = [Contributing(plan, shard) for shard in plan.shards]

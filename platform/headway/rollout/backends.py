@@ -12,7 +12,6 @@ from headway.rollout.crew import Notify, Workplace
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.processes import Processes, process_collector
 from headway.rollout.serial import SerialCollector
-from headway.rollout.usage import usable_cores
 
 
 def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -21,11 +20,12 @@ def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, noti
 
     Raises HeadwayError where it cannot be had.
     """
-    collector = _COLLECTORS[backend.name](backend, plan, plan.shards(workers), notify)
+    shards = [plan.whole] if backend.name == "serial" else plan.shards(workers)
+    collector = _COLLECTORS[backend.name](backend, plan, shards, notify)
     if plan.spec.max_copies_per_process is None:
         return collector
     try:
-        return EvaluatingApart(collector, _evaluating(backend, plan, notify))
+        return EvaluatingApart(collector, _evaluating(backend, plan, workers, notify))
     except BaseException:
         collector.close()
         raise
@@ -35,14 +35,16 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
     """The same for the asynchronous mode."""
     if backend.name == "serial":
         return SerialContributors(plan, notify)
-    evaluating = _evaluating(backend, plan.rollout, notify)
+    evaluating = _evaluating(backend, plan.rollout, len(plan.shards), notify)
     return CrewContributors(plan, _WORKPLACES[backend.name](backend, plan, notify), evaluating, notify)
 
 
-def _evaluating(backend: BackendConfig, plan: RolloutPlan, notify: Notify) -> Collector:
-    """One worker for all replicas, or a few where they must be played apart."""
+def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+    """One worker for all replicas. Where these must be played apart, as many as one part of them has for
+    training: for so many cores such a stack counts, wherever several trainings share a machine."""
     name = "process" if backend.name == "serial" else backend.name
-    apart, number = plan.evaluating_apart, min(len(plan.groups), usable_cores())
+    groups = len(plan.groups)
+    apart, number = plan.evaluating_apart, min(groups, max(1, workers // groups))
     if name == "ray" and backend.cpus_of_a_worker:
         number = 1  # each would keep its place in the cluster while training goes on
     # Whoever only evaluates may be told to for any replicas: its shard is never used.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from headway.contracts import Contributor, EnvSpec, HeadwayError, Trajectory
-from headway.rollout.plan import RolloutPlan, Shard
+from headway.rollout.plan import RolloutPlan, Shard, process_holds
 from headway.rollout.sampler import Sampler
 from headway.rollout.usage import OwnUsage
 from headway.rollout.worker import Begin, Collect, Command, Contribute, Done, Evaluate, Restore
@@ -36,8 +36,8 @@ class AsynchronousPlan:
         if limit is not None and rollout.block > limit:
             block = max(size for size in range(1, limit + 1) if rollout.copies % size == 0)
             raise HeadwayError(
-                f"{rollout.spec.name} allows {limit} copies in a process, and a worker, which has a block of "
-                f"them, would hold {rollout.block}; set rollout.block={block}"
+                f"{process_holds(rollout.spec, limit)}, and a worker, which has a block of copies, would "
+                f"hold {rollout.block}; set rollout.block={block}"
             )
         return rollout.shards(rollout.copies // rollout.block)
 

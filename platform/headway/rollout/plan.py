@@ -24,6 +24,12 @@ class Shard:
     count: int
 
 
+def process_holds(spec: EnvSpec, limit: int) -> str:
+    """The limit in words."""
+    copies = "1 copy" if limit == 1 else f"{limit} copies"
+    return f"a process can hold {copies} of {spec.name}"
+
+
 def replica_groups(limit: int | None, replicas: int) -> list[tuple[int, int]]:
     """(first, number) replicas of which one worker holds copies: all of them together, unless one copy of
     each is more than the `limit` of copies in a process; then as few groups as can be, as equal as can be."""
@@ -115,7 +121,8 @@ class RolloutPlan:
         return Shard(0, self.replicas, 0, self.copies)
 
     def of_replicas(self, first: int, number: int) -> "RolloutPlan":
-        """The same plan of fewer seeds: what it decides for each of them is what this one does."""
+        """The same plan of fewer seeds: their draws and their blocks in training are those of this one.
+        Its `evaluation_block`, which depends on R, can be larger: requests are split by this one's."""
         return replace(self, seeds=self.seeds[first : first + number])
 
     def parameters_of(self, parameters: Parameters, first: int, number: int) -> Parameters:
@@ -140,17 +147,26 @@ class RolloutPlan:
 
         Raises HeadwayError where a worker would hold more copies than the environment allows in a process.
         """
-        blocks, limit = self.copies // self.block, self.spec.max_copies_per_process
-        groups = self.groups if len(self.groups) <= workers else [(0, self.replicas)]
-        used = min(workers // len(groups), blocks)
-        edges = [blocks * i // used * self.block for i in range(used + 1)]
+        blocks, groups, limit = self.copies // self.block, self.groups, self.spec.max_copies_per_process
+        used = min(workers // len(groups), blocks)  # for each group; none where there are more groups
+        edges = [blocks * i // used * self.block for i in range(used + 1)] if used else []
         shards = [Shard(*group, edges[i], edges[i + 1] - edges[i]) for group in groups for i in range(used)]
-        most = max(shard.replicas * shard.count for shard in shards)
-        if limit is not None and most > limit:
+        if limit is not None and (not shards or max(each.replicas * each.count for each in shards) > limit):
             raise HeadwayError(
-                f"{self.spec.name} allows {limit} copies in a process, and a worker would hold {most}; "
-                "set rollout.block={} and backend.workers={}".format(
-                    *within_limit(limit, self.replicas, self.copies, self.copies)
-                )
+                f"{process_holds(self.spec, limit)}, and a worker would hold more; set {self._within(limit)}"
             )
         return shards
+
+    def require_one_process(self) -> None:
+        """Raise HeadwayError where one process may not hold all copies of all replicas."""
+        limit = self.spec.max_copies_per_process
+        if limit is not None and self.replicas * self.copies > limit:
+            raise HeadwayError(
+                f"{process_holds(self.spec, limit)}, and with backend=serial one would hold more; set "
+                f"backend=process, {self._within(limit)}"
+            )
+
+    def _within(self, limit: int) -> str:
+        """Settings with which no worker process holds more than `limit` copies."""
+        block, workers = within_limit(limit, self.replicas, self.copies, self.copies)
+        return f"rollout.block={block} and backend.workers={workers}"

@@ -62,8 +62,8 @@ class Sampler:
     """The copies of one shard, and their part of the trajectory."""
 
     def __init__(self, plan: RolloutPlan, shard: Shard, trajectory: Trajectory, own: bool = False) -> None:
-        """`plan`: the whole one; `own`: the trajectory is of this shard alone, and not of all copies."""
-        self.whole, self.shard, self.first, self.count = plan, shard, shard.first, shard.count
+        """`plan`: of all replicas; `own`: the trajectory is of this shard alone, and not of all copies."""
+        self.plan_of_all, self.shard = plan, shard
         self.plan = plan.of_replicas(shard.first_replica, shard.replicas)
         self.env = self.plan.make_for_training(shard.count)
         self.acting = BlockwiseActing(self.plan, shard.count, plan.block)
@@ -76,7 +76,7 @@ class Sampler:
 
     def begin(self, purpose: str = "env") -> None:
         """Start the first episodes, on seeds of the global copies."""
-        seeds = [child_seeds(seed, purpose, self.first, self.count) for seed in self.plan.seeds]
+        seeds = [child_seeds(seed, purpose, self.shard.first, self.shard.count) for seed in self.plan.seeds]
         self.observed = self.env.reset(np.concatenate(seeds))
         self.acting.forget()
 
@@ -102,7 +102,7 @@ class Sampler:
         """Fill this sampler's part of the trajectory, by the parameters of all replicas; the episodes that
         ended meanwhile."""
         assert self.observed is not None, "begin or restore first"
-        parameters = self.whole.parameters_of(parameters, self.shard.first_replica, self.shard.replicas)
+        parameters = self.plan_of_all.parameters_of(parameters, self.shard.first_replica, self.shard.replicas)
         observed, views, spec = self.observed, self.views, self.plan.spec
         noise = self._noise(iteration)
         episodes = []
@@ -133,7 +133,7 @@ class Sampler:
         draws = [
             self.plan.policy.noise(generator(seed, "action", copy, iteration), self.plan.steps)
             for seed in self.plan.seeds
-            for copy in range(self.first, self.first + self.count)
+            for copy in range(self.shard.first, self.shard.first + self.shard.count)
         ]
         return np.stack(draws, axis=1)
 
@@ -145,15 +145,15 @@ class Sampler:
             self.views["action_masks"][t] = self._by_replica(observed.action_masks)
 
     def _by_replica(self, array: NDArray[Any]) -> NDArray[Any]:
-        return array.reshape(self.plan.replicas, self.count, *array.shape[1:])
+        return array.reshape(self.plan.replicas, self.shard.count, *array.shape[1:])
 
     def _name_copy(self, row: int) -> str:
-        replica, copy = divmod(row, self.count)
-        return f"copy {self.first + copy} of seed {self.plan.seeds[replica]}"
+        replica, copy = divmod(row, self.shard.count)
+        return f"copy {self.shard.first + copy} of seed {self.plan.seeds[replica]}"
 
     def _episode(self, copy: int, row: dict[str, float | int | str]) -> Episode:
-        replica = self.shard.first_replica + copy // self.count
-        return Episode(replica, {"copy": self.first + copy % self.count, **row})
+        replica = self.shard.first_replica + copy // self.shard.count
+        return Episode(replica, {"copy": self.shard.first + copy % self.shard.count, **row})
 
 
 def part_of(trajectory: Trajectory, replicas: int, shard: Shard) -> dict[str, NDArray[Any]]:

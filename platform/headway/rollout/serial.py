@@ -15,8 +15,9 @@ class SerialCollector:
     """Everything in this process: for debugging and tests."""
 
     def __init__(self, plan: RolloutPlan) -> None:
+        """Raises HeadwayError where one process may not hold all copies."""
+        plan.require_one_process()
         self.plan = plan
-        plan.shards(1)
         self.trajectory = Trajectory.allocate(plan.layout)
         self.sampler = Sampler(plan, plan.whole, self.trajectory)
 

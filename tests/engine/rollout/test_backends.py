@@ -21,7 +21,6 @@ from rehearsal import (
 from headway.contracts import HeadwayError
 from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.usage import usable_cores
 from headway_envs.toy.visitors import OptimalVisitors
 
 
@@ -112,7 +111,7 @@ def test_a_stack_of_which_a_process_holds_a_part_sees_what_any_stack_sees(
     plan = plan_of(make, VISITORS, seeds, copies=2)
     parameters = parameters_of(plan)
     with collector_of(plan, "process", workers) as collector:
-        assert len(collector.process_ids()) == workers + min(groups, usable_cores())
+        assert len(collector.process_ids()) == workers + min(groups, workers // groups)
         collector.begin()
         evaluated = collector.evaluate(7, 5, False, parameters)
         taken = iterations_of(collector, parameters, 1, 2)
@@ -131,9 +130,15 @@ def test_a_stack_of_which_a_process_holds_a_part_sees_what_any_stack_sees(
 
 def test_serially_such_a_stack_is_refused_in_one_line() -> None:
     plan = plan_of(LoneVisitors, VISITORS, (5, 6), copies=1)
-    line = "visitors allows 1 copies in a process, and a worker would hold 2; set rollout.block=1 and"
-    with pytest.raises(HeadwayError, match=line), collector_of(plan, "serial", 1):
+    line = (
+        "a process can hold 1 copy of visitors, and with backend=serial one would hold more; set "
+        "backend=process, rollout.block=1 and backend.workers=2"
+    )
+    with pytest.raises(HeadwayError, match=f"^{line}$"), collector_of(plan, "serial", 1):
         pass
+    with collector_of(plan, "process", 2) as collector:  # as it says
+        collector.begin()
+        assert collector.collect(1, parameters_of(plan))
 
 
 def test_evaluation_takes_nothing_from_training() -> None:

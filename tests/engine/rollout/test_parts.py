@@ -147,7 +147,7 @@ def test_too_many_copies_for_a_process_are_refused_with_settings_that_work(
     def plan(block: int) -> RolloutPlan:
         return _limited(plan_of_toy("visitors", seeds=seeds, copies=copies, block=block), limit)
 
-    with pytest.raises(HeadwayError, match=f"visitors allows {limit} copies in a process") as refusal:
+    with pytest.raises(HeadwayError, match=rf"a process can hold {limit} cop(y|ies) of visitors") as refusal:
         plan(block).shards(workers)
     words = dict(word.split("=") for word in str(refusal.value).replace(";", "").split() if "=" in word)
     shards = plan(int(words["rollout.block"])).shards(int(words["backend.workers"]))

@@ -34,8 +34,10 @@ def test_what_goes_over_the_wire_is_added(costs: dict[str, float]) -> None:
     assert growth.per_second(4, 2) == pytest.approx(500)
 
 
-def test_nothing_is_planned_of_the_worker_from_which_the_plan_was_made() -> None:
+def test_nothing_is_planned_of_the_worker_from_which_the_plan_was_made_and_of_more_than_have_work() -> None:
     """Of 32 workers, on two nodes, parameters are sent twice."""
     wire = replace(FREE, parameter_bytes=1e5, byte_s=1e-6)
-    cells = growth_cells(Growth(steps=1000, worker_s=0.0064, learn_s=0.0, wire=wire), one=151, two=290)
-    assert cells == ["151", "290 (303)", "588", "1,111", "2,000", "2,500", "2,000"]
+    growth = Growth(steps=1000, worker_s=0.0064, learn_s=0.0, wire=wire)
+    cells = growth_cells(growth, copies=32, one=151, two=290)
+    assert cells == ["151", "290 (303)", "588", "1,111", "2,000", "2,500"]
+    assert growth_cells(growth, copies=31, one=151, two=290) == [*cells[:-1], ""]

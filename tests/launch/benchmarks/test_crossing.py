@@ -4,7 +4,7 @@ import pytest
 
 from headway.configuration import build
 from headway.registry import algo_entry, env_entry
-from headway_launch.benchmarks.crossing import TRAINED_STEPS, TRAININGS, _alone, _training
+from headway_launch.benchmarks.crossing import TRAINED_STEPS, TRAININGS, _training
 from headway_launch.benchmarks.measuring import WARM_UP
 from headway_launch.composing import compose
 
@@ -19,6 +19,6 @@ def test_the_first_part_of_the_experiments_own_training_is_measured(experiment: 
     assert build(algo_entry(task.algo).config, task.algo_args) == composed.algo_config
     assert TRAINED_STEPS <= task.copies * task.steps * (task.iterations - WARM_UP) < budget
     assert task.stack == composed.config.backend.stack
-    alone = _alone(task)
+    alone, _ = _training(experiment, algo, alone=True)
     assert (alone.stack, alone.workers * alone.block) == (1, task.copies)
     assert task.workers == task.stack * alone.workers
