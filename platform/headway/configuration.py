@@ -19,6 +19,7 @@ Record = TypeVar("Record")
 
 _SPAN = re.compile(r"\s*(\d+)\s*\.\.\s*(\d+)\s*")
 _RANGE = re.compile(r"\s*range\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*")
+_NEGATIVE = re.compile(r"\s*\[?\s*-\d+\s*(\]|\.\.|,|$)")
 _MOST_NAMES, _NEAREST_NAMES = 30, 8
 """Of more names than that so many are shown: a line must stay one that is read."""
 _BEGINNING = 3
@@ -120,6 +121,8 @@ def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
             return tuple(seed for part in text.split(",") for seed in parse_seeds(part, path))
         elif re.fullmatch(r"\d+", text):
             return (int(text),)
+    if _NEGATIVE.match(str(value)):
+        raise HeadwayError(f"{path}={value}: seeds must not be negative; {_SEED_FORMS}")
     raise HeadwayError(f"{path}={value} is not a list of seeds; {_SEED_FORMS}")
 
 
