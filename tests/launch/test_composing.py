@@ -80,6 +80,12 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
     assert compose(["env=trivial", f"seed={seeds}"]).config.seed == (0, 1, 2)
 
 
+def test_a_key_of_an_earlier_version_is_named_with_what_it_is_now() -> None:
+    line = r"^env.args.reward.shared: 'shared' is now scope: team \(for true\), line or own \(for false\)$"
+    with pytest.raises(HeadwayError, match=line):
+        compose(["env=bus", "env.args.reward.shared=false"])
+
+
 @pytest.mark.parametrize(
     ("override", "parts"),
     [
