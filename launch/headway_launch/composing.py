@@ -113,8 +113,13 @@ class Experiment:
         if self.training_env is not self.env or self.training_env_config != self.env_config:
             training = self.training_env.prepare(self.training_env_config)
             reported, spec = spec, self._spec(training)
-            of_rewards = {"shared_reward": spec.shared_reward, "shared_in_groups": spec.shared_in_groups}
-            if replace(reported, **of_rewards, snapshots=spec.snapshots) != spec:
+            alike = replace(
+                reported,
+                shared_reward=spec.shared_reward,
+                shared_in_groups=spec.shared_in_groups,
+                snapshots=spec.snapshots,
+            )
+            if alike != spec:
                 raise HeadwayError(
                     "env.training_args may change rewards and dynamics, not what agents observe, do or are "
                     "measured by; set such arguments by env.args"

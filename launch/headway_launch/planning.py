@@ -1,5 +1,6 @@
 """What a session will do, decided and checked before anything starts."""
 
+import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from headway.configuration import plain
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.rollout.plan import process_holds, replica_groups, within_limit
+from headway.store.durable import make_folder
 from headway.training import TrainingJob
 from headway_launch.composing import Experiment, PreparedEnv
 from headway_launch.telling import tell
@@ -279,12 +281,14 @@ def uses_gpu(job: PlannedJob) -> bool:
 
 
 def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> None:
-    """Raise HeadwayError if the disk of the store is too full for these jobs, `parallel` at once: experience
-    goes with the end of its job."""
+    """Raise HeadwayError if the folder of the store cannot be made or written, or its disk is too full for
+    these jobs, `parallel` at once: experience goes with the end of its job."""
+    make_folder(root)
+    if not os.access(root, os.W_OK | os.X_OK):
+        raise HeadwayError(f"store.root: {root} cannot be written; give it another folder")
     seeds = sum(len(job.seeds) for job in jobs)
     experience = sum(sorted((_experience_bytes(job) for job in jobs), reverse=True)[:parallel])
-    existing = next(folder for folder in (root.resolve(), *root.resolve().parents) if folder.exists())
-    free = shutil.disk_usage(existing).free
+    free = shutil.disk_usage(root).free
     needed = _FREE_BYTES + seeds * _FREE_BYTES_A_SEED + experience
     if free < needed:
         raise HeadwayError(

@@ -19,6 +19,7 @@ Record = TypeVar("Record")
 
 _SPAN = re.compile(r"\s*(\d+)\s*\.\.\s*(\d+)\s*")
 _RANGE = re.compile(r"\s*range\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*")
+_NEGATIVE = re.compile(r"\s*\[?\s*-\d+\s*(\]|\.\.|,|$)")
 _MOST_NAMES, _NEAREST_NAMES = 30, 8
 """Of more names than that so many are shown: a line must stay one that is read."""
 _BEGINNING = 3
@@ -52,6 +53,7 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
 
     `path` is the full key of the mapping (for messages), `of` what its keys belong to. Records nest;
     whole floats (1e6) pass as int and ints as float, strings never as numbers, booleans never as ints.
+    A record's `RENAMED`, a class variable, says of keys of earlier versions what they are now.
     Raises HeadwayError for an unknown or missing key, a value of the wrong type, one that the record's
     `__post_init__` refuses, and for `_target_` anywhere.
     """
@@ -60,6 +62,8 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
     fields = {field.name: field for field in dataclasses.fields(checked) if field.init}
     for key in mapping:
         if key not in fields:
+            if now := getattr(record_class, "RENAMED", {}).get(key):
+                raise HeadwayError(f"{_join(path, str(key))}: '{key}' is now {now}")
             owner = of or path or "the experiment"
             raise HeadwayError(
                 f"{_join(path, str(key))} is not a key of {owner}; "
@@ -120,6 +124,8 @@ def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
             return tuple(seed for part in text.split(",") for seed in parse_seeds(part, path))
         elif re.fullmatch(r"\d+", text):
             return (int(text),)
+    if _NEGATIVE.match(str(value)):
+        raise HeadwayError(f"{path}={value}: seeds must not be negative; {_SEED_FORMS}")
     raise HeadwayError(f"{path}={value} is not a list of seeds; {_SEED_FORMS}")
 
 

@@ -80,6 +80,12 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
     assert compose(["env=trivial", f"seed={seeds}"]).config.seed == (0, 1, 2)
 
 
+def test_a_key_of_an_earlier_version_is_named_with_what_it_is_now() -> None:
+    line = r"^env.args.reward.shared: 'shared' is now scope: team \(for true\), line or own \(for false\)$"
+    with pytest.raises(HeadwayError, match=line):
+        compose(["env=bus", "env.args.reward.shared=false"])
+
+
 @pytest.mark.parametrize(
     ("override", "parts"),
     [
@@ -107,6 +113,10 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
         ("env.id=bsu", ["'bsu' is no environment"]),
         ("algo.name=ipo", ["'ipo' is no algorithm", "did you mean ippo?"]),
         ("seed=1..x", ["seed=1..x is not a list of seeds", "0..49"]),
+        ("seed=-1", ["seed=-1: seeds must not be negative", "0..49"]),
+        ("seed=0,-1", ["seed=-1: seeds must not be negative"]),
+        ("seed=-1..3", ["seed=-1..3: seeds must not be negative"]),
+        ("seed=-x", ["seed=-x is not a list of seeds"]),
         ("seed=1,1", ["seeds must differ"]),
         ("bus_mappo", ["write key=value", "did you mean experiment=bus_mappo?"]),
         ("algo.model.hidden=[32", ["the configuration cannot be composed"]),

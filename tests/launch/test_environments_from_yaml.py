@@ -291,6 +291,8 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
     for words, line in (
         (["--rules", "optimum"], "--rules: 'optimum' is no rule here; did you mean optimal?"),
         (["--rules", ","], "--rules names none"),
+        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
+        (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
         (["--rules", "random", "--against", "optimal"], "--against: 'optimal' is no rule played here"),
     ):
         assert run(["compare", "default", "--episodes", "2", *words]) == 2

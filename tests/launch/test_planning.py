@@ -173,6 +173,16 @@ def test_the_disk_must_have_room_for_what_is_replayed(
     require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)
 
 
+def test_a_store_that_cannot_be_made_is_said_before_its_disk_is_judged(tmp_path: Path) -> None:
+    jobs = plan_jobs(compose(["env=trivial", "algo=ippo"]))
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file" / "store", Path("/proc/nowhere")):
+        with pytest.raises(
+            HeadwayError, match=f"cannot write {place} .*check that the folder may be written"
+        ):
+            require_free_disk(place, jobs, 1)
+
+
 def _asynchronous(*overrides: str) -> Experiment:
     bare = ("env=tracking", "algo=a3c", "seed=0,1", "rollout.copies=8", "rollout.block=2")
     return compose([*bare, *overrides])

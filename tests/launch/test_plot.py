@@ -94,16 +94,16 @@ def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_ou
     log = RunLog(directory)
     log.append("curve", [{"iteration": 0, "env_steps": 0, "evaluation_greedy/return": 2.0}])
     log.commit(0)
-    drawn: list[tuple[list[str], object]] = []
+    drawn: list[tuple[list[str], object, object]] = []
 
-    def keep(means: pd.DataFrame, rules: object, *_: object, **__: object) -> Figure:
-        drawn.append((sorted(means["controller"].unique()), rules))
+    def keep(means: pd.DataFrame, rules: object, *_: object, title: str, **__: object) -> Figure:
+        drawn.append((sorted(means["controller"].unique()), rules, title))
         return Figure()
 
     monkeypatch.setattr(drawing, "learning_curves", keep)
     words = ["plot", "study", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.png")]
     assert run([*words, "--where", "algorithm=mappo", "--no-rules"]) == 0
-    assert drawn == [(["mappo"], {})]
+    assert drawn == [(["mappo"], {}, "study: one seed")]
     capsys.readouterr()
     for condition, line in (
         ("algorithm=coma", "--where: no finished run of study is so"),

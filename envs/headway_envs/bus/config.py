@@ -1,7 +1,8 @@
 """The bus environment's arguments. Every default stands here and nowhere else."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from headway.contracts.checks import require, require_at_least
 
@@ -22,6 +23,8 @@ def _above(low: float, **values: float) -> None:
 @dataclass(frozen=True)
 class RewardConfig:
     """Weights and shape of the reward r = a1 q + a2 e + a3 m + a4 c, paid once a control interval."""
+
+    RENAMED: ClassVar[Mapping[str, str]] = {"shared": "scope: team (for true), line or own (for false)"}
 
     service: float = 0.4
     """a1: weight of q, passengers waiting against those a regular service would leave waiting."""

@@ -59,8 +59,10 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.telling import tell
     from headway_launch.trained import newest_policy, policy_episodes
 
-    if arguments.episodes < 2 or arguments.seed < 0:
-        raise HeadwayError("--episodes must be at least 2 and --seed at least 0")
+    if arguments.episodes < 2:
+        raise HeadwayError(f"--episodes {arguments.episodes}: must be at least 2, as days are paired")
+    if arguments.seed < 0:
+        raise HeadwayError(f"--seed {arguments.seed}: must not be negative")
     cells = _cells(existing_store(arguments.store), arguments.study)
     experiment = next(iter(cells.values()))[0].experiment
     found = experiment.prepare()

@@ -2,10 +2,14 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.choosing import parse_conditions, require_known
 from headway_launch.commands.runs import add_store_argument, existing_store
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EXAMPLES = """\
 examples:
@@ -61,7 +65,7 @@ def execute(arguments: argparse.Namespace) -> int:
         arguments.metric.replace("_", " ").replace("/", ": "),
         drawing.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
-        title=f"{arguments.study}: mean over seeds with 95% interval",
+        title=f"{arguments.study}: {_what_is_drawn(means)}",
     )
     try:
         figure.savefig(output)
@@ -69,3 +73,11 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
     print(output)
     return 0
+
+
+def _what_is_drawn(means: "pd.DataFrame") -> str:
+    """Of one run there is no mean and no interval."""
+    runs = means["runs"]
+    if (runs == 1).all():
+        return "one seed"
+    return f"mean over seeds with 95% interval{' where there are several' if (runs == 1).any() else ''}"

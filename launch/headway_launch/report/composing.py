@@ -87,9 +87,12 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
         ]
     rule = data.best_rules[task]
     better, worse, open_ = [], [], []
+    unknown: dict[str, None] = {}
     for controller in data.on(task):
-        found = data.against_best_rule(task, controller).interval
+        against = data.against_best_rule(task, controller)
+        found = against.interval
         if found is None:
+            unknown[against.why_not] = None
             continue
         shown = f"{controller} ({with_interval(found.estimate, found.low, found.high, sign=True)})"
         if not found.excludes_zero:
@@ -103,7 +106,8 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
         kinds = (("better, below", better), ("worse, above", worse), ("not told apart from it", open_))
     said = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
     if not said:
-        return [f"The best rule on {task} is `{rule}`; no learner was evaluated on its days."]
+        why = "; ".join(unknown)
+        return [f"The best rule on {task} is `{rule}`; how far learners are from it is not known: {why}."]
     days = f"the last evaluation's {data.days_of_last(task)}"
     return [f"Against the best rule there, `{rule}`, on {days} [95% intervals]: {said}."]
 

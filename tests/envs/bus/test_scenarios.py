@@ -211,6 +211,10 @@ def test_faults_of_folders_are_named(tables: Tables, tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text(json.dumps({"service_centres": "here"}))
     with pytest.raises(HeadwayError, match="service_centres"):
         prepare(BusConfig(scenario=str(tmp_path)))
+    (tmp_path / "meta.json").write_text("{}")
+    tables.demand.drop(columns="daytype").to_parquet(tmp_path / "demand.parquet")
+    with pytest.raises(HeadwayError, match=f"^scenario .{tmp_path}.: table demand lacks column daytype"):
+        read_tables(tmp_path)
     (tmp_path / "links.parquet").write_text("no")
     with pytest.raises(HeadwayError, match="table links"):
         read_tables(tmp_path)

@@ -300,6 +300,14 @@ def test_days_that_differ_give_no_difference(keep_run: KeepRun, root: Path) -> N
     assert "best rule is given on tracking: the cells were evaluated on different days" in said(made(root))
 
 
+def test_one_day_gives_no_difference(keep_run: KeepRun, root: Path) -> None:
+    folder = keep_run(TRACKING, 0, 1.0, rules=RULES)
+    [played] = folder.parent.glob("*.rules.json")
+    played.write_text(json.dumps({rule: days[:1] for rule, days in json.loads(played.read_text()).items()}))
+    line = "The best rule on tracking is `optimal`; how far learners are from it is not known: fewer than two"
+    assert line in said(made(root))
+
+
 def test_another_reward_in_training_is_said(keep_run: KeepRun, root: Path) -> None:
     keep_run((*TRACKING, "env.training_args={effort: 0.5}"), 0, 1.0)
     assert "the training columns are of that reward and do not compare" in said(made(root))

@@ -97,7 +97,7 @@ class Tables:
 
 
 def read_tables(folder: str | Path) -> Tables:
-    """Read and check a scenario folder. Raises HeadwayError naming table, row and column."""
+    """Read and check a scenario folder. Raises HeadwayError naming folder, table, row and column."""
     folder = Path(folder)
     if not folder.is_dir():
         near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
@@ -131,7 +131,10 @@ def read_tables(folder: str | Path) -> Tables:
     if not isinstance(meta, dict):
         raise HeadwayError(f"{meta_path} holds no JSON object; write one, {{}} at least")
     tables = Tables(**frames, meta=meta)
-    check_tables(tables)
+    try:
+        check_tables(tables)
+    except HeadwayError as error:
+        raise HeadwayError(f"scenario '{folder}': {error}") from error
     return tables
 
 

@@ -19,6 +19,9 @@ ENVIRONMENT = "bus_published"
 _FIGURES = {"final_reward": "final reward", "auc": "AUC", "kwh": "energy a run"}
 _FEWEST = 3
 """Algorithms of which a rank correlation is given."""
+_PUBLISHED_SEEDS = 50
+_OTHER_ACTIONS = ("waits", "service_visits", "services_refused")
+"""Metrics that count what a bus did but move."""
 
 
 def published_figures() -> pd.DataFrame:
@@ -62,8 +65,9 @@ def _beside(data: StudyData, task: str, number: str) -> list[Part]:
     table = pd.DataFrame.from_dict(ours, orient="index").join(
         published.add_suffix("_published"), on="algorithm"
     )
-    for name in ("final_reward", "final_reward_published"):
-        table[f"{name}_rank"] = table[name].rank(ascending=False, method="average")
+    table["final_reward_rank"] = table["final_reward"].rank(ascending=False)
+    of_all = published["final_reward"].rank(ascending=False)
+    table["final_reward_published_rank"] = table["algorithm"].map(of_all)
     rows = [
         [
             str(controller),
@@ -82,7 +86,9 @@ def _beside(data: StudyData, task: str, number: str) -> list[Part]:
     parts: list[Part] = [
         Table(
             f"busenv_table3{number}",
-            f"BusEnv's Table 3 and this study{data.where(task)}. Ranks: 1 is the highest final reward.",
+            f"BusEnv's Table 3 and this study{data.where(task)}. Ranks: 1 is the highest final reward; the "
+            f"published ones are among all {len(published)} algorithms, ours among the {len(table)} of this "
+            "table.",
             [
                 "controller", "seeds", "published: final reward", "here", "published: rank", "here",
                 "published: AUC", "here", "published: kWh a run", "here",
@@ -91,7 +97,27 @@ def _beside(data: StudyData, task: str, number: str) -> list[Part]:
             table.rename_axis("controller").reset_index(),
         )
     ]  # fmt: skip
-    return [*parts, *_correlations(table, number)]
+    return [
+        _what_is_there(data, task, table),
+        *parts,
+        *_correlations(table, number),
+        *_same_policies(data, task, [str(controller) for controller in table.index]),
+    ]
+
+
+def _what_is_there(data: StudyData, task: str, table: pd.DataFrame) -> str:
+    """Which of the published algorithms have finished runs, of how many seeds, and which have none."""
+    published = published_figures().index
+    here = [name for name in published if name in set(table["algorithm"])]
+    lacking = [name for name in published if name not in here]
+    fewest, most = int(table["seeds"].min()), int(table["seeds"].max())
+    seeds = f"{fewest}" if fewest == most else f"{fewest} to {most}"
+    said = (
+        f"Of the {len(published)} algorithms published, each with {_PUBLISHED_SEEDS} seeds, {len(here)} "
+        f"{'has' if len(here) == 1 else 'have'} finished runs here{data.where(task)}, with {seeds} "
+        f"{'seed' if most == 1 else 'seeds'}{' each' if len(table) > 1 and fewest == most else ''}"
+    )
+    return f"{said}; none of {', '.join(lacking)} has finished." if lacking else f"{said}."
 
 
 def _figures_of(data: StudyData, members: list["RunRow"]) -> dict[str, float]:
@@ -134,7 +160,44 @@ def _correlations(table: pd.DataFrame, number: str) -> list[Part]:
     ]
     if repeated:
         parts.append(f"Left out of it, as there is more than one setting of each: {', '.join(repeated)}.")
+    if without := [words for name, words in _FIGURES.items() if not math.isfinite(found[name]["spearman"])]:
+        parts.append(
+            f"There is no correlation of {', '.join(without)}: it needs at least {_FEWEST} algorithms of "
+            "which both figures are known, and figures that differ."
+        )
     return parts
+
+
+def _same_policies(data: StudyData, task: str, controllers: list[str]) -> list[Part]:
+    """Which learners' greedy evaluations are the same, or hold nothing but moves, on all seeds and days."""
+    if data.mode != "greedy":
+        return []
+    alike: dict[tuple[float, ...] | None, list[str]] = {}
+    for name in controllers:
+        days = data.by_seed(task, name, data.column)
+        if _only_moved(data, task, name):
+            alike.setdefault(None, []).append(name)
+        elif days.size and (days == days.iloc[0]).to_numpy().all():
+            alike.setdefault((*days.columns, *days.iloc[0]), []).append(name)
+    return [
+        f"Played greedily in the last evaluation, {', '.join(names)} "
+        + (
+            "did nothing but move, all seeds on all days: they came to the same policy (always moving)"
+            if days is None
+            else f"have the same {data.what} to the last digit, all seeds on all days: they came to the same "
+            "policy, as far as those days show"
+        )
+        + ", so that ranks among them are of their drawn actions only."
+        for days, names in alike.items()
+        if len(names) > 1
+    ]
+
+
+def _only_moved(data: StudyData, task: str, controller: str) -> bool:
+    """Whether all buses always moved in the last evaluation; False where not known."""
+    made = [data.by_seed(task, controller, name).to_numpy() for name in ("moves", *_OTHER_ACTIONS)]
+    moves, *others = made
+    return bool(moves.size and (moves > 0).all() and all(n.size and (n == 0).all() for n in others))
 
 
 _TESTS = ("spearman", "kendall")
