@@ -43,13 +43,15 @@ def _session_mb(env_steps: int) -> float:
             f"env_steps={env_steps}", f"evaluation.every={env_steps}", "evaluation.episodes=1",
             "evaluation.final_episodes=1", "evaluation.rules=[]", f"store.root={Path(folder) / 'store'}",
         ]  # fmt: skip
-        session = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        log = Path(folder) / "log"
+        with log.open("w") as told:
+            session = subprocess.Popen(command, stdout=told, stderr=told)
         most = 0.0
         while session.poll() is None:
             most = max(most, tree_mb(session.pid))
             time.sleep(_EVERY_S)
-    if session.returncode:
-        raise SystemExit("benchmark: the measured session failed; its error stands above")
+        if session.returncode:
+            raise SystemExit(f"benchmark: the measured session failed: {log.read_text()}")
     return most
 
 
