@@ -23,7 +23,7 @@ from headway_launch.report.reproducing import reproducing_line
             "study=\"with spaces = and 'quotes'\"",
         ),
         ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.args.N=3", "backend.stack=2"),
-        ("env=bus", "algo=ippo", "env.training_args={reward: {shared: false}}"),
+        ("env=bus", "algo=ippo", "env.training_args={reward: {scope: own}}"),
     ],
 )
 def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
