@@ -13,7 +13,7 @@ from headway.contracts.acting import Parameters
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.offpolicy.config import ReplayConfig
-from headway_algos.where_alive import FEWEST_SLOTS, Answer, answer_where_alive
+from headway_algos.where_alive import FEWEST_SLOTS, Answer, ForgettingActs
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations are cut at this many standard deviations, as by OpenAI Baselines' VecNormalize."""
@@ -40,7 +40,7 @@ def actor_outputs(spec: EnvSpec) -> int:
 
 
 @dataclass(frozen=True)
-class StackedActingPolicy:
+class StackedActingPolicy(ForgettingActs):
     """P multilayer perceptrons evaluated at once, then a masked categorical or a diagonal Gaussian."""
 
     spec: EnvSpec
@@ -79,14 +79,6 @@ class StackedActingPolicy:
         if isinstance(self.spec.action_space, Discrete):
             return generator.random((steps, self.spec.num_agents))
         return generator.standard_normal((steps, self.spec.num_agents, actor_outputs(self.spec)))
-
-    def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
-    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action, zeros where
-        most are not."""
-        actions, log_probs, _ = answer_where_alive(self, parameters, observed, None, noise)
-        return actions, log_probs
 
     def answer(
         self,

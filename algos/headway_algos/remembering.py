@@ -11,7 +11,7 @@ from headway.contracts import ActingPolicy, EnvSpec, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting import StackedActingPolicy, actor_outputs
 from headway_algos.config import AlgoConfig
-from headway_algos.where_alive import Answer, answer_where_alive
+from headway_algos.where_alive import Answer, RememberingActs
 
 
 def acting_policy(config: AlgoConfig, spec: EnvSpec) -> ActingPolicy:
@@ -41,7 +41,7 @@ def gated_step(
 
 
 @dataclass(frozen=True)
-class RecurrentActingPolicy:
+class RecurrentActingPolicy(RememberingActs):
     """P stacked policies whose hidden layers are followed by gated recurrent units.
 
     What an agent remembers changes with every observation that it is there for, whether or not its action
@@ -82,18 +82,6 @@ class RecurrentActingPolicy:
         """As agents act that remember nothing."""
         memory = np.zeros((*observed.alive.shape, self.memory_size), self.memory_type)
         return self.act_from(parameters, observed, memory, noise)[:2]
-
-    def act_from(
-        self,
-        parameters: Parameters,
-        observed: Observed,
-        memory: NDArray[Any],
-        noise: NDArray[np.float64] | None,
-    ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
-        """See `headway.contracts.RememberingPolicy`. Rows of agents not alive as without memory."""
-        actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
-        assert remembered is not None
-        return actions, log_probs, remembered
 
     @cached_property
     def alone(self) -> Self | None:

@@ -135,3 +135,35 @@ def _place(picked: NDArray[Any], there: NDArray[np.int64], by_agent: NDArray[Any
     copies, agents, *rest = by_agent.shape
     by_agent.reshape(copies * agents, 1, *rest)[there] = picked
     return by_agent
+
+
+class ForgettingActs:
+    """Acts as it answers, for an `AnsweringPolicy` without memory."""
+
+    def act(
+        self: AnsweringPolicy,
+        parameters: Parameters,
+        observed: Observed,
+        noise: NDArray[np.float64] | None,
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action, zeros where
+        most are not."""
+        actions, log_probs, _ = answer_where_alive(self, parameters, observed, None, noise)
+        return actions, log_probs
+
+
+class RememberingActs:
+    """The same for one with memory."""
+
+    def act_from(
+        self: AnsweringPolicy,
+        parameters: Parameters,
+        observed: Observed,
+        memory: NDArray[Any],
+        noise: NDArray[np.float64] | None,
+    ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
+        """See `headway.contracts.RememberingPolicy`. Rows of agents not alive as without memory; what they
+        remember stays."""
+        actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
+        assert remembered is not None
+        return actions, log_probs, remembered

@@ -17,6 +17,7 @@ from headway_algos.where_alive import SLOTS_EACH, Answer
 SLOTS, COPIES, SIZE = 32, 3, 5
 MODEL = ModelConfig(hidden=(9, 7))
 Precision = Literal["float32", "float64"]
+Policies = Literal["independent", "shared"]
 Policy = StackedActingPolicy | RecurrentActingPolicy | EpsilonGreedyPolicy | WanderingPolicy
 KINDS = ("discrete", "box", "gated discrete", "gated box", "epsilon-greedy", "wandering")
 
@@ -27,9 +28,9 @@ def _spec(space: ActionSpace) -> EnvSpec:
     return EnvSpec("made", names, SIZE, space, has_action_mask=masked, agents_come_and_go=True)
 
 
-def _policy(kind: str, precision: Precision = "float64", policies: str = "shared") -> Policy:
+def _policy(kind: str, precision: Precision = "float64", policies: Policies = "shared") -> Policy:
     space = Discrete(4) if kind.endswith(("discrete", "greedy")) else Box((-1.0, -2.0), (1.0, 2.0))
-    config = AlgoConfig(policies=policies, model=MODEL, precision=precision)  # type: ignore[arg-type]  # a literal
+    config = AlgoConfig(policies=policies, model=MODEL, precision=precision)
     flat = StackedActingPolicy.of(config, _spec(space))
     if kind.startswith("gated"):
         return RecurrentActingPolicy(flat, 6)
@@ -113,9 +114,10 @@ def test_whoever_is_there_acts_as_if_every_slot_were_computed(
         assert np.isfinite(mine).all()
     if memory is not None:
         assert found[2] is not None
+        assert expected[2] is not None
         np.testing.assert_array_equal(memory, before)
         np.testing.assert_array_equal(found[2][~alive], memory[~alive])
-        np.testing.assert_allclose(found[2][alive], expected[2][alive], rtol=tolerance, atol=tolerance)  # type: ignore[index]  # as mine
+        np.testing.assert_allclose(found[2][alive], expected[2][alive], rtol=tolerance, atol=tolerance)
         assert found[2].dtype == memory.dtype
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -99,15 +100,15 @@ def test_what_cannot_be_is_refused_with_settings_that_work(
 
 def _following(way: str, config: ExperimentConfig) -> ExperimentConfig:
     """The configuration with settings that a line names."""
-    changed: dict[str, dict[str, object]] = {"rollout": {}, "backend": {}}
+    changed: dict[str, dict[str, Any]] = {"rollout": {}, "backend": {}}
     for setting in way.replace("leave it out", "backend.workers=").split(" and "):
         key, value = setting.split("=")
         group, _, name = key.partition(".")
         changed[group][name or "name"] = (int(value) if value else None) if name else value
     return replace(
         config,
-        rollout=replace(config.rollout, **changed["rollout"]),  # type: ignore[arg-type]  # as they stand
-        backend=replace(config.backend, **changed["backend"]),  # type: ignore[arg-type]
+        rollout=replace(config.rollout, **changed["rollout"]),
+        backend=replace(config.backend, **changed["backend"]),
     )
 
 

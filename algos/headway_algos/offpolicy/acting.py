@@ -11,7 +11,7 @@ from headway.contracts import Box, EnvSpec, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting import StackedActingPolicy
 from headway_algos.offpolicy.config import ReplayConfig
-from headway_algos.where_alive import Answer, answer_where_alive
+from headway_algos.where_alive import Answer, ForgettingActs, RememberingActs
 
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 
@@ -52,7 +52,7 @@ class ExploringStack:
 
 
 @dataclass(frozen=True)
-class EpsilonGreedyPolicy:
+class EpsilonGreedyPolicy(ForgettingActs):
     """The allowed action of the highest value, or with a chance of epsilon any allowed one."""
 
     stack: ExploringStack
@@ -69,14 +69,6 @@ class EpsilonGreedyPolicy:
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Uniforms (T, N, 2): whether to explore, and then which action."""
         return generator.random((steps, self.stack.flat.spec.num_agents, 2))
-
-    def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action, zeros where
-        most are not."""
-        actions, log_probs, _ = answer_where_alive(self, parameters, observed, None, noise)
-        return actions, log_probs
 
     @cached_property
     def alone(self) -> Self | None:
@@ -111,7 +103,7 @@ class EpsilonGreedyPolicy:
 
 
 @dataclass(frozen=True)
-class WanderingPolicy:
+class WanderingPolicy(RememberingActs):
     """A deterministic action within the bounds, m + h tanh(network), that exploration lets wander around:
 
         x' = (1 - theta) x + sigma n,   n standard normal;   action = m + h (tanh(network) + scale x')
@@ -160,19 +152,6 @@ class WanderingPolicy:
         memory = np.zeros((*observed.alive.shape, self.memory_size))
         return self.act_from(parameters, observed, memory, noise)[:2]
 
-    def act_from(
-        self,
-        parameters: Parameters,
-        observed: Observed,
-        memory: NDArray[Any],
-        noise: NDArray[np.float64] | None,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[Any]]:
-        """See `headway.contracts.RememberingPolicy`. Greedy acting leaves x as it is. A deterministic policy
-        has no density: log-probabilities are 0."""
-        actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
-        assert remembered is not None
-        return actions, log_probs, remembered
-
     @cached_property
     def alone(self) -> Self | None:
         """See `AnsweringPolicy`."""
@@ -189,7 +168,8 @@ class WanderingPolicy:
         memory: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> Answer:
-        """See `AnsweringPolicy`."""
+        """See `AnsweringPolicy`. Greedy acting leaves x as it is. A deterministic policy has no density:
+        log-probabilities are 0."""
         assert memory is not None
         low, high = np.array(self._box.low), np.array(self._box.high)
         chosen = np.tanh(self.stack.outputs(parameters, observed))
