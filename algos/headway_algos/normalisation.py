@@ -84,8 +84,9 @@ def _one_by_one(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple
         places = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
         # As large as twice all that was observed: one such copy, changed in place.
         values = torch.empty((len(places), rows.shape[2]), dtype=torch.float64, device=rows.device)
-        for some, into in zip(places.split(_MANY_VALUES), values.split(_MANY_VALUES), strict=True):
-            into.copy_(of_network.index_select(0, some))
+        for first in range(0, len(places), _MANY_VALUES):
+            some = slice(first, first + _MANY_VALUES)
+            values[some] = of_network.index_select(0, places[some])
         mean = values.sum(0, keepdim=True) / number
         parts.append((mean, values.sub_(mean).square_().sum(0, keepdim=True)))
     means, squares = zip(*parts, strict=True)
