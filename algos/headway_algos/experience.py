@@ -25,9 +25,15 @@ class Layout:
     device: torch.device
     dtype: torch.dtype
 
-    def rows(self, by_agent: NDArray[Any]) -> Tensor:
-        """(T, C, N, ...) -> (P, B, ...); floating arrays in the layout's precision."""
+    def rows(self, by_agent: NDArray[Any], present: NDArray[np.bool_] | None = None) -> Tensor:
+        """(T, C, N, ...) -> (P, B, ...); floating arrays in the layout's precision. With `present` (T, C, N),
+        0 where that is false, as `zero_where_absent` has it, but without a copy of all of them in between."""
         gathered = np.require(self.grouping.gather(by_agent, self.replicas), requirements="W")
+        if present is not None and not present.all():
+            if np.may_share_memory(gathered, by_agent):
+                gathered = gathered.copy()
+            absent = ~self.grouping.gather(present, self.replicas)
+            np.copyto(gathered, 0, where=absent.reshape(absent.shape + (1,) * (gathered.ndim - 2)))
         tensor = torch.from_numpy(gathered).to(self.device)
         return tensor.to(self.dtype) if tensor.is_floating_point() else tensor
 

@@ -13,7 +13,7 @@ from headway_algos.actor import Actor
 from headway_algos.behaviour import Behaviour
 from headway_algos.config import AlgoConfig
 from headway_algos.critics import CRITICS, Critic
-from headway_algos.experience import Layout, zero_where_absent
+from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
 from headway_algos.memories import Memories
 from headway_algos.orders import ORDERS
@@ -59,6 +59,8 @@ class OnPolicyLearner:
         self._refuse_blind_critic(estimate.advantages, iteration)
         info = self._improve_policies(trajectory, observations, memories, estimate.advantages, iteration)
         judged = self.critic.fit(estimate, iteration)
+        # Each is as large as all that was observed, and so is what the normalisers need next.
+        del observations, memories, estimate
         self._absorb(trajectory)
         self.stack.refuse_divergence(
             self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
@@ -79,7 +81,7 @@ class OnPolicyLearner:
     def _observations(self, trajectory: Trajectory) -> Tensor:
         """(P, B, D), as the policies' networks were given them."""
         alive = trajectory.alive[:-1]
-        observations = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
+        observations = self.layout.rows(trajectory.observations[:-1], alive)
         if self.config.normalise_observations:
             observations = self.actor.moments.normalised(observations)
         return observations
@@ -112,8 +114,8 @@ class OnPolicyLearner:
         rows = PolicyRows(
             observations,
             masks,
-            self.layout.rows(zero_where_absent(trajectory.actions, used)),
-            self.layout.rows(zero_where_absent(trajectory.log_probs, used)),
+            self.layout.rows(trajectory.actions, used),
+            self.layout.rows(trajectory.log_probs, used),
             selected,
             None if memories is None else memories.sequences(self.layout, self.config.model.sequence_length),
         )
@@ -129,7 +131,7 @@ class OnPolicyLearner:
         self.critic.absorb(trajectory)
         if self.config.normalise_observations:
             alive = trajectory.alive[:-1]
-            rows = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
+            rows = self.layout.rows(trajectory.observations[:-1], alive)
             self.actor.moments.include(rows, self.layout.selection(alive))
 
     def _refuse_blind_critic(self, advantages: NDArray[np.float64], iteration: int) -> None:

@@ -54,7 +54,7 @@ class RunningMoments(nn.Module):
 
     def normalised(self, rows: Tensor) -> Tensor:
         """Rows (P, B, size) in units of the mean and standard deviation, cut at 10; in their precision."""
-        scaled = (rows - self.mean.to(rows.dtype)) * self.scale.to(rows.dtype)
+        scaled = (rows - self.mean.to(rows.dtype)).mul_(self.scale.to(rows.dtype))
         return scaled.clamp_(-OBSERVATION_CLIP, OBSERVATION_CLIP)
 
     @property
@@ -82,8 +82,12 @@ def _one_by_one(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple
     parts = []
     for of_network, which, number in zip(rows, chosen, count, strict=True):
         places = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
-        values = of_network.index_select(0, places).double()
+        # As large as twice all that was observed: one such copy, changed in place.
+        values = torch.empty((len(places), rows.shape[2]), dtype=torch.float64, device=rows.device)
+        for first in range(0, len(places), _MANY_VALUES):
+            some = slice(first, first + _MANY_VALUES)
+            values[some] = of_network.index_select(0, places[some])
         mean = values.sum(0, keepdim=True) / number
-        parts.append((mean, (values - mean).square_().sum(0, keepdim=True)))
+        parts.append((mean, values.sub_(mean).square_().sum(0, keepdim=True)))
     means, squares = zip(*parts, strict=True)
     return torch.stack(means), torch.stack(squares)

@@ -57,7 +57,7 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
 
     def snapshot(self) -> Snapshot:
         """Copies of all arrays."""
-        return {"world": _copied(self.world), "outputs": _copied(self.outputs)}
+        return {"world": copied(_named(self.world)), "outputs": copied(_named(self.outputs))}
 
     def restore(self, snapshot: Snapshot) -> Observed:
         """Continue from a snapshot. Raises HeadwayError where `_KIND` or the number of copies is another."""
@@ -87,8 +87,9 @@ def _named(arrays: NamedTuple) -> Mapping[str, NDArray[Any]]:
     return arrays._asdict()
 
 
-def _copied(arrays: NamedTuple) -> dict[str, NDArray[Any]]:
-    return {name: _plain(array).copy() for name, array in _named(arrays).items()}
+def copied(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """As a snapshot holds them."""
+    return {name: _plain(array).copy() for name, array in arrays.items()}
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:

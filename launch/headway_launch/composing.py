@@ -16,6 +16,7 @@ from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.environments import chosen_env, notices_of
 from headway.registry import algo_entries, algo_entry, env_entries, is_module_path, wrapper_entry
+from headway.rollout.memory import give_back_memory
 from headway_launch.telling import tell
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
@@ -111,7 +112,11 @@ class Experiment:
         prepared = training = self.env.prepare(self.env_config)
         spec = self._spec(prepared)
         if self.training_env is not self.env or self.training_env_config != self.env_config:
-            training = self.training_env.prepare(self.training_env_config)
+            beside = self.training_env.prepare_beside
+            if beside is None:
+                training = self.training_env.prepare(self.training_env_config)
+            else:
+                training = beside(self.training_env_config, prepared)
             reported, spec = spec, self._spec(training)
             alike = replace(
                 reported,
@@ -129,6 +134,7 @@ class Experiment:
                 self.env.rules[rule](prepared)
             except HeadwayError as error:  # its wrappers hide what it looks at
                 raise HeadwayError(f"evaluation.rules: {error}") from error
+        give_back_memory()  # before it is all there again in each training process
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
             tell(f"headway: {line}")
         return PreparedEnv(self.env, prepared, training, spec)

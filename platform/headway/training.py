@@ -37,6 +37,7 @@ from headway.rollout.backends import open_collector, open_contributors
 from headway.rollout.collecting import Backend
 from headway.rollout.contributing import AsynchronousPlan, MakeContributor
 from headway.rollout.fitting import require_fitting
+from headway.rollout.memory import give_back_memory
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
 from headway.rollout.usage import OwnUsage
@@ -151,6 +152,7 @@ class _Training:
             for log in self.logs:
                 log.rewind(-1)
             self.collector.begin()
+        give_back_memory()
         process_ids = (os.getpid(), *self.collector.process_ids())
         self.report(Started(self.iteration, process_ids, self.episodes_restarted))
         if self.saved_iteration < 0:

@@ -1,6 +1,7 @@
 """Rows by policy, minibatches and the places where streams are cut."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,6 +188,21 @@ def test_absent_rows_become_zero_in_a_copy() -> None:
     assert (cleaned[1, 2] == 5).all()
     assert (cleaned[~present] == 0).all()
     assert np.isnan(values[~present]).all()
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("agents", [1, 6])
+def test_rows_become_zero_where_absent_and_what_they_are_of_stays(policies: str, agents: int) -> None:
+    spec = replace(SPEC, agents=SPEC.agents[:agents], groups=SPEC.groups[:agents])
+    layout = Layout(Grouping.of(policies, spec), 1, torch.device("cpu"), torch.float32)
+    random = np.random.default_rng(0)
+    values = random.normal(size=(5, 1, agents, 4)).astype(np.float32)
+    present = random.random((5, 1, agents)) < 0.5
+    values[~present] = np.nan
+    before = values.copy()
+    rows = layout.rows(values, present)
+    assert torch.equal(rows, layout.rows(zero_where_absent(values, present)))
+    assert np.array_equal(values, before, equal_nan=True)
 
 
 def test_an_unknown_word_for_policies_is_refused() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory, generator
-from headway_algos.experience import Layout, zero_where_absent
+from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
 from headway_algos.networks import StackedMLP, acting_arrays
 from headway_algos.normalisation import RunningMoments
@@ -120,7 +120,7 @@ class ReplayLearner:
         """Update the normaliser from this iteration."""
         if self.config.normalise_observations:
             alive = trajectory.alive[:-1]
-            rows = self.layout.rows(zero_where_absent(trajectory.observations[:-1], alive))
+            rows = self.layout.rows(trajectory.observations[:-1], alive)
             self.moments.include(rows, self.layout.selection(alive))
 
     def _remember(self, trajectory: Trajectory) -> None:

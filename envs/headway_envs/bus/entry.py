@@ -15,6 +15,12 @@ def _prepare(config: BusConfig) -> "Prepared":
     return prepare(config)
 
 
+def _prepare_beside(config: BusConfig, other: "Prepared") -> "Prepared":
+    from headway_envs.bus.prepared import prepare_beside
+
+    return prepare_beside(config, other)
+
+
 def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
     from headway_envs.bus.env import BusBatchedEnv
 
@@ -74,6 +80,7 @@ ENTRY = EnvEntry(
     config=BusConfig,
     make=_make,
     prepare=_prepare,
+    prepare_beside=_prepare_beside,
     parallel_env=_parallel_env,
     rules={
         "always_move": _always_move,

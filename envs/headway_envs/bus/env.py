@@ -10,7 +10,10 @@ from headway_envs.bus.kernel import tick
 from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
 from headway_envs.bus.kernel.memory import allocate_outputs, allocate_trace, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
-from headway_envs.kept_arrays import KeptArrays
+from headway_envs.kept_arrays import KeptArrays, Snapshot, copied
+
+_WAITING = ("arrived_at", "leaves_at")
+"""Arrays of the world of which only the places are read that queues have taken."""
 
 
 class BusBatchedEnv(KeptArrays[World, Outputs]):
@@ -77,6 +80,33 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         """What the agents face now; views of the environment's arrays."""
         outputs = self.outputs
         return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
+
+    def snapshot(self) -> Snapshot:
+        """Copies of all arrays; of the room for those who wait, which is most of a city's state, only what is
+        taken: every iteration a snapshot goes from worker to learner, and every checkpoint holds one."""
+        taken, rest = self._taken(self.world.queues["waiting"]), self.world._asdict()
+        waiting = {name: rest.pop(name).ravel()[taken] for name in _WAITING}
+        return {"world": {**copied(rest), **waiting}, "outputs": copied(self.outputs._asdict())}
+
+    def restore(self, snapshot: Snapshot) -> Observed:
+        """Continue from a snapshot. Raises HeadwayError where its scenario or number of copies is another."""
+        world, queues = dict(snapshot["world"]), np.zeros_like(self.world.queues)
+        if world["queues"].shape == queues.view(np.uint8).shape:
+            queues.view(np.uint8)[...] = world["queues"]
+            taken = self._taken(np.minimum(queues["waiting"], np.diff(self.network.queue_first)))
+            for name in _WAITING:
+                if world[name].shape == taken.shape:  # a checkpoint of before holds the places not taken, too
+                    whole = np.zeros_like(getattr(self.world, name))
+                    whole.ravel()[taken] = world[name]
+                    world[name] = whole
+        return super().restore({**snapshot, "world": world})
+
+    def _taken(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Places in the queues' storage, (C x storage) flattened, that so many who wait (C, Q) have taken."""
+        first, counts = self.network.queue_first, waiting.ravel()
+        begins = (np.arange(self.num_copies)[:, None] * first[-1] + first[:-1]).ravel()
+        before = np.cumsum(counts) - counts
+        return np.repeat(begins - before, counts) + np.arange(counts.sum())
 
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
         tick.begin(self.network, self.settings, self.world, self.outputs, seeds)

@@ -163,6 +163,14 @@ def prepare(config: BusConfig) -> Prepared:
     return Prepared(config, network, lines, source_of(tables.meta))
 
 
+def prepare_beside(config: BusConfig, other: Prepared) -> Prepared:
+    """As `prepare`, with the network of another configuration where they differ in nothing but rewards,
+    which leave it as it is: that of a whole city takes seconds to generate, and 38 MB in each process."""
+    if replace(config, reward=other.config.reward) == other.config:
+        return replace(other, config=config)
+    return prepare(config)
+
+
 def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepared:
     """As `prepare`, in replay mode: every trip of the table leaves exactly when it did, for the comparison
     with what was measured.

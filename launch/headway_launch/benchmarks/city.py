@@ -26,17 +26,18 @@ def report() -> None:
     trained = measure([first_part(experiment, env_steps)])[0]
     minutes = experiment.config.env_steps / trained.per_cpu_second / 60.0
     print(f"\n## Training the city: one seed of {EXPERIMENT}\n")
-    print("| steps/CPU s | budget, steps | CPU minutes, evaluations aside | memory of the session, MB |")
-    print("|---:|---:|---:|---:|")
-    print(
-        f"| {trained.per_cpu_second:.0f} | {experiment.config.env_steps:,} | {minutes:.1f} "
-        f"| {_session_mb(env_steps):.0f} |"
-    )
-    print("\nMemory: all processes of `headway run`, pages that they share counted once, at most.")
+    print("| steps/CPU s | budget, steps | CPU minutes, evaluations aside |")
+    print("|---:|---:|---:|")
+    print(f"| {trained.per_cpu_second:.0f} | {experiment.config.env_steps:,} | {minutes:.1f} |")
+    held = _session_mb(env_steps)
+    print(f"\n| memory, MB: {' | '.join(held)} | total |")
+    print(f"|{'---:|' * (len(held) + 1)}")
+    print(f"| {' | '.join(f'{mb:.0f}' for mb in held.values())} | {sum(held.values()):.0f} |")
+    print("\nMemory: of `headway run` when it holds most, pages that processes share counted once.")
 
 
-def _session_mb(env_steps: int) -> float:
-    """The most memory that a session holds which trains one seed and evaluates it."""
+def _session_mb(env_steps: int) -> dict[str, float]:
+    """What each part of a session holds that trains one seed and evaluates it, MB, when all hold the most."""
     with tempfile.TemporaryDirectory(prefix="headway-benchmark-") as folder:
         command = [
             sys.executable, "-m", "headway_launch", "run", f"experiment={EXPERIMENT}", "seed=0",
@@ -46,26 +47,43 @@ def _session_mb(env_steps: int) -> float:
         log = Path(folder) / "log"
         with log.open("w") as told:
             session = subprocess.Popen(command, stdout=told, stderr=told)
-        most = 0.0
+        most: dict[str, float] = {}
         while session.poll() is None:
-            most = max(most, tree_mb(session.pid))
+            most = max(most, parts_mb(session.pid), key=lambda parts: sum(parts.values()))
             time.sleep(_EVERY_S)
         if session.returncode:
             raise SystemExit(f"benchmark: the measured session failed: {log.read_text()}")
     return most
 
 
-def tree_mb(process_id: int) -> float:
-    """Proportional set size of a process and all that came of it, MB; 0 where it has ended."""
-    total = 0
+def parts_mb(process_id: int) -> dict[str, float]:
+    """Proportional set size of a session and of all that came of it, MB: its own process, learners, the
+    workers, the server that these are forked from, and others; 0 where it has ended."""
+    parts = dict.fromkeys(("session", "learner", "workers", "fork server", "others"), 0.0)
     try:
-        parent = psutil.Process(process_id)
-        members = [parent, *parent.children(recursive=True)]
+        session = psutil.Process(process_id)
+        members = [session, *session.children(recursive=True)]
     except psutil.NoSuchProcess:
-        return 0.0
-    for member in members:
+        return parts
+    servers: set[int] = set()
+    for member in members:  # parents come before their children
         try:
-            total += member.memory_full_info().pss
+            part = "session" if member == session else _part(member, servers)
+            parts[part] += member.memory_full_info().pss / 2**20
         except (psutil.NoSuchProcess, psutil.AccessDenied):
             continue
-    return total / 2**20
+    return parts
+
+
+def _part(member: psutil.Process, servers: set[int]) -> str:
+    """By the command of `multiprocessing` that a process was started with; what a server has forked, has
+    the server's. Fork servers met are added to `servers`."""
+    command = " ".join(member.cmdline())
+    if "multiprocessing.spawn" in command:
+        return "learner"
+    if "multiprocessing.forkserver" not in command:
+        return "others"
+    if member.ppid() in servers:
+        return "workers"
+    servers.add(member.pid)
+    return "fork server"

@@ -60,6 +60,10 @@ class EnvEntry:
     prepare: Callable[[Any], Any] = _itself
     """(config) -> what all copies share (tables read, networks built), once in the parent; picklable.
     Raises HeadwayError for data that cannot be used."""
+    prepare_beside: Callable[[Any, Any], Any] | None = None
+    """(config, what `prepare` gave for another config) -> the same as `prepare(config)`, with what does not
+    differ shared: an environment is often learned from by other rewards than it is reported by, and what it
+    prepares may be large. None: it shares nothing."""
     parallel_env: Callable[[Any], Any] | None = None
     """(config, or what `prepare` gave) -> the same as a PettingZoo ParallelEnv: `reset(seed=s)` begins what
     `reset([s])` of the batch does; metrics travel in info `episode_metrics`, their names in

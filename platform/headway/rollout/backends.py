@@ -1,6 +1,5 @@
 """Backends by name. Every one gives the same trajectory bit for bit."""
 
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 
 from headway.config import BackendConfig
@@ -9,6 +8,7 @@ from headway.rollout.asynchronous import CrewContributors, SerialContributors
 from headway.rollout.collecting import Collector, Contributors
 from headway.rollout.contributing import AsynchronousPlan, ContributorSetup
 from headway.rollout.crew import Notify, Workplace
+from headway.rollout.memory import SharedPickle
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.processes import Processes, process_collector
 from headway.rollout.serial import SerialCollector
@@ -66,9 +66,9 @@ def _ray(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], not
 
 
 def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
-    pickled = pickle.dumps(plan)
+    pickled = SharedPickle.of(plan)
     setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
-    return Processes(setups, [*plan.rollout.preload, *plan.preload], b"_main__" in pickled)
+    return Processes(setups, [*plan.rollout.preload, *plan.preload], pickled)
 
 
 def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from headway.contracts import Contributor, EnvSpec, HeadwayError, Trajectory
+from headway.rollout.memory import SharedPickle
 from headway.rollout.plan import RolloutPlan, Shard, process_holds
 from headway.rollout.sampler import Sampler
 from headway.rollout.usage import OwnUsage
@@ -56,13 +57,15 @@ class AsynchronousPlan:
 class ContributorSetup:
     """All that such a worker is given when it starts."""
 
-    plan: bytes
-    """An `AsynchronousPlan`, pickled."""
+    plan: SharedPickle | bytes
+    """An `AsynchronousPlan`; pickled, where memory cannot be shared."""
     shard: Shard
 
     def open(self) -> "Contributing":
         """The service of a worker that contributes."""
-        plan: AsynchronousPlan = pickle.loads(self.plan)
+        pickled = self.plan
+        plan: AsynchronousPlan
+        plan = pickle.loads(pickled) if isinstance(pickled, bytes) else pickled.load()
         return Contributing(plan, self.shard)
 
 

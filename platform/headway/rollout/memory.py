@@ -1,17 +1,23 @@
-"""Memory that processes share and that vanishes with the last of them, however they end.
+"""Memory that processes share, that vanishes with the last of them, however they end, or that none needs.
 
 An anonymous file (memfd on Linux) is passed by descriptor: it has no name in /dev/shm that a killed
 process could leave behind, and does not depend on the size of that mount.
 """
 
+import ctypes
 import mmap
 import os
+import pickle
 import tempfile
+from dataclasses import dataclass
+from itertools import accumulate
 from multiprocessing import reduction
 from typing import Any, Self
 
 from headway.contracts import HeadwayError
 from headway.rollout.usage import available_memory
+
+_ALIGNMENT = 64
 
 
 class SharedBlock:
@@ -44,6 +50,11 @@ class SharedBlock:
         """The memory itself."""
         return self._map
 
+    def private(self) -> mmap.mmap:
+        """The memory as it is now, and shared as long as nobody writes: what is written here nobody else
+        sees."""
+        return mmap.mmap(self._descriptor, max(self.nbytes, 1), access=mmap.ACCESS_COPY)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Picklable only while a process is being started, which is given its own descriptor."""
         return _attach, (reduction.DupFd(self._descriptor), self.nbytes)
@@ -53,6 +64,48 @@ class SharedBlock:
         if self._descriptor >= 0:
             os.close(self._descriptor)
         self._descriptor = -1
+
+
+@dataclass(frozen=True)
+class SharedPickle:
+    """An object pickled into a block. The arrays of all who load it lie in that one block, which each may
+    write to as if it were its own: what an environment prepares may be large, and its workers many."""
+
+    block: SharedBlock
+    parts: tuple[slice, ...]
+    """Where the pickle lies in it, and then its arrays."""
+    mentions_main: bool
+    """It refers to something of the main module."""
+
+    @classmethod
+    def of(cls, value: object) -> Self:
+        """Raises what pickling does, and HeadwayError where the memory cannot be had."""
+        buffers: list[pickle.PickleBuffer] = []
+        pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
+        contents = [memoryview(pickled), *(buffer.raw() for buffer in buffers)]
+        ends = list(accumulate(-(-content.nbytes // _ALIGNMENT) * _ALIGNMENT for content in contents))
+        parts = tuple(
+            slice(begin, begin + content.nbytes)
+            for begin, content in zip([0, *ends[:-1]], contents, strict=True)
+        )
+        block = SharedBlock.create(ends[-1])
+        for part, content in zip(parts, contents, strict=True):
+            block.buffer[part] = content
+        return cls(block, parts, b"_main__" in pickled)
+
+    def load(self) -> Any:  # noqa: ANN401 - whatever it was
+        """The object, as often as wanted: each has its arrays to itself."""
+        memory = memoryview(self.block.private())
+        pickled, *arrays = (memory[part] for part in self.parts)
+        return pickle.loads(pickled, buffers=arrays)
+
+
+def give_back_memory() -> None:
+    """Return to the system what was freed and lies between what was not: the C library of Linux keeps it,
+    and of setting up a large environment that is more than all that stays. Elsewhere nothing happens."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
 
 
 def _refusal(nbytes: int, reason: str | None) -> HeadwayError:

@@ -1,7 +1,6 @@
 """Workers in processes of this machine, which share memory with it."""
 
 import multiprocessing
-import pickle
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -14,7 +13,7 @@ from headway.contracts import Trajectory
 from headway.contracts.acting import Parameters
 from headway.rollout.crew import Link, Notify
 from headway.rollout.crewed import CrewCollector
-from headway.rollout.memory import SharedBlock
+from headway.rollout.memory import SharedBlock, SharedPickle
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.worker import (
     Broken,
@@ -40,9 +39,9 @@ def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
 class Processes:
     """Worker processes, forked from a light server."""
 
-    def __init__(self, setups: Sequence[Setup], preload: Sequence[str], needs_main: bool) -> None:
-        """`preload`: modules that they share; `needs_main`: what they are given refers to the main module."""
-        self.setups, self.needs_main = setups, needs_main
+    def __init__(self, setups: Sequence[Setup], preload: Sequence[str], plan: SharedPickle) -> None:
+        """`preload`: modules that they share; `plan`: what the setups hold in common."""
+        self.setups, self.plan = setups, plan
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.worker", *preload])
 
@@ -52,7 +51,7 @@ class Processes:
         process = self.context.Process(
             target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
-        with nullcontext() if self.needs_main else _main_left_out():
+        with nullcontext() if self.plan.mentions_main else _main_left_out():
             process.start()
         theirs.close()
         return ProcessLink(process, ours)
@@ -71,18 +70,19 @@ class Processes:
             link.process.join(max(deadline - time.monotonic(), 0))
             if link.process.is_alive():
                 link.kill()
+        self.plan.block.close()
 
 
 class SharedMemory(Processes):
     """Worker processes that sample into, and by the parameters in, memory that they share with this one."""
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
-        pickled, shapes = pickle.dumps(plan), plan.policy.parameter_shapes(plan.replicas)
+        pickled, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
         self.blocks = SharedBlock.create(plan.layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
         self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]
-        super().__init__(setups, plan.preload, b"_main__" in pickled)
+        super().__init__(setups, plan.preload, pickled)
 
     def publish(self, parameters: Parameters) -> None:
         """See `Exchange`."""

@@ -1,7 +1,6 @@
 """The rollout worker: a light process that samples when told to, and ends when its parent does."""
 
 import os
-import pickle
 import signal
 import threading
 import traceback
@@ -19,7 +18,7 @@ from headway.contracts import Contribution, HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
-from headway.rollout.memory import SharedBlock
+from headway.rollout.memory import SharedBlock, SharedPickle, give_back_memory
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.sampler import Episode, Sampler
 from headway.rollout.usage import OwnUsage
@@ -29,15 +28,15 @@ from headway.rollout.usage import OwnUsage
 class WorkerSetup:
     """All that a worker is given that samples into a shared trajectory."""
 
-    plan: bytes
-    """A `RolloutPlan`, pickled."""
+    plan: SharedPickle
+    """A `RolloutPlan`."""
     shard: Shard
     trajectory: SharedBlock
     parameters: SharedBlock
 
     def open(self) -> "Sampling":
         """The service of a worker that samples."""
-        plan: RolloutPlan = pickle.loads(self.plan)
+        plan: RolloutPlan = self.plan.load()
         shapes = plan.policy.parameter_shapes(plan.replicas)
         return Sampling(
             plan,
@@ -211,6 +210,7 @@ class Sampling:
             case Evaluate(request=request, first_replica=first, replicas=number):
                 plan, parameters = self.plan, self.plan.parameters_of(self.parameters, first, number)
                 evaluation = evaluate_policy(plan.of_replicas(first, number), parameters, request)
+                give_back_memory()
                 return Done([], evaluation, None, self.own_usage.read())
             case Begin(purpose=purpose):
                 self.sampler.begin(purpose)

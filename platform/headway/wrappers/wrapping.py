@@ -77,14 +77,26 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
     is left, which plays the wrapped environment.
     """
     rules = {"random": entry.rules["random"]} if _any_changes_actions(wrappers) else entry.rules
+    beside = entry.prepare_beside
     return replace(
         entry,
         make=make_wrapped,
         prepare=lambda config: _prepare(name, entry, tuple(wrappers), entry.prepare(config)),
+        prepare_beside=None if beside is None else _prepare_beside(name, entry, tuple(wrappers), beside),
         parallel_env=None,
         rules={rule: _behind(rule, make) for rule, make in rules.items()},
         painter=None if entry.painter is None else _painter_behind(entry.painter),
     )
+
+
+def _prepare_beside(
+    name: str,
+    entry: EnvEntry,
+    wrappers: tuple[ListedWrapper, ...],
+    beside: Callable[[Any, Any], Any],
+) -> Callable[[Any, Wrapped], Wrapped]:
+    """The wrapped entry's, from the entry's own."""
+    return lambda config, other: _prepare(name, entry, wrappers, beside(config, other.prepared))
 
 
 def _painter_behind(make: Callable[[Any], Painter]) -> Callable[[Wrapped], Painter]:

@@ -14,7 +14,7 @@ from headway.config import BackendConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway.finite import check_finite
 from headway.rollout import backends, usage
-from headway.rollout.memory import SharedBlock
+from headway.rollout.memory import SharedBlock, SharedPickle
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.usage import available_memory, cpu_seconds, proportional_memory
 from headway.rollout.worker import parameter_arrays, parameter_bytes
@@ -46,6 +46,34 @@ def test_blocks_leave_no_descriptors() -> None:
     for _ in range(20):
         SharedBlock.create(5000).close()
     assert _open_descriptors() == before
+
+
+def test_what_is_loaded_from_a_shared_pickle_lies_in_its_memory_and_is_ones_own() -> None:
+    large, fortran = np.arange(100_000.0), np.asfortranarray(np.arange(6).reshape(2, 3))
+    value = {"large": large, "again": large, "fortran": fortran, "none": np.zeros((0, 3)), "word": "bus"}
+    shared = SharedPickle.of(value)
+    large[0] = -1.0  # too late
+    one, other = shared.load(), shared.load()
+    assert one["large"] is one["again"]
+    one["large"][1] = -2.0
+    assert np.array_equal(other["large"], np.arange(100_000.0))
+    assert np.array_equal(one["fortran"], fortran)
+    assert one["fortran"].flags.f_contiguous
+    assert one["none"].shape == (0, 3)
+    assert one["word"] == "bus"
+    assert all(array.flags.aligned and array.flags.writeable for array in (one["large"], one["fortran"]))
+    inside = np.frombuffer(shared.block.buffer, np.uint8)[shared.parts[1]]
+    inside[...] = 0
+    assert not other["large"].any()  # no copy was made, so this reaches it
+    assert one["large"][1] == -2.0
+    shared.block.close()
+
+
+def test_a_shared_pickle_says_whether_the_main_module_is_in_it() -> None:
+    for value, mentioned in ((max, False), ("__main__", True)):
+        shared = SharedPickle.of(value)
+        assert shared.mentions_main is mentioned
+        shared.block.close()
 
 
 def test_more_memory_than_there_is_is_refused_in_one_line() -> None:

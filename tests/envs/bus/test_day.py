@@ -85,6 +85,33 @@ def test_snapshot_restores_bit_for_bit(line: Prepared) -> None:
             assert array.tobytes() == reached[part][name].tobytes(), f"{part}.{name}"
 
 
+def test_a_snapshot_holds_of_the_queues_only_who_waits(line: Prepared) -> None:
+    env, rng = _begun(line, 2), np.random.default_rng(2)
+    for actions in _actions(rng, (200, 2, len(line.agents))):
+        env.step(actions)
+    world, storage = env.snapshot()["world"], env.world.arrived_at.size
+    waiting = int(env.world.queues["waiting"].sum())
+    assert 0 < waiting < storage / 10
+    assert world["arrived_at"].shape == world["leaves_at"].shape == (waiting,)
+
+
+def test_a_snapshot_of_before_with_all_places_of_the_queues_is_restored(line: Prepared) -> None:
+    env, rng = _begun(line, 2), np.random.default_rng(2)
+    script = _actions(rng, (300, 2, len(line.agents)))
+    for actions in script[:200]:
+        env.step(actions)
+    saved = env.snapshot()
+    for name in ("arrived_at", "leaves_at"):
+        saved["world"][name] = getattr(env.world, name).copy()
+    other = BusBatchedEnv(line, 2)
+    other.restore(saved)
+    for actions in script[200:]:
+        env.step(actions)
+        other.step(actions)
+    assert env.world.days.tobytes() == other.world.days.tobytes()
+    assert np.array_equal(env.outputs.observations, other.outputs.observations)
+
+
 def test_snapshot_of_another_batch_is_refused(line: Prepared) -> None:
     with pytest.raises(HeadwayError, match="number of copies"):
         _begun(line, 2).restore(_begun(line, 1).snapshot())
