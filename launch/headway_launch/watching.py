@@ -156,6 +156,14 @@ class Counted:
             self._printed = now
             tell(self.line)
 
+    def note(self, line: str) -> None:
+        """A line for the user that stays."""
+        if self._on_terminal:
+            self._draw("")
+        tell(line)
+        if self._on_terminal:
+            self._draw(self.line)
+
     @property
     def line(self) -> str:
         """`days simulated: 3 of 20, about 0:01:20 left (remark)`; of unknown length, `steps played: 412`."""

@@ -138,3 +138,7 @@ def test_on_a_terminal_the_count_stays_in_place_and_goes(
     assert "\n" not in drawn
     assert drawn.startswith("\rdays simulated: 0 of 2\x1b[K")
     assert drawn.endswith("\rdays simulated: 2 of 2\x1b[K\r\x1b[K")
+    with Counted("days simulated", 2) as counted:
+        counted.note("a line that stays")
+    first = "\rdays simulated: 0 of 2\x1b[K"
+    assert capsys.readouterr().err == f"{first}\r\x1b[Ka line that stays\n{first}\r\x1b[K"
