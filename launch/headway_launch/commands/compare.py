@@ -24,7 +24,8 @@ examples:
 Every finished seed's newest policy plays the same days, and so does every rule. The differences are
 controller minus reference, paired day by day, with 95% intervals by Student's t: over days for a rule and
 for a cell of one seed, over training seeds and days for a cell of more. Without --against the reference is
-the rule with the highest mean return on these days.
+the rule with the highest mean return on these days. What metrics there are, and what they mean: `headway list
+metrics ENVIRONMENT`.
 """
 
 

@@ -12,6 +12,7 @@ examples:
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
 The differences are those of the return, policy minus rule, day by day, with 95% intervals over the days.
+What the other figures mean: `headway list metrics ENVIRONMENT`.
 """
 
 
