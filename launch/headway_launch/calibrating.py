@@ -114,7 +114,7 @@ def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace
     ):
         try:
             lanes.extend(
-                _Lane(turns[first :: shares.parallel], shares, Path(folder, str(first)))
+                _Lane(turns[first :: shares.parallel], shares, Path(folder, str(first)), told)
                 for first in range(shares.parallel)
             )
             while running := [lane for lane in lanes if lane.waiting]:
@@ -231,10 +231,11 @@ class Trial:
 
 
 class _Lane:
-    """One process and the cells that it trains a little, in turn; `trial` is of the first one waiting."""
+    """One process and the cells that it trains a little, in turn; `trial` is of the first one waiting. Each
+    is told as it begins."""
 
-    def __init__(self, cells: Sequence[CellPlan], shares: Shares, folder: Path) -> None:
-        self.waiting = list(cells)
+    def __init__(self, cells: Sequence[CellPlan], shares: Shares, folder: Path, told: Counted) -> None:
+        self.waiting, self._told = list(cells), told
         jobs = [_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
         self.trial = self._begun()
         self._start: tuple[float, float] | None = None
@@ -281,11 +282,15 @@ class _Lane:
 
     @property
     def _name(self) -> str:
-        cell = self.waiting[0]
-        return cell.label or cell.experiment.algo_name
+        return _name(self.waiting[0])
 
     def _begun(self) -> Trial:
+        self._told.note(f"measuring {self._name}")
         return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
+
+
+def _name(cell: CellPlan) -> str:
+    return cell.label or cell.experiment.algo_name
 
 
 def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:

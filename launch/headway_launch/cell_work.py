@@ -24,6 +24,7 @@ from headway_launch.planning import (
 )
 from headway_launch.results import SeedResult, stored_result
 from headway_launch.telling import tell
+from headway_launch.watching import Counted
 
 Rules = Mapping[str, list[Row]]
 _WHICH_DAYS = "evaluation_seed"
@@ -100,9 +101,12 @@ class CellWork:
 
                 count = counted(len(self.experiment.rules), "rule")
                 tell(f"{count} to play, {counted(days, 'episode')} each")
-            jobs = self.plan.jobs
+            jobs, rules = self.plan.jobs, self.experiment.rules
             prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
-            episodes = rule_episodes(self.experiment, prepared, self.experiment.rules, evaluation.seed, days)
+            with Counted("episodes played", len(rules) * days) as played_so_far:
+                episodes = rule_episodes(
+                    self.experiment, prepared, rules, evaluation.seed, days, played_so_far
+                )
             played[key] = {
                 rule: [{**row, _WHICH_DAYS: evaluation.seed} for row in rows]
                 for rule, rows in episodes.items()

@@ -11,8 +11,10 @@ from headway_launch.tables import Cell, print_table
 from headway_launch.telling import tell
 
 if TYPE_CHECKING:
+    from headway.rollout.episodes import Told
     from headway.stats import Interval
     from headway_launch.composing import Experiment, PreparedEnv
+    from headway_launch.watching import Counted
 
 _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
@@ -51,15 +53,26 @@ def _why_not(environment: "PreparedEnv", rule: str) -> str | None:
 
 
 def rule_episodes(
-    experiment: "Experiment", prepared: object, rules: Sequence[str], root: int, episodes: int
+    experiment: "Experiment",
+    prepared: object,
+    rules: Sequence[str],
+    root: int,
+    episodes: int,
+    counted: "Counted",
 ) -> dict[str, list[Row]]:
-    """Episodes of rules of the environment on the evaluation seeds that follow from `root`."""
+    """Episodes of rules of the environment on the evaluation seeds that follow from `root`, counted."""
     from headway.rollout.episodes import evaluate_rule
 
-    if rules and sys.stderr.isatty():
-        print(f"evaluating the rules: {', '.join(rules)}", file=sys.stderr, flush=True)
     make, known = experiment.env.make, experiment.env.rules
-    return {rule: evaluate_rule(make, known[rule], prepared, root, episodes) for rule in rules}
+    return {
+        rule: evaluate_rule(make, known[rule], prepared, root, episodes, counting(counted, f"rule {rule}"))
+        for rule in rules
+    }
+
+
+def counting(counted: "Counted", name: str) -> "Told":
+    """Adds the episodes that end, of the controller named, to those that are counted."""
+    return lambda step, ended: counted.add(ended, f"{name}, step {step:,}")
 
 
 def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping[str, Sequence[Row]]) -> None:

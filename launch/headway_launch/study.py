@@ -58,9 +58,9 @@ def counted_runs(of_study: Sequence["RunRow"], study: str) -> tuple[list["RunRow
 
 
 def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
-    """The curves of a metric as `headway.stats.frames` takes them. Raises HeadwayError for a run without it,
-    and for a cell whose runs share no step."""
-    curves = runs.curves([metric])
+    """The curves of a metric as `headway.stats.frames` takes them, fit to be averaged. Raises HeadwayError
+    for a run without it, and for a cell whose runs share no step."""
+    curves = curve_points(runs, metric)
     have = set(curves["run_id"])
     for row in runs.rows:
         if row.run_id not in have:
@@ -72,10 +72,16 @@ def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
     for cell, points in curves.groupby("cell"):
         if points.groupby("env_steps")["run_id"].nunique().max() < points["run_id"].nunique():
             raise HeadwayError(f"the runs of {cell} share no evaluation points")
+    return curves
+
+
+def curve_points(runs: "Selection", metric: str) -> "pd.DataFrame":
+    """As `curves_of`, each run by itself: runs without the metric have no row, steps need not be common."""
+    curves = runs.curves([metric])
     kept = ["run_id", "cell", "label", "task", "controller", "seed", "env_steps"]
     # In the order in which tables name the controllers, so that pictures do, too.
     ordered = curves.sort_values("controller", kind="stable", ignore_index=True)
-    return ordered[[*kept, metric]].rename(columns={metric: "value"})
+    return ordered.reindex(columns=[*kept, metric]).rename(columns={metric: "value"})
 
 
 def rules_beside(runs: "Selection", metric: str) -> dict[str, dict[str, float]]:

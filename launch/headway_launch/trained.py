@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.events import Row
-from headway.rollout.episodes import EvaluationRequest, evaluate_policy
+from headway.rollout.episodes import EvaluationRequest, Told, evaluate_policy
 from headway.rollout.fitting import require_fitting
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
@@ -48,9 +48,15 @@ def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
     return TrainedPolicy(plan, parameters, iteration)
 
 
-def policy_episodes(policy: TrainedPolicy, root: int, episodes: int, greedy: bool) -> list[Row]:
+def policy_episodes(
+    policy: TrainedPolicy,
+    root: int,
+    episodes: int,
+    greedy: bool,
+    told: Told = lambda step, ended: None,
+) -> list[Row]:
     """One row an episode on the evaluation seeds that follow from `root`."""
     rows: list[Row] = []
     for request in EvaluationRequest.split(root, episodes, greedy, evaluation_block(policy.plan.spec, 1)):
-        rows += evaluate_policy(policy.plan, policy.parameters, request)[0]
+        rows += evaluate_policy(policy.plan, policy.parameters, request, told)[0]
     return rows

@@ -125,7 +125,7 @@ class Counted:
 
     def __init__(self, what: str, total: int | None = None) -> None:
         """`what` is counted: `days simulated`."""
-        self._what, self._total, self._done = what, total, 0
+        self._what, self._total, self._done, self._remark = what, total, 0, ""
         self._began = self._printed = time.monotonic()
         self._on_terminal = sys.stderr.isatty()
 
@@ -144,9 +144,9 @@ class Counted:
         if self._on_terminal:
             self._draw("")
 
-    def add(self) -> None:
-        """One more is done."""
-        self._done += 1
+    def add(self, count: int = 1, remark: str = "") -> None:
+        """So many more are done; `remark`: what is at work, where a single one takes long."""
+        self._done, self._remark = self._done + count, f" ({remark})" if remark else ""
         now = time.monotonic()
         if self._on_terminal:
             if now - self._printed >= _DRAWN_EVERY_S or self._done == self._total:
@@ -156,16 +156,24 @@ class Counted:
             self._printed = now
             tell(self.line)
 
+    def note(self, line: str) -> None:
+        """A line for the user that stays."""
+        if self._on_terminal:
+            self._draw("")
+        tell(line)
+        if self._on_terminal:
+            self._draw(self.line)
+
     @property
     def line(self) -> str:
-        """`days simulated: 3 of 20, about 0:01:20 left`; of unknown length, `steps played: 412`."""
+        """`days simulated: 3 of 20, about 0:01:20 left (remark)`; of unknown length, `steps played: 412`."""
         if self._total is None:
-            return f"{self._what}: {self._done:,}"
+            return f"{self._what}: {self._done:,}{self._remark}"
         counted = f"{self._what}: {self._done:,} of {self._total:,}"
         if not 0 < self._done < self._total:
-            return counted
+            return f"{counted}{self._remark}"
         left = (time.monotonic() - self._began) / self._done * (self._total - self._done)
-        return f"{counted}, about {duration(left)} left"
+        return f"{counted}, about {duration(left)} left{self._remark}"
 
     def _draw(self, line: str) -> None:
         try:

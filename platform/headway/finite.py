@@ -26,37 +26,31 @@ def check_finite(
     Whole arrays are tested first, so a step without fault costs a few microseconds. `outcome` is None
     where nothing was done yet.
     """
-    ended = outcome is not None and (
-        np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated)
-    )
-    if (
-        not ended
-        and _surely_finite(observed.observations)
-        and _surely_finite(observed.states)
-        and (outcome is None or _surely_finite(outcome.rewards))
-    ):
-        return
     for what, values, present, remedy in _looked_at(outcome, observed):
         if _surely_finite(values):
             continue
-        bad = ~np.isfinite(values).all(axis=-1) & present
+        bad = ~np.isfinite(values).all(axis=-1) & present()
         if bad.any():
             raise HeadwayError(_line(spec, what, values, bad, step, name_copy) + remedy)
 
 
 def _looked_at(
     outcome: Outcome | None, observed: Observed
-) -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.bool_], str]]:
-    """What is looked at by name: (C, N or 1, size), where it counts (C, N or 1), and how to mend it."""
-    yield "observation", observed.observations, observed.alive, ", or mark the agent as not alive there"
-    everywhere = np.ones((len(observed.states), 1), np.bool_)
-    yield "state", observed.states[:, None], everywhere, ""
+) -> Iterator[tuple[str, NDArray[np.float32], Callable[[], NDArray[np.bool_]], str]]:
+    """What is looked at by name: (C, N or 1, size), where it counts (C, N or 1; asked for where a fault is
+    suspected), and how to mend it."""
+    alone = ", or mark the agent as not alive there"
+    yield "observation", observed.observations, lambda: observed.alive, alone
+    yield "state", observed.states[:, None], lambda: np.ones((len(observed.states), 1), np.bool_), ""
     if outcome is None:
         return
-    every_slot = np.ones_like(observed.alive)
-    yield "reward", outcome.rewards[..., None], every_slot, "; who gets nothing gets 0"
-    yield "final observation", outcome.final_observations, outcome.terminated | outcome.truncated, ""
-    yield "final state", outcome.final_states[:, None], outcome.episode_ended[:, None], ""
+    idle = "; who gets nothing gets 0"
+    yield "reward", outcome.rewards[..., None], lambda: np.ones_like(observed.alive), idle
+    if not (np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated)):
+        return
+    ends = outcome.terminated | outcome.truncated
+    yield "final observation", outcome.final_observations, lambda: ends, ""
+    yield "final state", outcome.final_states[:, None], lambda: outcome.episode_ended[:, None], ""
 
 
 def _surely_finite(values: NDArray[np.float32]) -> bool:

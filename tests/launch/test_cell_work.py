@@ -12,6 +12,7 @@ from headway_launch import cell_work
 from headway_launch.cell_work import CellWork
 from headway_launch.composing import Experiment, compose
 from headway_launch.planning import CellPlan
+from headway_launch.watching import Counted
 
 RULES = ("evaluation.rules=[optimal]", "evaluation.episodes=3", "evaluation.final_episodes=3")
 TINY = ("env=trivial", "algo=ippo", "env.args.agents=2", "env.args.steps=20", "study=kept", *RULES)
@@ -23,10 +24,15 @@ def test_rules_of_other_days_are_played_again(tmp_path: Path, monkeypatch: pytes
     play = cell_work.rule_episodes
 
     def counted(
-        experiment: Experiment, prepared: object, rules: Sequence[str], root: int, episodes: int
+        experiment: Experiment,
+        prepared: object,
+        rules: Sequence[str],
+        root: int,
+        episodes: int,
+        so_far: Counted,
     ) -> dict[str, list[Row]]:
         roots.append(root)
-        return play(experiment, prepared, rules, root, episodes)
+        return play(experiment, prepared, rules, root, episodes, so_far)
 
     monkeypatch.setattr(cell_work, "rule_episodes", counted)
     store = SessionStore(StoreConfig(root=str(tmp_path)))

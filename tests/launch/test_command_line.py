@@ -2,6 +2,7 @@ import json
 import re
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 
@@ -21,6 +22,11 @@ from headway_launch.commands import compare, evaluate
         (["list", "algos", "mapo"], ["did you mean mappo?"]),
         (["list", "experiments", "bus_mapo"], ["did you mean bus_mappo?"]),
         (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
+        (
+            ["list", "metrics", "matrix"],
+            ["matrix does not say what its metrics mean", "those that do: bus, "],
+        ),
+        (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
         (["run", "experiment=bus_mapo"], ["did you mean experiment=bus_mappo?"]),
@@ -123,3 +129,16 @@ def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.C
     assert "folder with recorded trips" in shown
     assert "--seed" not in shown
     assert "corridor" not in shown
+
+
+@pytest.mark.parametrize("name", ["bus", "bus_published", "merge", "merge_two_lane", "intersection"])
+def test_what_metrics_are_is_listed_for_each_of_an_episode(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["list", "metrics", name]) == 0
+    header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert header == ["environment", "metric", "what it is"]
+    entry = env_entry(name)
+    with closing(entry.make(entry.prepare(entry.config()), 1)) as env:
+        assert [row[1] for row in rows] == ["length", "return", *env.spec.metrics]
+    assert all(row[0] == name and row[2] for row in rows)

@@ -218,7 +218,9 @@ def test_the_price_of_a_wrapper_without_a_twin_is_said_in_one_line(
     ]
 
 
-def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The stack's memory is in the checkpoint: the curve is that of a run that was never stopped."""
     assert run(["run", "env=visitors", STACK, *TINY]) == 0
     row = _runs()[0]
@@ -232,8 +234,14 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(capsys: pytest
     assert run(["resume", row.run_id]) == 0, capsys.readouterr().err
     assert [read_curve(directory, name) for name in curves] == before
     capsys.readouterr()
+    assert run(["compare", row.study, "--episodes", "2"]) == 0
+    assert "episodes played" not in capsys.readouterr().out
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["evaluate", row.run_id, "--episodes", "2"]) == 0
-    shown = capsys.readouterr().out
+    shown, told = capsys.readouterr()
+    assert "\repisodes played: 0 of 6\x1b[K" in told
+    assert "\repisodes played: 6 of 6 (rule " in told
+    assert "episodes played" not in shown
     assert "rule optimal" in shown
     assert "rule random" in shown
 

@@ -70,6 +70,7 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert header == ["cell", "trainings", "s each", "CPU s in all", "kWh in all", "kg CO2eq in all"]
     assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == ["", ""] for row in rows)
+    assert {"measuring ippo", "measuring ia2c"} <= set(told.err.splitlines())
     assert "6 trainings" in told.out
     assert "a training is a stack" not in told.out
     assert "with training processes on this machine" not in told.out

@@ -119,6 +119,12 @@ def test_work_of_known_length_tells_how_far_it_is(
     with Counted("steps played") as counted:
         counted.add()
     assert counted.line == "steps played: 1"
+    with Counted("episodes played", 6) as counted:
+        counted.add(0, "rule idle, step 12")
+        assert counted.line == "episodes played: 0 of 6 (rule idle, step 12)"
+        counted.add(3, "rule idle, step 13")
+    moment[0] += 1.0
+    assert counted.line == "episodes played: 3 of 6, about 0:00:01 left (rule idle, step 13)"
 
 
 def test_on_a_terminal_the_count_stays_in_place_and_goes(
@@ -132,3 +138,7 @@ def test_on_a_terminal_the_count_stays_in_place_and_goes(
     assert "\n" not in drawn
     assert drawn.startswith("\rdays simulated: 0 of 2\x1b[K")
     assert drawn.endswith("\rdays simulated: 2 of 2\x1b[K\r\x1b[K")
+    with Counted("days simulated", 2) as counted:
+        counted.note("a line that stays")
+    first = "\rdays simulated: 0 of 2\x1b[K"
+    assert capsys.readouterr().err == f"{first}\r\x1b[Ka line that stays\n{first}\r\x1b[K"

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import BatchedEnv, EnvEntry, Painter, Rule
 from headway_envs.bus.config import BusConfig
+from headway_envs.bus.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.bus.prepared import Prepared
@@ -90,6 +91,7 @@ ENTRY = EnvEntry(
         "even_headway": _even_headway,
         "schedule_holding": _schedule_holding,
     },
+    metrics=MEANINGS,
     painter=_painter,
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),
 )

@@ -28,8 +28,8 @@ Frame = tuple[int, int, int, int]
 FINER = 2
 """Drawn so many times as large and then reduced, for smooth edges."""
 WIDTH, HEADER, EDGE = 1180, 54, 14
-MAP_HEIGHTS = (130, 420)
-"""Least and most, by the shape of the network."""
+MAP_HEIGHTS = (236, 420)
+"""Least and most, by the shape of the network: that of a straight line is a fifth of the width."""
 PANEL_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 190, 24, 18, 26, 46
 ASIDE = 5.0
 """Pixels by which buses of either direction are drawn to the right of the line."""

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
 from headway_envs.bus_published.config import BusPublishedConfig
+from headway_envs.bus_published.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.bus_published.prepared import Prepared
@@ -59,5 +60,6 @@ ENTRY = EnvEntry(
         "move_with_service": _move_with_service,
         "random": lambda prepared: RandomRule(),
     },
+    metrics=MEANINGS,
     preload=("headway_envs.bus_published.kernel", "headway_envs.bus_published.env"),
 )

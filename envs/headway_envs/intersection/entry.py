@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
 from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.intersection.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.intersection.prepared import Prepared
@@ -78,6 +79,7 @@ ENTRY = EnvEntry(
         "random": lambda prepared: RandomRule(),
         "reservation": _reservation,
     },
+    metrics=MEANINGS,
     painter=_painter,
     preload=("headway_envs.intersection.kernel", "headway_envs.intersection.env"),
 )

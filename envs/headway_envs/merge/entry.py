@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
 from headway_envs.merge.config import MergeConfig
+from headway_envs.merge.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.merge.prepared import Prepared
@@ -71,6 +72,7 @@ def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
         prepare=partial(_prepare, ramp_lanes=ramp_lanes),
         parallel_env=partial(_parallel_env, ramp_lanes=ramp_lanes),
         rules=RULES,
+        metrics=MEANINGS,
         painter=_painter,
         preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),
     )

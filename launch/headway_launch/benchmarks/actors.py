@@ -28,10 +28,8 @@ TASKS = {
 _REPEATS = 50
 _LARGE = 16 * 2**20
 """Bytes of an answer large enough for its size to be what it costs."""
-_PLANNED_WORKERS = (4, 8, 16, 32)
-"""As many as a task has copies, at most: with more, some would have nothing to do."""
-_WORKERS_A_NODE = 16
-"""Of the planned cluster: assumed."""
+_PLANNED_WORKERS = (4, 8)
+"""As many as a task has blocks of copies, at most: with more, some would have nothing to do."""
 _OVERLAP = 8
 """How many calls and answers are under way at once: assumed."""
 
@@ -59,6 +57,8 @@ class Growth:
 
     steps: int
     """Environment steps an iteration."""
+    blocks: int
+    """Of copies: workers have whole ones, whatever their number."""
     worker_s: float
     """Seconds a step in one worker."""
     learn_s: float
@@ -66,8 +66,9 @@ class Growth:
     wire: Wire
 
     def per_second(self, workers: int, nodes: int) -> float:
-        """Environment steps a second, learning included."""
-        collect_s = self.steps * self.worker_s / workers + self.wire.sent_s(self.steps, workers, nodes)
+        """Environment steps a second, learning included. A worker with most blocks is waited for."""
+        share = -(-self.blocks // workers) / self.blocks
+        collect_s = self.steps * self.worker_s * share + self.wire.sent_s(self.steps, workers, nodes)
         return self.steps / (collect_s + self.learn_s)
 
 
@@ -160,22 +161,24 @@ def _report_growth(with_two: Mapping[str, Sequence[Measurement]], wires: Mapping
         collected_s = 1 / median(result.collected_per_second for result in alone)
         learn_s = steps * median(result.learn_s / result.env_steps for result in alone)
         # What one worker's collection took holds what went over the wire, too.
-        growth = Growth(steps, max(collected_s - wire.sent_s(steps, 1, 1) / steps, 0.0), learn_s, wire)
+        worker_s = max(collected_s - wire.sent_s(steps, 1, 1) / steps, 0.0)
+        growth = Growth(steps, task.copies // task.block, worker_s, learn_s, wire)
         one, two = (median(result.per_second for result in results) for results in (alone, with_two[name]))
-        cells = growth_cells(growth, task.copies, one, two)
+        cells = growth_cells(growth, one, two)
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     print(
-        "\nPlanned from the one worker measured, with all workers as fast as it. Assumed, not measured: "
-        f"{_WORKERS_A_NODE} workers a node, and {_OVERLAP} calls and answers under way at once. Nothing is "
-        "planned for more workers than a task has copies."
+        "\nPlanned from the one worker measured, with all workers as fast as it, on one node. Assumed, not "
+        f"measured: {_OVERLAP} calls and answers under way at once. Workers have whole blocks of copies, "
+        "which get no smaller with more workers: nothing is planned for more than a task has blocks (a "
+        "smaller rollout.block has more)."
     )
 
 
-def growth_cells(growth: Growth, copies: int, one: float, two: float) -> list[str]:
+def growth_cells(growth: Growth, one: float, two: float) -> list[str]:
     """Steps a second as measured with one worker and with two, and planned for two and more, empty for more
-    than there are copies. Of one nothing is planned: the plan was made from it."""
+    than there are blocks. Of one nothing is planned: the plan was made from it."""
     planned = [
-        f"{growth.per_second(workers, max(1, workers // _WORKERS_A_NODE)):,.0f}" if workers <= copies else ""
+        f"{growth.per_second(workers, nodes=1):,.0f}" if workers <= growth.blocks else ""
         for workers in (2, *_PLANNED_WORKERS)
     ]
     return [f"{one:,.0f}", f"{two:,.0f} ({planned[0]})", *planned[1:]]

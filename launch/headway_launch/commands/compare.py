@@ -24,7 +24,8 @@ examples:
 Every finished seed's newest policy plays the same days, and so does every rule. The differences are
 controller minus reference, paired day by day, with 95% intervals by Student's t: over days for a rule and
 for a cell of one seed, over training seeds and days for a cell of more. Without --against the reference is
-the rule with the highest mean return on these days.
+the rule with the highest mean return on these days. What metrics there are, and what they mean: `headway list
+metrics ENVIRONMENT`.
 """
 
 
@@ -49,6 +50,7 @@ def execute(arguments: argparse.Namespace) -> int:
     limit_threads()
     from headway_launch.comparison import (
         SEEDS_FOR_A_CLAIM,
+        counting,
         difference,
         few_seeds,
         rule_episodes,
@@ -58,6 +60,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.tables import print_table
     from headway_launch.telling import tell
     from headway_launch.trained import newest_policy, policy_episodes
+    from headway_launch.watching import Counted
 
     if arguments.episodes < 2:
         raise HeadwayError(f"--episodes {arguments.episodes}: must be at least 2, as days are paired")
@@ -74,21 +77,20 @@ def execute(arguments: argparse.Namespace) -> int:
             f"--against: {arguments.against!r} is no rule played here; {suggestion(arguments.against, names)}"
         )
     compile_kernels(experiment.env)
-    rules = rule_episodes(experiment, found.prepared, names, arguments.seed, arguments.episodes)
-    metrics = _metrics(arguments.metrics, rules)
-    reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
-    played = {
-        label: [
-            policy_episodes(
-                newest_policy(run, found),
-                arguments.seed,
-                arguments.episodes,
-                arguments.mode == "greedy",
-            )
-            for run in members
-        ]
-        for label, members in cells.items()
-    }
+    policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
+    root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
+    controllers = len(names) + sum(map(len, policies.values()))
+    with Counted("episodes played", controllers * episodes) as counted:
+        rules = rule_episodes(experiment, found.prepared, names, root, episodes, counted)
+        metrics = _metrics(arguments.metrics, rules)
+        reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
+        played = {
+            label: [
+                policy_episodes(policy, root, episodes, greedy, counting(counted, label))
+                for policy in of_cell
+            ]
+            for label, of_cell in policies.items()
+        }
 
     def minus_reference(by_seed: Sequence[Sequence["Row"]], metric: str) -> "Interval":
         return difference(
@@ -97,9 +99,9 @@ def execute(arguments: argparse.Namespace) -> int:
 
     rows: list[tuple[Cell, ...]] = []
     for metric in metrics:
-        for rule, episodes in rules.items():
-            against = None if rule == reference else minus_reference([episodes], metric)
-            rows.append(_row(metric, f"rule {rule}", 0, _mean(episodes, metric), against))
+        for rule, of_rule in rules.items():
+            against = None if rule == reference else minus_reference([of_rule], metric)
+            rows.append(_row(metric, f"rule {rule}", 0, _mean(of_rule, metric), against))
         for label, by_seed in played.items():
             mean = sum(_mean(episodes, metric) for episodes in by_seed) / len(by_seed)
             rows.append(_row(metric, label, len(by_seed), mean, minus_reference(by_seed, metric)))

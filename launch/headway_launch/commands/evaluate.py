@@ -12,6 +12,7 @@ examples:
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
 The differences are those of the return, policy minus rule, day by day, with 95% intervals over the days.
+What the other figures mean: `headway list metrics ENVIRONMENT`.
 """
 
 
@@ -32,10 +33,11 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.threads import limit_threads
 
     limit_threads()
-    from headway_launch.comparison import print_comparison, rule_episodes, rules_to_play
+    from headway_launch.comparison import counting, print_comparison, rule_episodes, rules_to_play
     from headway_launch.kernels import compile_kernels
     from headway_launch.stored import StoredRun
     from headway_launch.trained import newest_policy, policy_episodes
+    from headway_launch.watching import Counted
 
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
     experiment = run.experiment
@@ -48,7 +50,10 @@ def execute(arguments: argparse.Namespace) -> int:
     rules = rules_to_play(found, arguments.rules)
     compile_kernels(experiment.env)
     policy = newest_policy(run, found)
-    learned = policy_episodes(policy, root, episodes, greedy=arguments.mode == "greedy")
-    played = rule_episodes(experiment, found.prepared, rules, root, episodes)
-    print_comparison(f"{experiment.algo_name} {arguments.mode}", [learned], played)
+    name = f"{experiment.algo_name} {arguments.mode}"
+    with Counted("episodes played", (1 + len(rules)) * episodes) as counted:
+        greedy, told = arguments.mode == "greedy", counting(counted, name)
+        learned = policy_episodes(policy, root, episodes, greedy, told)
+        played = rule_episodes(experiment, found.prepared, rules, root, episodes, counted)
+    print_comparison(name, [learned], played)
     return 0

@@ -23,6 +23,7 @@ examples:
   headway list envs mpe2.simple_spread_v3      those of a PettingZoo environment, by its module
   headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
   headway list algos mappo     its hyper-parameters (algo.KEY=VALUE)
+  headway list metrics bus     what the figures of its episodes mean, with their units
   headway list experiments     what `headway run experiment=NAME` takes
   headway list searches        what `headway search NAME` takes
   headway list keys            every other key of an experiment
@@ -86,6 +87,16 @@ def _list_rules(name: str | None) -> None:
     print_table(("environment", "rule"), rows)
 
 
+def _list_metrics(name: str | None) -> None:
+    entries = env_entries() if name is None else {name: env_entry(name)}
+    described = {key: {**_OF_ALL, **entry.metrics} for key, entry in entries.items() if entry.metrics}
+    if not described:
+        describing = ", ".join(key for key, entry in env_entries().items() if entry.metrics)
+        raise HeadwayError(f"{name} does not say what its metrics mean; those that do: {describing}")
+    rows = [(key, metric, what) for key, of_env in described.items() for metric, what in of_env.items()]
+    print_table(("environment", "metric", "what it is"), rows, whole=("metric",), spare=("environment",))
+
+
 def _list_keys(name: str | None) -> None:
     from headway.config import ExperimentConfig
 
@@ -121,11 +132,17 @@ def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
     print_table(("key", "type", "default", "meaning"), rows, whole=("key",))
 
 
+_OF_ALL = {
+    "length": "steps of the episode",
+    "return": "rewards of the episode, summed over its steps, mean over the agents",
+}
+"""Of the episodes of every environment."""
 _KINDS: Mapping[str, Callable[[str | None], None]] = {
     "envs": _list_envs,
     "algos": _list_algos,
     "wrappers": _list_wrappers,
     "rules": _list_rules,
+    "metrics": _list_metrics,
     "experiments": _list_group("experiment"),
     "presets": _list_group("preset"),
     "searches": _list_group("search"),

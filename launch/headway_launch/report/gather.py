@@ -17,7 +17,14 @@ from headway.store import Selection
 from headway.store.selection import LABELS as WHOSE
 from headway_launch.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway_launch.planning import flat
-from headway_launch.study import configuration, counted_runs, curves_of, rules_beside, study_runs
+from headway_launch.study import (
+    configuration,
+    counted_runs,
+    curve_points,
+    curves_of,
+    rules_beside,
+    study_runs,
+)
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow
@@ -124,11 +131,13 @@ class StudyData:
 
     @cached_property
     def training_figures(self) -> pd.DataFrame | None:
-        """`curve_figures` of the training curve, in which the papers report; None where runs have none."""
-        try:
-            return frames.curve_figures(curves_of(self.runs, "training/return"))
-        except HeadwayError:  # no episode ended in some run, say
+        """`curve_figures` of the training curve, in which the papers report, a row a run: NaN where no
+        episode ended in it; None where none ended in any. Runs need no step in common: where workers are
+        asynchronous, episodes end at other updates in each."""
+        points = curve_points(self.runs, "training/return")
+        if points.empty:
             return None
+        return frames.curve_figures(points).reindex([row.run_id for row in self.runs.rows])
 
     @cached_property
     def learned_from_another_reward(self) -> bool:

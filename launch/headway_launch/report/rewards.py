@@ -33,12 +33,12 @@ def published_form(data: StudyData) -> Section:
         values = data.rules_beside_curves.get(task, {})
         for rule, value in sorted(values.items(), key=lambda item: -data.sign * item[1]):
             rules.add(len(rows))
-            empty = [MISSING] * 3
-            rows.append([*_place(data, task), f"rule {rule}", MISSING, *empty, figure(value), *empty[:2]])
+            before, after = [MISSING] * 3 * (len(_curves(data)) - 1), [MISSING] * 2
+            rows.append([*_place(data, task), f"rule {rule}", MISSING, *before, figure(value), *after])
             name = f"{data.mode}_final_reward_mean"
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
     headings = [*_environment(data), "controller", "seeds"]
-    for name in ("training", data.mode):
+    for name in _curves(data):
         headings += [f"{name}: final {data.what}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
     table = Table(
         "published_form",
@@ -57,21 +57,8 @@ def published_form(data: StudyData) -> Section:
         "ranks.",
         f"The papers report the curve of training episodes. Beside it stands the {data.mode} evaluation on "
         "days kept apart, which all other parts of this page use.",
+        *_of_training(data),
     ]
-    if data.column != "return":
-        body.append("The training columns are of the reward, the others of the metric chosen.")
-    if data.learned_from_another_reward:
-        body.append(
-            "Here learners are paid by other rules while training than what is reported "
-            "(`env.training_args`, or wrappers of the reward): the training columns are of that reward and "
-            "do not compare with the others."
-        )
-    body += _paid_by_several_rules(data)
-    if data.training_figures is None:
-        body.append(
-            "The training columns are empty: in some run no episode ended in training, or the runs of a cell "
-            "share no step at which one did."
-        )
     body += [table, *_unequal_budgets(data)]
     if data.figures["auc_own"].isna().any():
         body.append(
@@ -80,6 +67,29 @@ def published_form(data: StudyData) -> Section:
         )
     body += _one_seed(data)
     return Section("published", "The form of the papers", body)
+
+
+def _of_training(data: StudyData) -> list[str]:
+    """What is to be known of the training columns, or why there are none."""
+    figures = data.training_figures
+    if figures is None:
+        return ["There are no training columns: no episode ended in training."]
+    said = []
+    if data.column != "return":
+        said.append("The training columns are of the reward, the others of the metric chosen.")
+    if data.learned_from_another_reward:
+        said.append(
+            "Here learners are paid by other rules while training than what is reported "
+            "(`env.training_args`, or wrappers of the reward): the training columns are of that reward and "
+            "do not compare with the others."
+        )
+    said += _paid_by_several_rules(data)
+    if without := int(figures["final_reward"].isna().sum()):
+        said.append(
+            f"In {drawing.counted(without, 'run')} no episode ended in training: the training columns are "
+            "over the others."
+        )
+    return said
 
 
 def _paid_by_several_rules(data: StudyData) -> list[str]:
@@ -93,15 +103,18 @@ def _paid_by_several_rules(data: StudyData) -> list[str]:
     ]
 
 
+def _curves(data: StudyData) -> dict[str, pd.DataFrame]:
+    """By what a curve is called, `curve_figures` of those that the runs have."""
+    training = {} if data.training_figures is None else {"training": data.training_figures}
+    return {**training, data.mode: data.figures}
+
+
 def _published(data: StudyData, runs: list[str]) -> tuple[list[str], dict[str, object]]:
     """Of some runs, the figures of the training curve and of the evaluation: as read, and whole."""
     cells: list[str] = []
     whole: dict[str, object] = {}
-    for name, source in (("training", data.training_figures), (data.mode, data.figures)):
+    for name, source in _curves(data).items():
         for column in ("final_reward", "auc_own", "auc_study"):
-            if source is None:
-                cells.append(MISSING)
-                continue
             found = over_known(source.loc[runs, column])
             cells.append(with_deviation(found.mean, found.std, None if column == "final_reward" else 3))
             whole |= {f"{name}_{column}_mean": found.mean, f"{name}_{column}_std": found.std}

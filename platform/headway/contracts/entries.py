@@ -71,6 +71,8 @@ class EnvEntry:
     it and what that observed last: the environment's rules look there."""
     rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
     """Name -> (prepared) -> rule."""
+    metrics: Mapping[str, str] = field(default_factory=dict)
+    """What each episode metric is, with its unit, in the order of `EnvSpec.metrics`: for `headway list`."""
     painter: Callable[[Any], Painter] | None = None
     """(prepared) -> what draws it, for `headway render`."""
     preload: tuple[str, ...] = ()

@@ -16,6 +16,8 @@ from headway.rollout.blockwise import BlockwiseActing
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
 from headway.rollout.sampler import Tally
 
+Told = Callable[[int, int], None]
+"""Called after each step of episodes played at once: with the step, and how many of them ended at it."""
 _NOISE_STEPS = 256
 MOST_STEPS = 1_000_000
 """Steps after which an episode is taken for one that never ends."""
@@ -60,9 +62,10 @@ def run_episodes(
     act: Callable[[Observed, int], NDArray[Any]],
     name_copy: NameCopy,
     heed: Callable[[Outcome], None] = lambda outcome: None,
+    told: Told = lambda step, ended: None,
 ) -> list[Row]:
     """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step,
-    `heed` what the step led to.
+    `heed` what the step led to, `told` how far things are.
 
     Raises HeadwayError where the environment gives a NaN or an infinity, or an episode does not end.
     """
@@ -82,12 +85,19 @@ def run_episodes(
         step += 1
         check_finite(env.spec, outcome, observed, step, name_copy)
         heed(outcome)
+        before = len(rows)
         for copy, row in tally.add(outcome):
             rows.setdefault(copy, row)
+        told(step, len(rows) - before)
     return [rows[copy] for copy in range(env.num_copies)]
 
 
-def evaluate_policy(plan: RolloutPlan, parameters: Parameters, request: EvaluationRequest) -> list[list[Row]]:
+def evaluate_policy(
+    plan: RolloutPlan,
+    parameters: Parameters,
+    request: EvaluationRequest,
+    told: Told = lambda step, ended: None,
+) -> list[list[Row]]:
     """Episodes of every replica: one list a replica, one row an episode, with its `episode_seed` index."""
     env = plan.make(request.count)
     acting = BlockwiseActing(plan, request.count, request.count)
@@ -98,7 +108,7 @@ def evaluate_policy(plan: RolloutPlan, parameters: Parameters, request: Evaluati
 
     with closing(env):
         seeds = np.tile(request.seeds, plan.replicas)
-        rows = run_episodes(env, seeds, act, request.name_copy, acting.heed)
+        rows = run_episodes(env, seeds, act, request.name_copy, acting.heed, told)
     labelled: list[Row] = [
         {"episode_seed": request.first + i % request.count, **row} for i, row in enumerate(rows)
     ]
@@ -128,6 +138,7 @@ def evaluate_rule(
     prepared: object,
     root: int,
     episodes: int,
+    told: Told = lambda step, ended: None,
 ) -> list[Row]:
     """Episodes of a rule (an entry's `make` and one of its `rules`) on the evaluation seeds, one row each."""
     rows: list[Row] = []
@@ -138,7 +149,7 @@ def evaluate_rule(
         env = make_env(prepared, request.count)
         act = _RuleActing(env, rule)
         with closing(env):
-            played = run_episodes(env, request.seeds, act, request.name_copy)
+            played = run_episodes(env, request.seeds, act, request.name_copy, told=told)
         rows += [{"episode_seed": request.first + i, **row} for i, row in enumerate(played)]
     return rows
 

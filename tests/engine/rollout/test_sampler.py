@@ -230,7 +230,11 @@ def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
             return np.zeros(observed.alive.shape, np.int64)
 
     made.clear()
-    played = evaluate_rule(make, lambda prepared: Still(), None, 77, 24)
+    told: list[tuple[int, int]] = []
+    played = evaluate_rule(
+        make, lambda prepared: Still(), None, 77, 24, lambda step, ended: told.append((step, ended))
+    )
+    assert told == [(step, int(step > 1)) for copies in (10, 10, 4) for step in range(1, copies + 2)]
     assert [row["episode_seed"] for row in played] == list(range(24))
     made.pop(0)  # the one asked how many copies it allows
     assert (

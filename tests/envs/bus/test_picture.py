@@ -50,6 +50,15 @@ def test_calls_lie_where_the_tables_have_their_stops(line: Prepared) -> None:
     assert np.hypot(*places.north) == pytest.approx(1.0)
 
 
+def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(line: Prepared) -> None:
+    painter = BusPainter(line)
+    left, top, right, bottom = painter._map
+    assert bottom - top >= (right - left) / 5.0
+    places = np.column_stack((painter._places.right, -painter._places.up))
+    metres, pixels = places - places[0], painter._pixels - painter._pixels[0]
+    np.testing.assert_allclose(pixels, painter._scale * metres, atol=1e-6)
+
+
 def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
     env, painter = began(line), BusPainter(line)
     first = painter.paint(env, at_end=False)

@@ -9,7 +9,7 @@ import pytest
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.scenario.fitted import BOARDING_TENTHS, HOUR_SHARES, LINK_M_LOGNORMAL
 from headway_envs.bus.scenario.network import build
-from headway_envs.bus.scenario.synthetic import generate
+from headway_envs.bus.scenario.synthetic import generate, lines_of
 from headway_envs.bus.scenario.tables import Tables, check_tables
 from headway_envs.bus.scenario.town import FLEETS, LINES, line_fleets
 
@@ -76,8 +76,10 @@ def test_vehicles_of_the_timetable_drive_one_trip_at_a_time_on_one_line(district
 
 
 def test_lines_share_stops_and_go_one_way_as_often_as_measured() -> None:
-    city = generate("city", 0)
+    told: list[int] = []
+    city = generate("city", 0, lambda: told.append(1))
     check_tables(city)
+    assert len(told) == lines_of("city") == 382
     assert city.patterns["line"].nunique() == 382
     assert weekday(city.trips)["vehicle"].nunique() == 1359
     ways = Counter(city.patterns.groupby("line").size())

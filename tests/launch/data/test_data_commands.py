@@ -85,10 +85,16 @@ def test_errors_are_one_line_with_the_fix(
         assert part in error
 
 
-def test_a_written_scenario_is_the_built_in_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_written_scenario_is_the_built_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "towns" / "mine"
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["data", "synthetic", str(out), "--size", "line", "--seed", "5"]) == 0
-    shown = capsys.readouterr().out
+    shown, told = capsys.readouterr()
+    assert "\rlines with a timetable: 1 of 1\x1b[K" in told
+    assert "\rday types described: 2 of 2\x1b[K" in told
+    assert "of 1" not in shown
     assert "1 lines, 2 patterns" in shown
     assert f"env.args.scenario={out}" in shown
     assert json.loads((out / "meta.json").read_text())["seed"] == 5

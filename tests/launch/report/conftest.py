@@ -1,7 +1,7 @@
 """Studies written by hand into a store: configurations are real, figures are chosen."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -35,7 +35,7 @@ def root(tmp_path: Path) -> Path:
 def keep_run(root: Path) -> Callable[..., Path]:
     """Keep a run that climbs from 0 to `final` and plays days of `final` + day in its last evaluation; each
     rule's days are its value + day. `metrics` are the same on all days, and for rules too unless
-    `rule_metrics` has others."""
+    `rule_metrics` has others. Episodes end in training in the iterations `trained` (by default, in all)."""
 
     def keep(
         overrides: Sequence[str],
@@ -47,6 +47,7 @@ def keep_run(root: Path) -> Callable[..., Path]:
         energy: Mapping[str, Any] | None = None,
         points: int = 5,
         rule_metrics: Mapping[str, float] | None = None,
+        trained: Collection[int] | None = None,
         **metrics: float,
     ) -> Path:
         experiment = composed((*overrides, f"study={study}", "evaluation.episodes=2"))
@@ -69,12 +70,9 @@ def keep_run(root: Path) -> Callable[..., Path]:
         log = RunLog(directory)
         for iteration in range(points):
             value = final * min(iteration / 2, 1.0)
-            row = {
-                "iteration": iteration,
-                "env_steps": 10 * iteration,
-                "wall_s": 1.0,
-                "training/return": value / 2,
-            }
+            row = {"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 1.0}
+            if trained is None or iteration in trained:
+                row["training/return"] = value / 2
             log.append("curve", [{**row, "evaluation_greedy/return": value, **_of_curve(metrics)}])
         label = {"iteration": 4, "env_steps": 40, "mode": "greedy", "final": 1, "length": 5}
         days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(DAYS)]

@@ -5,7 +5,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,6 +35,7 @@ class KeepRun(Protocol):
         rules: Mapping[str, float] | None = None,
         energy: Mapping[str, Any] | None = None,
         points: int = 5,
+        trained: Collection[int] | None = None,
         **metrics: float,
     ) -> Path: ...
 
@@ -186,6 +187,35 @@ def test_runs_of_few_evaluations_have_no_area_by_their_own_range(keep_run: KeepR
     assert areas.loc["ippo"].tolist() == [pytest.approx(0.75)] * 2
     assert areas.loc["ia2c"].isna().all()
     assert published.loc["ia2c", "greedy_auc_study_mean"] == pytest.approx(0.25)
+
+
+def test_training_columns_need_no_common_step(keep_run: KeepRun, root: Path) -> None:
+    """Asynchronous workers end episodes at other updates in each run."""
+    keep_run((*TRACKING, "algo=a3c"), 0, 4.0, rules=RULES, trained=(0, 2, 4))
+    keep_run((*TRACKING, "algo=a3c"), 1, 8.0, rules=RULES, trained=(1, 3))
+    report = made(root)
+    a3c = table(report, "published_form").set_index("controller").loc["a3c"]
+    assert a3c["training_final_reward_mean"] == 3.0  # half of 4 and of 8
+    assert a3c["training_auc_own_mean"] == pytest.approx(0.75)  # of seed 0: seed 1 has but two points
+    assert a3c["training_auc_study_mean"] == pytest.approx((0.75 * 2 / 4 + 0.75) / 2)
+    assert "In 1 run no episode ended" not in said(report)
+    keep_run((*TRACKING, "algo=a3c"), 2, 100.0, rules=RULES, trained=())
+    with_one_more = made(root)
+    a3c = table(with_one_more, "published_form").set_index("controller").loc["a3c"]
+    assert (a3c["seeds"], a3c["training_final_reward_mean"]) == (3, 3.0)
+    assert "In 1 run no episode ended in training: the training columns are over the others." in said(
+        with_one_more
+    )
+
+
+def test_training_columns_are_left_out_where_no_episode_ended(keep_run: KeepRun, root: Path) -> None:
+    keep_run((*TRACKING, "algo=ippo"), 0, 4.0, rules=RULES, trained=())
+    report = made(root)
+    assert "There are no training columns: no episode ended in training." in said(report)
+    [shown] = [part for section in report.sections for part in section.body if _is(part, "published_form")]
+    assert isinstance(shown, Table)
+    assert not [name for name in shown.headings if name.startswith("training")]
+    assert {len(row) for row in shown.rows} == {len(shown.headings)} == {5}
 
 
 def test_controllers_that_are_paid_by_different_rules_while_training_are_said(

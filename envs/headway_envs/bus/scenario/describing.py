@@ -1,6 +1,6 @@
 """A scenario in figures: by day type and by line."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -83,12 +83,14 @@ class LineFigures:
     }
 
 
-def by_day_type(tables: Tables) -> list[DayFigures]:
-    """Figures of each day type that has trips."""
+def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayFigures]:
+    """Figures of each day type that has trips; of a city each takes seconds. `after_day` is called when one
+    of `DAY_TYPES` is done."""
     found = []
     for day in DAY_TYPES:
         trips = tables.trips[tables.trips["daytype"] == day]
         if trips.empty:
+            after_day()
             continue
         demand = tables.demand[tables.demand["daytype"] == day]
         by_hour = demand.groupby("hour")["board"].sum()
@@ -115,6 +117,7 @@ def by_day_type(tables: Tables) -> list[DayFigures]:
                 busiest_hour=int(str(by_hour.idxmax())) if len(by_hour) else 0,
             )
         )
+        after_day()
     return found
 
 

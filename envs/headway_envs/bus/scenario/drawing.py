@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+_LEAST_ASPECT = 0.4
+"""Of the map: the shorter of its sides over the longer."""
 _WIDEST = 7.0
 """Points: the link with the greatest load."""
 _LINE_COLOURS = 10
@@ -122,6 +124,9 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     axes.set_aspect("equal")
     axes.autoscale()
     axes.margins(0.03)
+    # A line whose stops lie nearly along one of the axes would be a strip beneath its own legend.
+    axes.set_xlim(_widened(axes.get_xlim(), _LEAST_ASPECT * float(np.ptp(axes.get_ylim()))))
+    axes.set_ylim(_widened(axes.get_ylim(), _LEAST_ASPECT * float(np.ptp(axes.get_xlim()))))
     axes.set_xlabel("km to the east")
     axes.set_ylabel("km to the north")
     axes.set_title(
@@ -129,6 +134,12 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
         f"(largest: {boarding.max():,.0f})",
         fontsize="medium",
     )
+
+
+def _widened(limits: tuple[float, float], least: float) -> tuple[float, float]:
+    """Limits of an axis, at least so far apart, about the same middle."""
+    more = max(least - (limits[1] - limits[0]), 0.0) / 2.0
+    return limits[0] - more, limits[1] + more
 
 
 def _draw_buses(axes: "Axes", trips: pd.DataFrame) -> None:

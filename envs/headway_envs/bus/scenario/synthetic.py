@@ -1,6 +1,7 @@
 """Synthetic scenarios of a few lines that share no stop, generated from a seed by fitted numbers."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,17 +41,30 @@ _TABLES = ("stops", "patterns", "pattern_stops", "links", "link_times", "demand"
 Floats = NDArray[np.float64]
 
 
-def generate(size: str, seed: int) -> Tables:
-    """The tables of a size of SCENARIOS. In `line` and `corridor` line i depends on (seed, i) alone."""
+def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
+    """The tables of a size of SCENARIOS. In `line` and `corridor` line i depends on (seed, i) alone.
+    `after_line` is called when a line has its timetable, `lines_of(size)` times."""
     if size not in FLEETS:
         from headway_envs.bus.scenario.town import generate_town
 
-        return generate_town(size, seed)
-    parts = [_line(size, seed, number, buses) for number, buses in enumerate(FLEETS[size])]
+        return generate_town(size, seed, after_line)
+    parts = []
+    for number, buses in enumerate(FLEETS[size]):
+        parts.append(_line(size, seed, number, buses))
+        after_line()
     frames: dict[str, Any] = {
         name: pd.concat([p[name] for p in parts], ignore_index=True) for name in _TABLES
     }
     return Tables(**frames, meta={**_META, "size": size, "seed": seed})
+
+
+def lines_of(size: str) -> int:
+    """How many lines a size of SCENARIOS has."""
+    if size in FLEETS:
+        return len(FLEETS[size])
+    from headway_envs.bus.scenario.town import LINES
+
+    return LINES[size]
 
 
 _META: dict[str, Any] = {

@@ -1,7 +1,7 @@
 """Synthetic scenarios of many lines that share stops and links: a district and a city."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -57,8 +57,9 @@ _ALLOWANCE = 1.05
 """Assumption: planned over mean link times, for the dwell at busy stops that link times do not hold."""
 
 
-def generate_town(size: str, seed: int) -> Tables:
-    """The tables of `district` or `city`. The fleets of the lines are the same for all seeds."""
+def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
+    """The tables of `district` or `city`. The fleets of the lines are the same for all seeds. `after_line` is
+    called when a line has its timetable."""
     rng = generator(seed, "bus town", 0)
     fleets = line_fleets(size)
     one_way = [False] * len(fleets)
@@ -69,7 +70,7 @@ def generate_town(size: str, seed: int) -> Tables:
     names = tables["patterns"]["line"]
     of_line = [np.flatnonzero(names == name) for name in names.unique()]
     times = _link_seconds(tables)
-    trips = _trips(fleets, of_line, {day: _durations(tables, times[day]) for day in times})
+    trips = _trips(fleets, of_line, {day: _durations(tables, times[day]) for day in times}, after_line)
     middle, sd = LINE_BOARDINGS_PER_TRIP
     level = middle * rng.lognormal(0.0, sd, len(fleets))
     line_of = np.concatenate([np.full(len(own), line) for line, own in enumerate(of_line)])
@@ -207,7 +208,10 @@ def _durations(tables: dict[str, pd.DataFrame], seconds: Floats) -> list[Floats]
 
 
 def _trips(
-    fleets: Sequence[int], of_line: Sequence[Integers], durations: dict[str, list[Floats]]
+    fleets: Sequence[int],
+    of_line: Sequence[Integers],
+    durations: dict[str, list[Floats]],
+    after_line: Callable[[], None],
 ) -> pd.DataFrame:
     """Departures of each line at the hours' measured shares, as many as its buses can drive. On Sundays the
     lines with the most buses run, of all buses at once the measured share."""
@@ -236,6 +240,7 @@ def _trips(
                     }
                 )
             )
+        after_line()
     return pd.concat(frames, ignore_index=True)
 
 

@@ -4,6 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
@@ -39,10 +40,12 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError("--lines and --seed must be at least 0")
     from headway_envs.bus.scenario.describing import by_day_type, by_line, meta_rows
     from headway_envs.bus.scenario.source import scenario_tables
+    from headway_envs.bus.scenario.tables import DAY_TYPES
     from headway_launch.tables import print_table
 
     tables = scenario_tables(arguments.scenario, arguments.seed)
-    days = by_day_type(tables)
+    with Counted("day types described", len(DAY_TYPES)) as counted:
+        days = by_day_type(tables, counted.add)
     if not days:
         raise HeadwayError(f"scenario '{arguments.scenario}' has trips of no weekday and no sunday")
     print_table(("what", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)

@@ -9,6 +9,7 @@ from headway_launch.commands.data.writing import (
     tell_written,
     write_scenario,
 )
+from headway_launch.watching import Counted
 
 EXAMPLES = """\
 examples:
@@ -41,9 +42,10 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
     out = check_output(arguments)
-    from headway_envs.bus.scenario.synthetic import generate
+    from headway_envs.bus.scenario.synthetic import generate, lines_of
 
-    tables = generate(arguments.size, arguments.seed)
+    with Counted("lines with a timetable", lines_of(arguments.size)) as counted:
+        tables = generate(arguments.size, arguments.seed, counted.add)
     write_scenario(tables, out)
     tell_written(tables, out)
     return 0

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
@@ -78,12 +79,15 @@ def write_scenario(tables: "Tables", out: Path) -> None:
 def tell_written(tables: "Tables", out: Path) -> None:
     """What was written, in a line each, and what to do with it."""
     from headway_envs.bus.scenario.describing import by_day_type
+    from headway_envs.bus.scenario.tables import DAY_TYPES
 
     print(
         f"{out}: {tables.patterns['line'].nunique():,} lines, {len(tables.patterns):,} patterns, "
         f"{len(tables.stops):,} stops, {len(tables.links):,} links"
     )
-    for day in by_day_type(tables):
+    with Counted("day types described", len(DAY_TYPES)) as counted:
+        days = by_day_type(tables, counted.add)
+    for day in days:
         print(
             f"{day.day_type}: {day.trips:,} trips, {day.peak_buses:,} buses at once, "
             f"{day.boardings:,.0f} boardings"

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from headway.stats import mean_std
 from headway_launch.report.gather import StudyData, over_known
 from headway_launch.report.parts import MISSING, Part, Section, Table, figure, with_deviation
 from headway_launch.report.published.episodes import env_of, tasks_of
@@ -36,9 +35,7 @@ def busenv_section(data: StudyData) -> Section | None:
     if not tasks:
         return None
     if data.training_figures is None:
-        body: list[Part] = [
-            "No episode ended in training in some run: there is no curve such as is published."
-        ]
+        body: list[Part] = ["No episode ended in training: there is no curve such as is published."]
         return Section("busenv", "Beside the published table", body)
     body = [_what_is_compared()]
     for place, task in enumerate(tasks):
@@ -126,7 +123,7 @@ def _figures_of(data: StudyData, members: list["RunRow"]) -> dict[str, float]:
     runs = [row.run_id for row in members]
     buses = int(configuration(members[0].directory)["env"]["args"]["agents"])
     curves = data.training_figures.loc[runs]
-    reward = mean_std(buses * curves["final_reward"].to_numpy())
+    reward = over_known(buses * curves["final_reward"])
     auc = over_known(curves["auc_own"])
     return {
         "seeds": len(members),
