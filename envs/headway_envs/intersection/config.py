@@ -8,6 +8,8 @@ from headway.contracts.checks import require, require_at_least
 
 STEP_S = 0.1
 """Length of a step, s."""
+TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
+"""Of the reward. The paper has no term for collisions: its velocity term is 0 in such a step."""
 
 
 def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -56,31 +58,12 @@ class RewardConfig:
             self.kind == "scaled" or self.scope == "team",
             "scope=own is of kind scaled; the paper pays all vehicles alike",
         )
-        require_at_least(
-            0,
-            velocity=self.velocity,
-            standstill=self.standstill,
-            progress=self.progress,
-            delay=self.delay,
-            lane_change=self.lane_change,
-            throughput=self.throughput,
-            headway=self.headway,
-            collision=self.collision,
-        )
+        require_at_least(0, **dict(zip(TERMS, self.weights, strict=True)))
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Of the scaled terms, in the order of `kernel.TERMS`."""
-        return (
-            self.velocity,
-            self.standstill,
-            self.progress,
-            self.delay,
-            self.lane_change,
-            self.throughput,
-            self.headway,
-            self.collision,
-        )
+        """Of the scaled terms, in the order of `TERMS`."""
+        return tuple(float(getattr(self, term)) for term in TERMS)
 
 
 @dataclass(frozen=True)

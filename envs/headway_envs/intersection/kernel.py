@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.compiling import compiled, compiled_apart, drop_stale_cache
-from headway_envs.intersection.config import STEP_S
+from headway_envs.intersection.config import STEP_S, TERMS
 from headway_envs.intersection.demand import MIN_GAP_M
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
 
@@ -19,8 +19,6 @@ drop_stale_cache(Path(__file__).parent)  # constants of other files are compiled
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
-"""Of the reward. The paper has no term for collisions: its velocity term is 0 in such a step."""
 SUMS = (
     "steps_all", "steps_av", "steps_hdv", "vehicles", "speed", "speed_av", "speed_hdv", "acceleration_av",
     "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel", "standing",

@@ -1,6 +1,6 @@
 """What the metrics of an episode are."""
 
-from headway_envs.intersection.kernel import TERMS
+from headway_envs.intersection.config import TERMS
 
 _TERM = "of the reward in use: mean over steps; `scaled` unweighted, `paper` with its gains"
 MEANINGS = {

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.intersection.config import STEP_S, IntersectionConfig
-from headway_envs.intersection.kernel import SUMS, TERMS
+from headway_envs.intersection.config import STEP_S, TERMS, IntersectionConfig
+from headway_envs.intersection.kernel import SUMS
 
 GALLONS_PER_ML = 0.000264172
 METRICS = (

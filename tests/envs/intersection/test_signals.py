@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from headway_envs.intersection import kernel
-from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.intersection.config import TERMS, IntersectionConfig
 from headway_envs.intersection.humans import acceleration
 from headway_envs.intersection.kernel import Happened
 from headway_envs.intersection.reporting import METRICS, Ledger, jain
@@ -114,9 +114,7 @@ def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
 def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     count, traffic = 17, _random_traffic(seed, 17)
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
-    scaled = dict(
-        zip(kernel.TERMS, _seen(traffic, count, Happened(3, 2, 1, 420.0, 5, 0.5)).scaled, strict=True)
-    )
+    scaled = dict(zip(TERMS, _seen(traffic, count, Happened(3, 2, 1, 420.0, 5, 0.5)).scaled, strict=True))
     assert max(map(abs, scaled.values())) <= 1
     assert scaled["standstill"] == pytest.approx(-(v < 0.1).mean())
     assert scaled["progress"] == pytest.approx(v[automated].mean() / 30)
@@ -230,7 +228,7 @@ def test_returns_are_sums_of_what_was_paid(kind: str, crossing: Callable[..., An
     if kind == "scaled":
         assert metrics["team_return"] == pytest.approx(team, rel=1e-4)
         weights = np.array(RewardConfig().weights)
-        terms = np.array([metrics[f"reward_{term}"] for term in kernel.TERMS])
+        terms = np.array([metrics[f"reward_{term}"] for term in TERMS])
         assert 300 * (weights @ terms) == pytest.approx(team, rel=1e-4)
     else:
         assert metrics["paper_return"] == pytest.approx(paper, rel=1e-4)
