@@ -57,15 +57,14 @@ class AsynchronousPlan:
 class ContributorSetup:
     """All that such a worker is given when it starts."""
 
-    plan: SharedPickle | bytes
+    plan: SharedPickle[AsynchronousPlan] | bytes
     """An `AsynchronousPlan`; pickled, where memory cannot be shared."""
     shard: Shard
 
     def open(self) -> "Contributing":
         """The service of a worker that contributes."""
         pickled = self.plan
-        plan: AsynchronousPlan
-        plan = pickle.loads(pickled) if isinstance(pickled, bytes) else pickled.load()
+        plan: AsynchronousPlan = pickle.loads(pickled) if isinstance(pickled, bytes) else pickled.load()
         return Contributing(plan, self.shard)
 
 

@@ -12,10 +12,12 @@ import tempfile
 from dataclasses import dataclass
 from itertools import accumulate
 from multiprocessing import reduction
-from typing import Any, Self
+from typing import Any, Generic, Self, TypeVar
 
 from headway.contracts import HeadwayError
 from headway.rollout.usage import available_memory
+
+ValueT = TypeVar("ValueT")
 
 _ALIGNMENT = 64
 
@@ -67,7 +69,7 @@ class SharedBlock:
 
 
 @dataclass(frozen=True)
-class SharedPickle:
+class SharedPickle(Generic[ValueT]):
     """An object pickled into a block. The arrays of all who load it lie in that one block, which each may
     write to as if it were its own: what an environment prepares may be large, and its workers many."""
 
@@ -78,7 +80,7 @@ class SharedPickle:
     """It refers to something of the main module."""
 
     @classmethod
-    def of(cls, value: object) -> Self:
+    def of(cls, value: ValueT) -> Self:
         """Raises what pickling does, and HeadwayError where the memory cannot be had."""
         buffers: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
@@ -93,11 +95,12 @@ class SharedPickle:
             block.buffer[part] = content
         return cls(block, parts, b"_main__" in pickled)
 
-    def load(self) -> Any:  # noqa: ANN401 - whatever it was
+    def load(self) -> ValueT:
         """The object, as often as wanted: each has its arrays to itself."""
         memory = memoryview(self.block.private())
         pickled, *arrays = (memory[part] for part in self.parts)
-        return pickle.loads(pickled, buffers=arrays)
+        value: ValueT = pickle.loads(pickled, buffers=arrays)
+        return value
 
 
 def give_back_memory() -> None:

@@ -39,7 +39,7 @@ def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
 class Processes:
     """Worker processes, forked from a light server."""
 
-    def __init__(self, setups: Sequence[Setup], preload: Sequence[str], plan: SharedPickle) -> None:
+    def __init__(self, setups: Sequence[Setup], preload: Sequence[str], plan: SharedPickle[Any]) -> None:
         """`preload`: modules that they share; `plan`: what the setups hold in common."""
         self.setups, self.plan = setups, plan
         self.context = multiprocessing.get_context("forkserver")

@@ -28,15 +28,14 @@ from headway.rollout.usage import OwnUsage
 class WorkerSetup:
     """All that a worker is given that samples into a shared trajectory."""
 
-    plan: SharedPickle
-    """A `RolloutPlan`."""
+    plan: SharedPickle[RolloutPlan]
     shard: Shard
     trajectory: SharedBlock
     parameters: SharedBlock
 
     def open(self) -> "Sampling":
         """The service of a worker that samples."""
-        plan: RolloutPlan = self.plan.load()
+        plan = self.plan.load()
         shapes = plan.policy.parameter_shapes(plan.replicas)
         return Sampling(
             plan,
