@@ -282,15 +282,12 @@ class _Lane:
 
     @property
     def _name(self) -> str:
-        return _name(self.waiting[0])
+        cell = self.waiting[0]
+        return cell.label or cell.experiment.algo_name
 
     def _begun(self) -> Trial:
         self._told.note(f"measuring {self._name}")
         return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
-
-
-def _name(cell: CellPlan) -> str:
-    return cell.label or cell.experiment.algo_name
 
 
 def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:

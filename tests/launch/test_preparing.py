@@ -1,14 +1,14 @@
 """What is learned from and what is reported on are prepared together, and share what is the same."""
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
 
 import headway_envs.bus.scenario.synthetic as synthetic
+from headway.wrappers.wrapping import Wrapped
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import prepare
+from headway_envs.bus.prepared import Prepared, prepare
 from headway_envs.bus.scenario.tables import Tables
 from headway_launch.composing import compose
 from headway_launch.planning import plan_jobs
@@ -54,5 +54,8 @@ def test_what_more_than_rewards_changes_is_prepared_anew(generated: list[tuple[s
         assert np.array_equal(shared, own)
 
 
-def _inner(prepared: Any) -> Any:  # noqa: ANN401 - wrapped or not
-    return getattr(prepared, "prepared", prepared)
+def _inner(prepared: object) -> Prepared:
+    """Without the wrappers, if there are any."""
+    inner = prepared.prepared if isinstance(prepared, Wrapped) else prepared
+    assert isinstance(inner, Prepared)
+    return inner
