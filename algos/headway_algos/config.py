@@ -56,8 +56,8 @@ class AlgoConfig:
     """How the critic goes down its errors: `adam`, or `kfac`: along the natural gradient, by Kronecker
     factors of the Gauss-Newton matrix."""
     order: Literal["simultaneous", "sequential"] = "simultaneous"
-    """Whether policies are updated all at once, or one agent after another in a random order, each weighing
-    its advantages by what those before it have changed (needs `policies: independent`)."""
+    """Whether policies are updated all at once, or one after another in a random order, each weighing its
+    advantages by what those before it have changed (needs several: `policies: independent` or `groups`)."""
     policies: Literal["independent", "shared", "groups"] = "independent"
     """One policy an agent, one for all, or one for each group the environment names."""
     shared_until: float = 0.0
@@ -147,7 +147,7 @@ class AlgoConfig:
         require(not parting or self.policies != "shared", "shared_until is for policies that are not shared")
         require(
             not parting or self.order == "simultaneous",
-            "shared_until must be 0 where agents are updated one after another",
+            "shared_until must be 0 where policies are updated one after another",
         )
         require(self.apart_lr > 0, "apart_lr must be above 0")
         require(

@@ -69,11 +69,12 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
         )
     if (line := missing_groups(config.policies, spec)) is not None:
         return line
-    if config.order == "sequential" and config.policies != "independent":
+    if config.order == "sequential" and config.policies == "shared":
         at_once = _AT_ONCE.get(config.name, "algo.order=simultaneous")
+        several = "independent, algo.policies=groups," if spec.groups else "independent,"
         return (
-            f"{config.name} updates one agent after another, each with a policy of its own; use "
-            f"algo.policies=independent, or {at_once} for all at once"
+            f"{config.name} updates one policy after another, and algo.policies=shared is but one; "
+            f"use algo.policies={several} or {at_once} for all at once"
         )
     actions, logits = spec.action_space, config.model.initial_logits
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):

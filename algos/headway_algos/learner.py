@@ -124,7 +124,9 @@ class OnPolicyLearner:
             by_policy = standardise(by_policy, torch.from_numpy(selected).to(self.device))
         generators = self._generators("actor minibatch", iteration)
         in_order = [generator(seed, "agent order", iteration) for seed in self.seeds]
-        return ORDERS[self.config.order](self.policy_update, rows, by_policy, generators, in_order)
+        return ORDERS[self.config.order](
+            self.policy_update, self.grouping, rows, by_policy, generators, in_order
+        )
 
     def _absorb(self, trajectory: Trajectory) -> None:
         """Update the normalisers from this iteration; they act from the next one on."""

@@ -6,20 +6,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from headway_algos.grouping import Grouping
 from headway_algos.policy_rows import PolicyRows
 from headway_algos.updates import Update
 from headway_algos.whole_batch import WholeBatch
 
 Order = Callable[
-    [Update, PolicyRows, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
+    [Update, Grouping, PolicyRows, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
     dict[str, Tensor],
 ]
-"""(update, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,)) -> info,
-each (P,); changes the policies."""
+"""(update, grouping, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,))
+-> info, each (P,); changes the policies."""
 
 
 def simultaneous(
     update: Update,
+    grouping: Grouping,
     rows: PolicyRows,
     advantages: Tensor,
     generators: Sequence[np.random.Generator],
@@ -31,33 +33,36 @@ def simultaneous(
 
 def sequential(
     update: Update,
+    grouping: Grouping,
     rows: PolicyRows,
     advantages: Tensor,
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """One agent after another, in an order drawn anew for each replica (Kuba et al. 2022, arXiv:2109.11251).
+    """One policy after another, in an order drawn anew for each replica (Kuba et al. 2022, arXiv:2109.11251).
 
-    The agent whose turn is m-th improves on A times the product of pi_new / pi_old of the agents before it,
-    at the same step and copy, each at the policy it has become (section 4 there). The ratio is 1
-    where such an agent was not acting. The factor is positive, so an update needs to know nothing of it.
+    The policy whose turn is m-th improves on A times the product of pi_new / pi_old of all agents of the
+    policies before it, at the same step and copy, each at what it has become (section 4 there). The ratio is
+    1 where such an agent was not acting. The factor is positive, so an update needs to know nothing of it.
 
-    Every agent has a policy of its own (K = N). Turns are taken one after another, the replicas' together.
+    In the paper every agent has a policy of its own (K = N). The agents of a group, who share one, have
+    their turn together, as all have without an order. Turns are taken one after another, the replicas'
+    together.
     """
-    replicas = len(order_generators)
-    agents = len(advantages) // replicas
-    turns = np.stack([random.permutation(agents) for random in order_generators], axis=1)
-    log_factor = torch.zeros(replicas, advantages.shape[1], dtype=torch.float64, device=advantages.device)
+    policies, width = grouping.num_policies, grouping.width
+    turns = np.stack([random.permutation(policies) for random in order_generators], axis=1)
+    replicas, moments = len(order_generators), advantages.shape[1] // width
+    log_factor = torch.zeros(replicas, moments, dtype=torch.float64, device=advantages.device)
     info: dict[str, Tensor] = {}
     for turn in turns:
-        chosen = np.arange(replicas) * agents + turn
-        policies = torch.from_numpy(chosen).to(advantages.device)
-        part, own_rows = update.narrow(policies), rows.narrow(policies)
-        weighed = advantages[policies] * log_factor.exp().to(advantages.dtype)
+        chosen = np.arange(replicas) * policies + turn
+        whose = torch.from_numpy(chosen).to(advantages.device)
+        part, own_rows = update.narrow(whose), rows.narrow(whose)
+        weighed = advantages[whose] * log_factor.exp().to(advantages.dtype).repeat(1, width)
         for name, value in part.improve(own_rows, weighed, [generators[p] for p in chosen]).items():
-            info.setdefault(name, value.new_zeros(len(advantages))).index_copy_(0, policies, value)
-        update.adopt(policies, part)
-        log_factor += _log_ratio(part, own_rows)
+            info.setdefault(name, value.new_zeros(len(advantages))).index_copy_(0, whose, value)
+        update.adopt(whose, part)
+        log_factor += _log_ratio(part, own_rows).view(replicas, width, moments).sum(1)
     return info
 
 

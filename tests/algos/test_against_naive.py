@@ -83,6 +83,8 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     ),
     "happo": (HAPPOConfig(**SETTINGS, kl_coeff=0.2), DISCRETE),
     "happo box": (HAPPOConfig(**SETTINGS), BOX),
+    "happo groups": (HAPPOConfig(**SETTINGS, policies="groups"), DISCRETE),
+    "hatrpo groups, box": (HATRPOConfig(**TRUST, policies="groups"), BOX),
     "hatrpo team": (HATRPOConfig(**TRUST), TEAM),
     "hatrpo box": (HATRPOConfig(**TRUST), BOX),
     "haa2c": (AlgoConfig(**SETTINGS, critic="central", update="a2c", order="sequential"), DISCRETE),

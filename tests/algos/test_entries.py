@@ -61,7 +61,7 @@ def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
 def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
     entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
     config = entry.config(policies=policies)
-    in_turns = config.order == "sequential" and policies != "independent"
+    in_turns = config.order == "sequential" and policies == "shared"
     if in_turns or (name == "coma" and isinstance(space, Box)):
         assert entry.refuses(config, spec) is not None
         return
@@ -107,7 +107,6 @@ def test_only_a_central_critic_is_asked_to_see_the_others_actions(critic: Any) -
     assert AlgoConfig(critic="central", critic_actions="others").critic_actions == "others"
 
 
-@pytest.mark.parametrize("policies", ["shared", "groups"])
 @pytest.mark.parametrize(
     ("name", "changes", "instead"),
     [
@@ -116,16 +115,18 @@ def test_only_a_central_critic_is_asked_to_see_the_others_actions(critic: Any) -
         ("custom", {"update": "a2c", "order": "sequential"}, "algo.order=simultaneous"),
     ],
 )
-def test_turns_need_a_policy_for_each_agent(
-    name: str, changes: dict[str, Any], instead: str, policies: str
-) -> None:
+def test_turns_need_several_policies(name: str, changes: dict[str, Any], instead: str) -> None:
     entry = ENTRIES[name]
-    assert entry.refuses(entry.config(**changes), SPEC) is None
-    line = entry.refuses(entry.config(**changes, policies=policies), SPEC)
-    assert line is not None
-    for part in (name, "algo.policies=independent", instead):
-        assert part in line
-    assert "\n" not in line
+    for policies in ("independent", "groups"):
+        assert entry.refuses(entry.config(**changes, policies=policies), SPEC) is None
+    shared = entry.config(**changes, policies="shared")
+    ungrouped = replace(SPEC, groups=())
+    for spec, several in ((SPEC, "independent, algo.policies=groups,"), (ungrouped, "independent,")):
+        line = entry.refuses(shared, spec)
+        assert line is not None
+        for part in (name, f"use algo.policies={several} or {instead}"):
+            assert part in line
+        assert "\n" not in line
 
 
 @pytest.mark.parametrize(

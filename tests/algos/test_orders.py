@@ -24,6 +24,7 @@ from headway_algos.updates.ppo import PPO
 R, N, B, D, A = 2, 4, 18, 3, 3
 DOUBLE = torch.float64
 DISCRETE = EnvSpec("made", tuple("abcd"), D, Discrete(A))
+APART = Grouping.of("independent", DISCRETE)
 BOX = replace(DISCRETE, action_space=Box((-1.0,) * A, (1.0,) * A))
 CONFIG = AlgoConfig(
     order="sequential", model=ModelConfig(hidden=(6,), actor_gain=1.0), precision="float64", epochs=2,
@@ -53,7 +54,7 @@ class Recording(PPO):
 
 
 def _update(kind: type[PPO], spec: EnvSpec, config: AlgoConfig = CONFIG) -> PPO:
-    layout = Layout(Grouping.of("independent", spec), R, torch.device("cpu"), DOUBLE)
+    layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
     return kind(Actor(config.model, spec, range(R), N, DOUBLE), config, layout)
 
 
@@ -82,7 +83,7 @@ def test_advantages_are_weighed_by_the_ratios_of_the_agents_before(spec: EnvSpec
     assert isinstance(update, Recording)
     update.turns = []
     rows, advantages, selected = _rows(spec)
-    info = sequential(update, rows, advantages, _generators("rows", R * N), _generators("order", R))
+    info = sequential(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
     assert len(update.turns) == N
     for r, random in enumerate(_generators("order", R)):
         order = [r * N + agent for agent in random.permutation(N).tolist()]
@@ -103,7 +104,7 @@ def test_whose_turn_comes_first_learns_as_if_all_learnt_at_once() -> None:
     results = []
     for order in (sequential, simultaneous):
         update = _update(PPO, DISCRETE)
-        order(update, rows, advantages, _generators("rows", R * N), _generators("order", R))
+        order(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
         results.append([parameter.detach().clone() for parameter in update.actor.parameters()])
     first = [r * N + int(random.permutation(N)[0]) for r, random in enumerate(_generators("order", R))]
     for one, other in zip(*results, strict=True):
@@ -141,7 +142,7 @@ def test_what_an_update_carries_on_comes_back_from_its_turn() -> None:
 @pytest.mark.parametrize("update", UPDATES)
 def test_a_part_is_a_copy_until_it_is_adopted(update: Any) -> None:  # noqa: ANN401 - a literal
     config = replace(CONFIG, update=update, kl_bound=0.01)
-    layout = Layout(Grouping.of("independent", DISCRETE), R, torch.device("cpu"), DOUBLE)
+    layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
     whole = UPDATES[update](Actor(config.model, DISCRETE, range(R), N, DOUBLE), config, layout)
     rows, advantages, _ = _rows(DISCRETE)
     before = [parameter.detach().clone() for parameter in whole.actor.parameters()]
@@ -165,6 +166,7 @@ def test_the_order_is_drawn_anew_for_each_replica_and_iteration(
 
     def noting(
         update: PPO,
+        grouping: Grouping,
         rows: PolicyRows,
         advantages: Tensor,
         generators: Sequence[np.random.Generator],
