@@ -20,10 +20,10 @@ class JobProgress:
     iterations: int
     mode: str
     """The evaluation mode whose return is shown."""
+    iteration_steps: int
+    """Environment steps of each seed in an iteration."""
     status: Status = "waiting"
     iteration: int = 0
-    iteration_steps: int = 0
-    """Environment steps of each seed in an iteration."""
     evaluation_return: float | None = None
     label: str = ""
     """Its cell, where a session has several."""
@@ -68,18 +68,21 @@ class JobProgress:
         return (last - first) * len(self.seeds) / max(end - begin, 1e-9)
 
     @property
-    def seconds_per_iteration(self) -> float | None:
-        """Over the last iterations."""
-        if len(self._marks) < 2:
-            return None
-        (begin, first, _), (end, last, _) = self._marks[0], self._marks[-1]
-        return (end - begin) / max(last - first, 1)
+    def seconds_per_step(self) -> float | None:
+        """Seconds an environment step of any of its seeds takes, over the last iterations: their evaluations
+        count as well."""
+        return None if (speed := self.steps_per_second) is None else 1 / max(speed, 1e-9)
+
+    @property
+    def steps_left(self) -> int:
+        """Environment steps, all seeds of the job together."""
+        return (self.iterations - self.iteration) * self.iteration_steps * len(self.seeds)
 
     @property
     def seconds_left(self) -> float | None:
         """Expected time to the last iteration."""
-        each = self.seconds_per_iteration
-        return None if each is None else each * (self.iterations - self.iteration)
+        each = self.seconds_per_step
+        return None if each is None else each * self.steps_left
 
     def cells(self) -> tuple[str, ...]:
         """Name, iteration, steps, speed, last evaluation, time left."""
@@ -121,10 +124,10 @@ def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
 
 def seconds_left(jobs: Sequence[JobProgress], parallel: int) -> float | None:
     """Expected time to the end of all jobs, `parallel` at a time: those that have not begun take as long an
-    iteration as others of their cell, or as all. None before any speed is known."""
+    environment step as others of their cell, or as all. None before any speed is known."""
     paces: dict[str, list[float]] = {}
     for job in jobs:
-        if (pace := job.seconds_per_iteration) is not None:
+        if (pace := job.seconds_per_step) is not None:
             paces.setdefault(job.label, []).append(pace)
     known = [pace for of_cell in paces.values() for pace in of_cell]
     remaining = [job for job in jobs if job.status not in ENDED]
@@ -133,6 +136,5 @@ def seconds_left(jobs: Sequence[JobProgress], parallel: int) -> float | None:
     lengths = []
     for job in remaining:
         of_cell = paces.get(job.label, known)
-        pace = job.seconds_per_iteration or sum(of_cell) / len(of_cell)
-        lengths.append(pace * (job.iterations - job.iteration))
+        lengths.append((job.seconds_per_step or sum(of_cell) / len(of_cell)) * job.steps_left)
     return max(max(lengths), sum(lengths) / parallel)

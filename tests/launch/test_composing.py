@@ -277,7 +277,9 @@ def test_a_composition_without_a_name_runs_as_custom() -> None:
         ["env=trivial", "algo=custom", "algo.critic=central", "algo.update=a2c", "algo.order=sequential"]
     )
     composed.prepare()
-    with pytest.raises(HeadwayError, match=r"algo\.policies=shared is but one; use algo\.policies=independent"):
+    with pytest.raises(
+        HeadwayError, match=r"algo\.policies=shared is but one; use algo\.policies=independent"
+    ):
         compose(["env=trivial", "algo=custom", "algo.order=sequential", "algo.policies=shared"]).prepare()
 
 

@@ -78,6 +78,11 @@ def test_time_left_counts_what_waits_at_the_pace_of_its_cell() -> None:
     assert seconds_left([slow, fast, *waiting], parallel=2) == pytest.approx(50.0)
     assert seconds_left([fast, *waiting], parallel=2) == pytest.approx((5 + 10 + 10) / 2)
     assert seconds_left([job(0)], parallel=2) is None
+    # Of another cell, with iterations a tenth as long and ten times as many: a step takes as long.
+    short = JobProgress((1,), 100, "greedy", iteration_steps=100, label="short")
+    assert seconds_left([fast, short], parallel=1) == pytest.approx(5 + 10)
+    both = JobProgress((1, 2), 10, "greedy", iteration_steps=1000, label="stacked")
+    assert seconds_left([fast, both], parallel=1) == pytest.approx(5 + 20)
     fast.status = "finished"
     assert seconds_left([fast], parallel=2) is None
 
