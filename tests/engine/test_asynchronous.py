@@ -1,9 +1,11 @@
 """Workers that learn by themselves: exact where the order is fixed, as good as it can be where it is not."""
 
+import multiprocessing
+import pickle
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -29,7 +31,7 @@ from rehearsal import (
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 
 from headway.config import BackendConfig
-from headway.contracts import Contribution, HeadwayError, Trajectory
+from headway.contracts import Contribution, Contributor, EnvSpec, HeadwayError, Trajectory
 from headway.events import Event, Notice, Started, Usage
 from headway.iterating import Asynchronous
 from headway.rollout.asynchronous import CrewContributors, SerialContributors
@@ -233,6 +235,17 @@ def _opened(job: TrainingJob, notices: list[str]) -> Iterator[CrewContributors]:
         assert isinstance(contributors, CrewContributors)
         contributors.begin()
         yield contributors
+
+
+def test_who_evaluates_is_closed_where_contributors_cannot_be_had(tmp_path: Path) -> None:
+    def nobody(config: Any, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:  # noqa: ANN401 - any algorithm's
+        raise AssertionError("no worker is started")
+
+    plan = AsynchronousPlan(_job("a3c", tmp_path).plan(), nobody, None)
+    before = set(multiprocessing.active_children())
+    with pytest.raises((pickle.PicklingError, AttributeError), match="nobody"):
+        open_contributors(BackendConfig("process"), plan, print)
+    assert set(multiprocessing.active_children()) == before
 
 
 def test_workers_fill_trajectories_of_their_own_copies_with_what_these_always_do(tmp_path: Path) -> None:

@@ -91,11 +91,12 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
     def restore(self, snapshot: Snapshot) -> Observed:
         """Continue from a snapshot. Raises HeadwayError where its scenario or number of copies is another."""
         world, queues = dict(snapshot["world"]), np.zeros_like(self.world.queues)
-        if world["queues"].shape == queues.view(np.uint8).shape:
+        if "queues" in world and world["queues"].shape == queues.view(np.uint8).shape:
             queues.view(np.uint8)[...] = world["queues"]
             taken = self._taken(np.minimum(queues["waiting"], np.diff(self.network.queue_first)))
             for name in _WAITING:
-                if world[name].shape == taken.shape:  # a checkpoint of before holds the places not taken, too
+                # A checkpoint of before holds the places not taken, too.
+                if name in world and world[name].shape == taken.shape:
                     whole = np.zeros_like(getattr(self.world, name))
                     whole.ravel()[taken] = world[name]
                     world[name] = whole

@@ -165,7 +165,7 @@ def prepare(config: BusConfig) -> Prepared:
 
 def prepare_beside(config: BusConfig, other: Prepared) -> Prepared:
     """As `prepare`, with the network of another configuration where they differ in nothing but rewards,
-    which leave it as it is: that of a whole city takes seconds to generate, and 38 MB in each process."""
+    which leave it as it is: that of a whole city takes seconds to generate."""
     if replace(config, reward=other.config.reward) == other.config:
         return replace(other, config=config)
     return prepare(config)

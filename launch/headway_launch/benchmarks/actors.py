@@ -29,7 +29,7 @@ _REPEATS = 50
 _LARGE = 16 * 2**20
 """Bytes of an answer large enough for its size to be what it costs."""
 _PLANNED_WORKERS = (4, 8)
-"""As many as a task has blocks of copies, at most: with more, some would have nothing to do."""
+"""Of how many workers a plan is made, where a task has as many blocks of copies for them."""
 _OVERLAP = 8
 """How many calls and answers are under way at once: assumed."""
 
@@ -45,15 +45,15 @@ class Wire:
     byte_s: float
     """Each further byte of an answer."""
 
-    def sent_s(self, steps: int, workers: int, nodes: int) -> float:
-        """Of an iteration of so many steps: parameters to each node, calls, experience to one machine."""
-        sent = self.parameter_bytes * nodes + self.bytes_a_step * steps
+    def sent_s(self, steps: int, workers: int) -> float:
+        """Of an iteration of so many steps on one node: parameters to it, calls, experience from it."""
+        sent = self.parameter_bytes + self.bytes_a_step * steps
         return self.byte_s * sent + self.message_s * workers / _OVERLAP
 
 
 @dataclass(frozen=True)
 class Growth:
-    """What an iteration takes, by the formula of CLUSTERS.md."""
+    """What an iteration takes on one node, by the formula of CLUSTERS.md."""
 
     steps: int
     """Environment steps an iteration."""
@@ -65,10 +65,10 @@ class Growth:
     """Seconds an iteration."""
     wire: Wire
 
-    def per_second(self, workers: int, nodes: int) -> float:
+    def per_second(self, workers: int) -> float:
         """Environment steps a second, learning included. A worker with most blocks is waited for."""
         share = -(-self.blocks // workers) / self.blocks
-        collect_s = self.steps * self.worker_s * share + self.wire.sent_s(self.steps, workers, nodes)
+        collect_s = self.steps * self.worker_s * share + self.wire.sent_s(self.steps, workers)
         return self.steps / (collect_s + self.learn_s)
 
 
@@ -161,7 +161,7 @@ def _report_growth(with_two: Mapping[str, Sequence[Measurement]], wires: Mapping
         collected_s = 1 / median(result.collected_per_second for result in alone)
         learn_s = steps * median(result.learn_s / result.env_steps for result in alone)
         # What one worker's collection took holds what went over the wire, too.
-        worker_s = max(collected_s - wire.sent_s(steps, 1, 1) / steps, 0.0)
+        worker_s = max(collected_s - wire.sent_s(steps, 1) / steps, 0.0)
         growth = Growth(steps, task.copies // task.block, worker_s, learn_s, wire)
         one, two = (median(result.per_second for result in results) for results in (alone, with_two[name]))
         cells = growth_cells(growth, one, two)
@@ -178,7 +178,7 @@ def growth_cells(growth: Growth, one: float, two: float) -> list[str]:
     """Steps a second as measured with one worker and with two, and planned for two and more, empty for more
     than there are blocks. Of one nothing is planned: the plan was made from it."""
     planned = [
-        f"{growth.per_second(workers, nodes=1):,.0f}" if workers <= growth.blocks else ""
+        f"{growth.per_second(workers):,.0f}" if workers <= growth.blocks else ""
         for workers in (2, *_PLANNED_WORKERS)
     ]
     return [f"{one:,.0f}", f"{two:,.0f} ({planned[0]})", *planned[1:]]

@@ -63,7 +63,8 @@ class EnvEntry:
     prepare_beside: Callable[[Any, Any], Any] | None = None
     """(config, what `prepare` gave for another config) -> the same as `prepare(config)`, with what does not
     differ shared: an environment is often learned from by other rewards than it is reported by, and what it
-    prepares may be large. None: it shares nothing."""
+    prepares may be large. The other is of the same environment, and wrapped where this is. Raises what
+    `prepare` raises. None: it shares nothing."""
     parallel_env: Callable[[Any], Any] | None = None
     """(config, or what `prepare` gave) -> the same as a PettingZoo ParallelEnv: `reset(seed=s)` begins what
     `reset([s])` of the batch does; metrics travel in info `episode_metrics`, their names in

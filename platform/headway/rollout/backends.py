@@ -36,7 +36,12 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
     if backend.name == "serial":
         return SerialContributors(plan, notify)
     evaluating = _evaluating(backend, plan.rollout, len(plan.shards), notify)
-    return CrewContributors(plan, _WORKPLACES[backend.name](backend, plan, notify), evaluating, notify)
+    try:
+        workplace = _WORKPLACES[backend.name](backend, plan, notify)
+    except BaseException:
+        evaluating.close()
+        raise
+    return CrewContributors(plan, workplace, evaluating, notify)
 
 
 def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:

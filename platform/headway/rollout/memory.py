@@ -53,8 +53,8 @@ class SharedBlock:
         return self._map
 
     def private(self) -> mmap.mmap:
-        """The memory as it is now, and shared as long as nobody writes: what is written here nobody else
-        sees."""
+        """The memory, of which pages become one's own as they are written to here, unseen by others. Pages
+        not yet written to follow the block, to which nobody may write any more."""
         return mmap.mmap(self._descriptor, max(self.nbytes, 1), access=mmap.ACCESS_COPY)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -115,6 +115,11 @@ def test_a_snapshot_of_before_with_all_places_of_the_queues_is_restored(line: Pr
 def test_snapshot_of_another_batch_is_refused(line: Prepared) -> None:
     with pytest.raises(HeadwayError, match="number of copies"):
         _begun(line, 2).restore(_begun(line, 1).snapshot())
+    for name in ("queues", "arrived_at"):
+        lacking = _begun(line, 2).snapshot()
+        del lacking["world"][name]
+        with pytest.raises(HeadwayError, match="the snapshot is of another"):
+            _begun(line, 2).restore(lacking)
 
 
 def test_copies_depend_on_their_seed_alone(line: Prepared) -> None:
