@@ -83,15 +83,23 @@ def _score_line(net: Network, k: Record, world: World, c: int, line: int) -> Non
 
 
 @compiled
+def _weighted(k: Record, service: float, efficiency: float, maintenance: float, regularity: float) -> float:
+    """The reward that four components come to."""
+    return float(
+        k.weight_service * service
+        + k.weight_efficiency * efficiency
+        + k.weight_maintenance * maintenance
+        + k.weight_regularity * regularity
+    )
+
+
+@compiled
 def _pay_lines(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
     """Each slot its line's reward."""
     for line in range(net.line_slots.shape[0] - 1):
         record = world.lines[c, line]
-        rewards[net.line_slots[line] : net.line_slots[line + 1]] = (
-            k.weight_service * record.service
-            + k.weight_efficiency * record.efficiency
-            + k.weight_maintenance * record.maintenance
-            + k.weight_regularity * record.regularity
+        rewards[net.line_slots[line] : net.line_slots[line + 1]] = _weighted(
+            k, record.service, record.efficiency, record.maintenance, record.regularity
         )
 
 
@@ -110,11 +118,8 @@ def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.
                 continue
             on_route = slot.phase == DRIVING or slot.phase == STANDING
             crowding = efficiency(k, slot) if on_route else 0.0
-            rewards[n] = (
-                k.weight_service * world.lines[c, line].service
-                + k.weight_efficiency * crowding
-                + k.weight_maintenance * maintenance(k, slot)
-                + k.weight_regularity * slot.regularity
+            rewards[n] = _weighted(
+                k, world.lines[c, line].service, crowding, maintenance(k, slot), slot.regularity
             )
         if k.follower_share > 0.0:
             for n in range(first, last):
@@ -139,7 +144,7 @@ def pay(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float
         e += weight * record.efficiency
         m += weight * record.maintenance
         r += weight * record.regularity
-    team = k.weight_service * q + k.weight_efficiency * e + k.weight_maintenance * m + k.weight_regularity * r
+    team = _weighted(k, q, e, m, r)
     day.service += q
     day.efficiency += e
     day.maintenance += m
