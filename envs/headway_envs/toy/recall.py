@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+from headway.contracts.checks import require_at_least
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,8 @@ class RecallConfig:
     """Cues, each as likely, and as many answers."""
 
     def __post_init__(self) -> None:
-        if self.agents < 1:
-            raise ValueError(f"agents must be at least 1, not {self.agents}")
-        if self.steps < 2:
-            raise ValueError(f"steps must be at least 2, not {self.steps}")
-        if self.cues < 2:
-            raise ValueError(f"cues must be at least 2, not {self.cues}")
+        require_at_least(1, agents=self.agents)
+        require_at_least(2, steps=self.steps, cues=self.cues)
 
 
 class Recall:

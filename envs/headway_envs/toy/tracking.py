@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Box, EnvSpec, Observed, Outcome, generator
+from headway.contracts.checks import require, require_at_least
 
 DIMENSIONS = 2
 SPEED = 0.1
@@ -33,14 +34,9 @@ class TrackingConfig:
     """Each component of w is uniform within this bound."""
 
     def __post_init__(self) -> None:
-        if self.agents < 1:
-            raise ValueError(f"agents must be at least 1, not {self.agents}")
-        if self.steps < 1:
-            raise ValueError(f"steps must be at least 1, not {self.steps}")
-        if not 0 <= self.effort <= 10:
-            raise ValueError(f"effort must be within 0 and 10, not {self.effort}")
-        if not 0 <= self.noise <= 0.1:
-            raise ValueError(f"noise must be within 0 and 0.1, not {self.noise}")
+        require_at_least(1, agents=self.agents, steps=self.steps)
+        require(0 <= self.effort <= 10, f"effort must be within 0 and 10, not {self.effort}")
+        require(0 <= self.noise <= 0.1, f"noise must be within 0 and 0.1, not {self.noise}")
 
 
 def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+from headway.contracts.checks import require_at_least
 
 OBSERVATION_SIZE = 4
 NUM_ACTIONS = 3
@@ -26,10 +27,7 @@ class TrivialConfig:
     """Steps of an episode, which is then truncated."""
 
     def __post_init__(self) -> None:
-        if self.agents < 1:
-            raise ValueError(f"agents must be at least 1, not {self.agents}")
-        if self.steps < 1:
-            raise ValueError(f"steps must be at least 1, not {self.steps}")
+        require_at_least(1, agents=self.agents, steps=self.steps)
 
 
 def episode_generator(seed: int, episode: int) -> np.random.Generator:

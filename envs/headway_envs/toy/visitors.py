@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+from headway.contracts.checks import require_at_least
 
 OPTIONS = 3
 LEAVE, RETURN, READY, RETIRE = 0.15, 0.3, 0.7, 0.3
@@ -28,10 +29,8 @@ class VisitorsConfig:
     """Longest episode; each draws its own length, at least half of it."""
 
     def __post_init__(self) -> None:
-        if self.agents < 1:
-            raise ValueError(f"agents must be at least 1, not {self.agents}")
-        if self.steps < 2:
-            raise ValueError(f"steps must be at least 2, not {self.steps}")
+        require_at_least(1, agents=self.agents)
+        require_at_least(2, steps=self.steps)
 
 
 @dataclass(frozen=True, slots=True)
