@@ -112,9 +112,9 @@ class SharedPickle(Generic[ValueT]):
 
 
 def give_back_memory() -> None:
-    """Return to the system what this process has freed. Linux's C library keeps what lies between blocks still
-    in use: once a large environment is set up, that is more than all that is in use. Where the C library
-    cannot, nothing happens."""
+    """Return to the system what this process has freed. Linux's C library keeps what lies between blocks that
+    are in use: once a large environment is set up, that is more than all these. Where the C library cannot,
+    nothing happens."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)
