@@ -128,10 +128,9 @@ def _over_fewer_seeds(table: pd.DataFrame) -> list[Part]:
     """A line for each figure of the training curve that some seeds of a controller do not have."""
     said: list[Part] = []
     for name, why in _WHY_FEWER.items():
-        known = table[f"{name}_seeds"]
-        fewer = table[known < table["seeds"]]
+        fewer = table[table[f"{name}_seeds"] < table["seeds"]]
         which = [
-            f"{controller} ({known[controller]} of {row['seeds']})" for controller, row in fewer.iterrows()
+            f"{controller} ({row[f'{name}_seeds']} of {row['seeds']})" for controller, row in fewer.iterrows()
         ]
         if which:
             said.append(f"The {_FIGURES[name]} is over those seeds only {why}: {', '.join(which)}.")
