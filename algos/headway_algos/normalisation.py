@@ -9,6 +9,8 @@ from headway_algos.acting import OBSERVATION_CLIP
 
 _MANY_VALUES = 8192
 """Of one network, on a CPU: from so many on, summing what is not selected costs more than a loop."""
+_ROWS_AT_ONCE = 8192
+"""Of one network: so many are gathered before they are copied to float64, so that few lie there twice."""
 
 
 class RunningMoments(nn.Module):
@@ -82,10 +84,10 @@ def _one_by_one(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple
     parts = []
     for of_network, which, number in zip(rows, chosen, count, strict=True):
         places = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
-        # As large as twice all that was observed: one such copy, changed in place.
+        # In float64 they take twice the memory that the rows do: there is one such copy, changed in place.
         values = torch.empty((len(places), rows.shape[2]), dtype=torch.float64, device=rows.device)
-        for first in range(0, len(places), _MANY_VALUES):
-            some = slice(first, first + _MANY_VALUES)
+        for first in range(0, len(places), _ROWS_AT_ONCE):
+            some = slice(first, first + _ROWS_AT_ONCE)
             values[some] = of_network.index_select(0, places[some])
         mean = values.sum(0, keepdim=True) / number
         parts.append((mean, values.sub_(mean).square_().sum(0, keepdim=True)))

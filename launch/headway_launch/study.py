@@ -58,8 +58,11 @@ def counted_runs(of_study: Sequence["RunRow"], study: str) -> tuple[list["RunRow
 
 
 def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
-    """The curves of a metric as `headway.stats.frames` takes them, fit to be averaged. Raises HeadwayError
-    for a run without it, and for a cell whose runs share no step."""
+    """The curves of a metric as `headway.stats.frames` takes them, fit to be averaged: those of training laid
+    on common steps, since episodes end when they do. Raises HeadwayError for a run without the metric, and
+    for a cell whose runs share no step."""
+    from headway.stats import frames
+
     curves = curve_points(runs, metric)
     have = set(curves["run_id"])
     for row in runs.rows:
@@ -69,9 +72,11 @@ def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
             in_all = runs.curves().groupby("run_id").count().gt(0).all()
             known = [name for name in in_all[in_all].index if "/" in name and name.startswith(kind)]
             raise HeadwayError(f"--metric: {row.run_id} has no {metric!r}; {suggestion(metric, known)}")
+    if not metric.startswith("evaluation_"):
+        curves = frames.on_common_steps(curves)
     for cell, points in curves.groupby("cell"):
         if points.groupby("env_steps")["run_id"].nunique().max() < points["run_id"].nunique():
-            raise HeadwayError(f"the runs of {cell} share no evaluation points")
+            raise HeadwayError(f"the runs of {cell} share no step at which they have {metric!r}")
     return curves
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.events import Row
-from headway.rollout.episodes import EvaluationRequest, Told, evaluate_policy
+from headway.rollout.episodes import EvaluationRequest, Told, evaluate_policy, nobody_told
 from headway.rollout.fitting import require_fitting
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
@@ -53,7 +53,7 @@ def policy_episodes(
     root: int,
     episodes: int,
     greedy: bool,
-    told: Told = lambda step, ended: None,
+    told: Told = nobody_told,
 ) -> list[Row]:
     """One row an episode on the evaluation seeds that follow from `root`."""
     rows: list[Row] = []

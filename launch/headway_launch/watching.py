@@ -1,5 +1,7 @@
 """What long work shows on stderr: a screen that stays in place, or a line now and then."""
 
+import os
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -120,8 +122,8 @@ class Progress:
 
 
 class Counted:
-    """How far work of known or unknown length is: on a terminal one line on stderr that stays in place and
-    goes at the end; elsewhere a line now and then. To be entered."""
+    """How far work of known or unknown length is: on a terminal one line on stderr, cut to its width, that
+    stays in place and goes at the end; elsewhere a line now and then. To be entered."""
 
     def __init__(self, what: str, total: int | None = None) -> None:
         """`what` is counted: `days simulated`."""
@@ -177,9 +179,18 @@ class Counted:
 
     def _draw(self, line: str) -> None:
         try:
-            print(f"\r{line}{_TO_THE_END}", end="", file=sys.stderr, flush=True)
+            # A line that wraps could not be gone back to; one that fills the row has its last letter cleared.
+            print(f"\r{line[: _width() - 1]}{_TO_THE_END}", end="", file=sys.stderr, flush=True)
         except OSError:
             silence(sys.stderr)
+
+
+def _width() -> int:
+    """Columns of the terminal that stderr is now; where that does not say, of the one there is, or 80."""
+    columns = 0
+    with suppress(OSError, ValueError):
+        columns = os.get_terminal_size(sys.stderr.fileno()).columns
+    return columns or shutil.get_terminal_size().columns
 
 
 def _pause(passed: float) -> float:

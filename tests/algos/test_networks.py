@@ -110,6 +110,15 @@ def test_running_moments_equal_numpys_on_all_data_at_once(size: int) -> None:
         np.testing.assert_allclose(moments.std[p, 0] * moments.scale[p, 0], 1, rtol=1e-12)
 
 
+def test_running_moments_take_rows_that_are_gathered_slice_by_slice() -> None:
+    draw = np.random.default_rng(3)
+    rows, selected = draw.normal(size=(1, 30_000, 2)) * [1.0, 50.0], draw.random((1, 30_000)) < 0.8
+    moments = RunningMoments(1, 2)
+    moments.include(torch.from_numpy(rows), selected)
+    np.testing.assert_allclose(moments.mean[0, 0], rows[selected].mean(axis=0), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(moments.variance[0, 0], rows[selected].var(axis=0), rtol=1e-12)
+
+
 @pytest.mark.parametrize("batch", [50, 1000, 3000], ids=["few values", "many in the stack", "many in each"])
 @pytest.mark.parametrize("others", [0.5, 1.0], ids=["some of the others", "all of the others"])
 def test_running_moments_of_a_network_are_bit_for_bit_those_it_has_alone(batch: int, others: float) -> None:

@@ -8,7 +8,8 @@ from types import ModuleType
 
 import pytest
 
-from headway.registry import env_entry
+from headway.configuration import describe
+from headway.registry import env_entries, env_entry
 from headway_launch.command_line import run
 from headway_launch.commands import compare, evaluate
 
@@ -23,8 +24,8 @@ from headway_launch.commands import compare, evaluate
         (["list", "experiments", "bus_mapo"], ["did you mean bus_mappo?"]),
         (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
         (
-            ["list", "metrics", "matrix"],
-            ["matrix does not say what its metrics mean", "those that do: bus, "],
+            ["list", "metrics", "mpe2.simple_spread_v3"],
+            ["does not say what its metrics mean: its EnvEntry needs `metrics`", "those that do: bus, "],
         ),
         (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list"], ["KIND", "headway list --help"]),
@@ -131,7 +132,7 @@ def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.C
     assert "corridor" not in shown
 
 
-@pytest.mark.parametrize("name", ["bus", "bus_published", "merge", "merge_two_lane", "intersection"])
+@pytest.mark.parametrize("name", env_entries())
 def test_what_metrics_are_is_listed_for_each_of_an_episode(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,3 +143,11 @@ def test_what_metrics_are_is_listed_for_each_of_an_episode(
     with closing(entry.make(entry.prepare(entry.config()), 1)) as env:
         assert [row[1] for row in rows] == ["length", "return", *env.spec.metrics]
     assert all(row[0] == name and row[2] for row in rows)
+
+
+@pytest.mark.parametrize("name", env_entries())
+def test_arguments_that_the_meanings_of_metrics_name_are_there(name: str) -> None:
+    entry = env_entry(name)
+    known = {description.key for description in describe(entry.config, "env.args")}
+    named = {key for what in entry.metrics.values() for key in re.findall(r"env\.args(?:\.\w+)+", what)}
+    assert named <= known

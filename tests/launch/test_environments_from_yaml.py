@@ -234,8 +234,6 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     assert run(["resume", row.run_id]) == 0, capsys.readouterr().err
     assert [read_curve(directory, name) for name in curves] == before
     capsys.readouterr()
-    assert run(["compare", row.study, "--episodes", "2"]) == 0
-    assert "episodes played" not in capsys.readouterr().out
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["evaluate", row.run_id, "--episodes", "2"]) == 0
     shown, told = capsys.readouterr()
@@ -246,13 +244,22 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     assert "rule random" in shown
 
 
-def test_cells_that_differ_in_what_they_learn_from_are_compared(capsys: pytest.CaptureFixture[str]) -> None:
-    """By training arguments and by a wrapper of rewards, which makes another kind of environment."""
-    for words in (("env.wrappers=[clip_reward_v0]",), (), ("env.training_args.steps=9",)):
+def test_cells_that_differ_in_what_they_learn_from_are_compared(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By training arguments and by a wrapper of rewards, which makes another kind of environment. What is
+    played is counted over rules, cells and their seeds."""
+    for words in (("env.wrappers=[clip_reward_v0]",), ("seed=0,1",), ("env.training_args.steps=9",)):
         assert run(["run", "env=trivial", *TINY, "env.args.agents=2", *words]) == 0, capsys.readouterr().err
     capsys.readouterr()
-    assert run(["compare", "default", "--episodes", "2"]) == 0, capsys.readouterr().err
-    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if "\t" in line]
+    with monkeypatch.context() as terminal:
+        terminal.setattr("sys.stderr.isatty", lambda: True, raising=False)
+        assert run(["compare", "default", "--episodes", "2"]) == 0, capsys.readouterr().err
+    shown, told = capsys.readouterr()
+    assert "\repisodes played: 0 of 12\x1b[K" in told  # two rules and four seeds
+    assert "\repisodes played: 12 of 12 (" in told
+    assert "episodes played" not in shown
+    rows = [line.split("\t") for line in shown.splitlines() if "\t" in line]
     cells = [row[1] for row in rows[1:] if not row[1].startswith("rule ")]
     assert len(cells) == 3
     assert any("env.training_args.steps=9" in cell for cell in cells)

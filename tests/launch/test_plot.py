@@ -1,6 +1,7 @@
 """The rules in the pictures of `headway plot`, and the curves that they stand beside."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,41 @@ def test_a_metric_that_a_run_has_not_is_one_line_with_the_nearest(runs: Selectio
     assert curves_of(runs, "training/return")["value"].tolist() == [1.0]
     with pytest.raises(HeadwayError, match=r"has no 'training/retrun'; did you mean training/return\?"):
         curves_of(runs, "training/retrun")
+
+
+def _keep_seed(root: Path, seed: int, metric: str, points: Mapping[int, float]) -> None:
+    run_id, directory = create_run_folder(root, "apart", "cell", seed)
+    RunRecord(run_id, "apart", "bus", "a3c", seed, 1, now(), Process.current(), "FINISHED").write(directory)
+    log = RunLog(directory)
+    log.append("curve", [{"iteration": step, "env_steps": step, metric: points[step]} for step in points])
+    log.commit(max(points))
+
+
+def test_training_curves_whose_points_lie_at_different_steps_are_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As those of asynchronous algorithms do; points of evaluation are at the same steps in all."""
+    apart: list[dict[int, float]] = [{0: 0.0, 2: 2.0, 4: 8.0}, {1: 3.0, 3: 5.0}]
+    for seed, points in enumerate(apart):
+        _keep_seed(tmp_path, seed, "training/return", points)
+    curves = curves_of(select(tmp_path, study="apart"), "training/return")
+    by_seed = {
+        seed: dict(zip(of["env_steps"], of["value"], strict=True)) for seed, of in curves.groupby("seed")
+    }
+    assert by_seed == {0: {1: 1.0, 2: 2.0, 3: 5.0}, 1: {1: 3.0, 2: 4.0, 3: 5.0}}
+    words = ["plot", "apart", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.png")]
+    assert run([*words, "--metric", "training/return"]) == 0, capsys.readouterr().err
+    assert (tmp_path / "drawn.png").exists()
+    _keep_seed(tmp_path, 2, "training/return", {5: 1.0, 6: 1.0})
+    assert run([*words, "--metric", "training/return"]) == 2
+    assert "share no step at which they have 'training/return'\n" in capsys.readouterr().err
+
+
+def test_evaluations_at_different_steps_are_not_put_together(tmp_path: Path) -> None:
+    for seed, points in enumerate(({0: 0.0, 2: 2.0}, {1: 3.0, 3: 5.0})):
+        _keep_seed(tmp_path, seed, "evaluation_greedy/return", points)
+    with pytest.raises(HeadwayError, match="share no step at which they have 'evaluation_greedy/return'"):
+        curves_of(select(tmp_path, study="apart"), "evaluation_greedy/return")
 
 
 def test_a_rule_far_away_does_not_flatten_the_picture() -> None:

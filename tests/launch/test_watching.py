@@ -1,5 +1,9 @@
 """What a session shows: on a screen of any size, and in plain lines."""
 
+import os
+import termios
+from contextlib import suppress
+
 import pytest
 from rich.console import Console
 
@@ -147,3 +151,28 @@ def test_on_a_terminal_the_count_stays_in_place_and_goes(
         counted.note("a line that stays")
     first = "\rdays simulated: 0 of 2\x1b[K"
     assert capsys.readouterr().err == f"{first}\r\x1b[Ka line that stays\n{first}\r\x1b[K"
+
+
+def test_the_count_fits_the_terminal_that_stderr_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However wide stdout is said to be, and when it is resized, too."""
+    monkeypatch.setenv("COLUMNS", "200")
+    screen, terminal = os.openpty()
+    with os.fdopen(terminal, "w") as stderr:
+        monkeypatch.setattr("sys.stderr", stderr)
+        termios.tcsetwinsize(terminal, (24, 40))
+        with Counted("episodes played", 6) as counted:
+            counted.add(6, "rule headway_holding_0.9, step 1,000")
+            termios.tcsetwinsize(terminal, (24, 20))
+            counted.add(0)
+    drawn = ""
+    with suppress(OSError):  # all was read
+        while piece := os.read(screen, 4096):
+            drawn += piece.decode()
+    os.close(screen)
+    *lines, last = [line.removesuffix("\x1b[K") for line in drawn.split("\r")[1:]]
+    assert lines == [
+        "episodes played: 0 of 6",
+        "episodes played: 6 of 6 (rule headway_h",
+        "episodes played: 6 ",
+    ]
+    assert last == ""

@@ -15,12 +15,13 @@ MEANINGS = {
     "in_vehicle_min": "passenger minutes aboard for each boarding",
     "trip_time_spread_min": "90th percentile less the median of the times of finished trips, minutes",
     "held_min_per_trip": "minutes that buses were held at stops, for each finished trip",
-    "breakdowns": "buses that broke down or ran out of fuel",
+    "breakdowns": "times that a bus broke down or ran out of fuel",
     "service_visits": "visits to a service centre",
-    "fuel_used": "fuel used by all buses, in units of env.args.fuel_capacity",
+    "fuel_used": "fuel of all buses, in units of which a full tank has env.args.upkeep.fuel_capacity",
     "reward_service": "service component of the team's reward, mean over control intervals, unweighted",
-    "reward_efficiency": "efficiency component, likewise: minus what crowding costs",
-    "reward_maintenance": "maintenance component, likewise: minus what low fuel and uptime cost",
+    "reward_efficiency": "efficiency component, likewise: minus what crowding costs, and emptiness where "
+    "env.args.reward.preset=paper",
+    "reward_maintenance": "maintenance component, likewise: minus what breakdowns, low fuel and uptime cost",
     "reward_regularity": "regularity component, likewise",
     "team_reward": "the team's reward, summed over the day",
 }

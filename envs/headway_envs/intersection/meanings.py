@@ -3,6 +3,7 @@
 from headway_envs.intersection.config import TERMS
 
 _TERM = "of the reward in use: mean over steps; `scaled` unweighted, `paper` with its gains"
+_OTHERS = "the same of all others: human drivers, and automated vehicles without a slot"
 MEANINGS = {
     "team_return": "the team's reward in use, scaled or the paper's, summed over steps",
     "paper_return": "the paper's reward, summed over AVs and steps, whichever is in use",
@@ -14,20 +15,20 @@ MEANINGS = {
     "outflow_warm_vph": "vehicles that left, an hour, after the warm-up",
     "vehicles": "vehicles on the road, mean over steps",
     "pending": "vehicles that wait to enter, mean over steps",
-    "speed": "mean over steps of the vehicles' mean speed, m/s",
-    "speed_av": "the same of automated vehicles, m/s",
-    "speed_hdv": "the same of human drivers, m/s",
-    "acceleration_av": "mean over steps of automated vehicles' mean absolute acceleration, m/s^2",
-    "acceleration_hdv": "the same of human drivers, m/s^2",
-    "hardest_braking_av": "hardest braking of any automated vehicle, m/s^2",
-    "hardest_braking_hdv": "the same of human drivers, m/s^2",
-    "fuel_gal_s": "fuel of a vehicle, mean over vehicles and steps, gallons a second",
-    "standstill_share": "share of vehicles slower than 0.1 m/s, mean over steps",
-    "avs": "automated vehicles that came",
-    "avs_through": "automated vehicles that went through",
+    "speed": "speed, mean over vehicles, then over the steps that have any, m/s",
+    "speed_av": "the same of automated vehicles that have a slot, m/s",
+    "speed_hdv": f"{_OTHERS}, m/s",
+    "acceleration_av": "absolute acceleration, mean over the vehicles and steps of speed_av, m/s^2",
+    "acceleration_hdv": "the same over those of speed_hdv, m/s^2",
+    "hardest_braking_av": "hardest braking of any automated vehicle that has a slot, m/s^2",
+    "hardest_braking_hdv": f"{_OTHERS}, m/s^2",
+    "fuel_gal_s": "fuel of a vehicle, mean over vehicles, then over the steps that have any, gallons/s",
+    "standstill_share": "share of vehicles slower than 0.1 m/s, mean over the steps that have any",
+    "avs": "automated vehicles that came, with a slot or without",
+    "avs_through": "automated vehicles with a slot that went through",
     "avs_without_slot": "automated vehicles beyond env.args.slots, which SUMO drove",
-    "travel_time_av_s": "mean time of automated vehicles that went through, s; the episode's where none did",
-    "worst_approach_s": "seconds AVs spent here for each that went through, on the worst of four approaches",
+    "travel_time_av_s": "mean time on the road of those of avs_through, s; the episode's where none did",
+    "worst_approach_s": "seconds AVs with a slot spent for each that went through, on the worst approach",
     "fairness_jain": "Jain's index of the same seconds over the approaches: 1 where equal",
     **{f"reward_{term}": f"term {term.replace('_', ' ')} {_TERM}" for term in TERMS},
 }

@@ -17,13 +17,7 @@ METRICS = (
     "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
     "fairness_jain", *(f"reward_{term}" for term in TERMS),
 )  # fmt: skip
-"""Speeds and accelerations are means over steps of the mean over vehicles (m/s, absolute m/s^2); `vehicles`
-and `pending` (those that wait to enter) means over steps; `hardest_braking_*` the greatest, m/s^2; fuel is a
-vehicle's mean, in gallons a second; `efficiency` is outflow over inflow. `travel_time_av_s` is of AVs that
-went through. `worst_approach_s` and `fairness_jain` (Jain, Chiu and Hawe 1984) compare the four approaches by
-the seconds that AVs spent here for each that went through, so that an approach whose AVs are stuck counts.
-`reward_*` are means over steps of the terms of the reward in use: of `scaled` unweighted, of `paper` with its
-gains."""
+"""In the order of `Ledger.metrics`; `meanings` says what they are."""
 
 
 @dataclass
@@ -102,12 +96,14 @@ class Ledger:
 
 
 def _spent_for_each(seconds: NDArray[np.float64], through: Sequence[int]) -> list[float]:
-    """Seconds spent by AVs for each that went through, of the approaches that AVs came from."""
+    """Seconds spent by AVs for each that went through, of the approaches that AVs came from: one where all
+    are stuck counts."""
     return [float(spent) / max(count, 1) for spent, count in zip(seconds, through, strict=True) if spent > 0]
 
 
 def jain(values: Sequence[float]) -> float:
-    """Jain's index, (sum x)^2 / (n sum x^2): 1 where all are equal, 1/n where one has all; 1 for none."""
+    """Jain's index, (sum x)^2 / (n sum x^2): 1 where all are equal, 1/n where one has all; 1 for none.
+    Source: Jain, Chiu and Hawe 1984."""
     array = np.asarray(values)
     squares = float((array**2).sum())
     return float(array.sum()) ** 2 / (len(array) * squares) if squares > 0 else 1.0

@@ -8,8 +8,8 @@ MEANINGS = {
     "hdv_merge_rate": "the same of human drivers",
     "mean_speed_ms": "mean over steps of the CAVs' mean speed, m/s",
     "min_speed_ms": "lowest speed of any CAV, m/s",
-    "min_gap_m": "least gap ahead of any CAV, m",
-    "min_headway_s": "least gap over speed of any CAV, s",
+    "min_gap_m": "least distance from any CAV to the next vehicle ahead, centre to centre, 60 at most, m",
+    "min_headway_s": "least such distance over speed of any CAV, s; 0 where none ever moved",
     "steps": "steps of the episode",
     "interventions": "actions that the safety supervisor changed",
 }

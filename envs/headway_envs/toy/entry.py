@@ -49,6 +49,7 @@ ENTRIES: dict[str, EnvEntry] = {
         make=Trivial,
         parallel_env=_trivial_parallel,
         rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalTrivial()},
+        metrics={"accuracy": "share of right actions, over steps and agents"},
     ),
     "matrix": EnvEntry(
         summary="toy: one-step matrix game of two agents with a trap beside the best payoff",
@@ -56,6 +57,7 @@ ENTRIES: dict[str, EnvEntry] = {
         make=Matrix,
         parallel_env=_matrix_parallel,
         rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalMatrix()},
+        metrics={"optimal": "1 where the largest payoff was played, else 0"},
     ),
     "tracking": EnvEntry(
         summary="toy: agents with continuous actions follow a target; the optimum is in closed form",
@@ -63,6 +65,10 @@ ENTRIES: dict[str, EnvEntry] = {
         make=Tracking,
         parallel_env=_tracking_parallel,
         rules={"random": lambda config: RandomRule(), "optimal": OptimalTracking},
+        metrics={
+            "distance": "squared distance to the target, mean over steps and agents",
+            "effort": "squared length of the actions as cut to their bounds, likewise",
+        },
     ),
     "recall": EnvEntry(
         summary="toy: a cue seen at the first step is to be named at the last, which needs memory",
@@ -70,6 +76,7 @@ ENTRIES: dict[str, EnvEntry] = {
         make=Recall,
         parallel_env=_recall_parallel,
         rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalRecall()},
+        metrics={"recalled": "share of agents that named their cue"},
     ),
     "visitors": EnvEntry(
         summary="toy: agents come, go and retire, with action masks and NaN in every absent row",
@@ -77,5 +84,10 @@ ENTRIES: dict[str, EnvEntry] = {
         make=Visitors,
         parallel_env=_visitors_parallel,
         rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalVisitors()},
+        metrics={
+            "regret": "worth of the best allowed options less what was paid, summed over all choices",
+            "disallowed": "choices of an option that was not allowed",
+            "choices": "choices of agents that were there and ready",
+        },
     ),
 }

@@ -18,7 +18,7 @@ _EVERY_S = 0.25
 
 
 def report() -> None:
-    """Print both tables."""
+    """Print the three tables."""
     print("\n## The city: agent-ticks a second on one core\n")
     kernel.report_rates({"city": 2})
     experiment = compose([f"experiment={EXPERIMENT}"])

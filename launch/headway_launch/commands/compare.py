@@ -94,7 +94,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     def minus_reference(by_seed: Sequence[Sequence["Row"]], metric: str) -> "Interval":
         return difference(
-            [_values(episodes, metric) for episodes in by_seed], _values(rules[reference], metric)
+            [_values(of_seed, metric) for of_seed in by_seed], _values(rules[reference], metric)
         )
 
     rows: list[tuple[Cell, ...]] = []
@@ -103,7 +103,7 @@ def execute(arguments: argparse.Namespace) -> int:
             against = None if rule == reference else minus_reference([of_rule], metric)
             rows.append(_row(metric, f"rule {rule}", 0, _mean(of_rule, metric), against))
         for label, by_seed in played.items():
-            mean = sum(_mean(episodes, metric) for episodes in by_seed) / len(by_seed)
+            mean = sum(_mean(of_seed, metric) for of_seed in by_seed) / len(by_seed)
             rows.append(_row(metric, label, len(by_seed), mean, minus_reference(by_seed, metric)))
     columns = (
         "metric",

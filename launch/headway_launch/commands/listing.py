@@ -92,7 +92,10 @@ def _list_metrics(name: str | None) -> None:
     described = {key: {**_OF_ALL, **entry.metrics} for key, entry in entries.items() if entry.metrics}
     if not described:
         describing = ", ".join(key for key, entry in env_entries().items() if entry.metrics)
-        raise HeadwayError(f"{name} does not say what its metrics mean; those that do: {describing}")
+        raise HeadwayError(
+            f"{name} does not say what its metrics mean: its EnvEntry needs `metrics`; "
+            f"those that do: {describing}"
+        )
     rows = [(key, metric, what) for key, of_env in described.items() for metric, what in of_env.items()]
     print_table(("environment", "metric", "what it is"), rows, whole=("metric",), spare=("environment",))
 

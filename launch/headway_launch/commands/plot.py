@@ -21,7 +21,8 @@ examples:
 One line a cell (algorithm and, where that tells cells apart, preset, candidate of a search and settings), one
 panel an environment: the mean over its finished seeds with the 95% interval of that mean (Student's t);
 dashed lines beside a metric of evaluation are the rules on the same days, but for one so far away that
-nothing else could be seen.
+nothing else could be seen. Of training, where seeds have their points at different steps, each is followed
+along straight lines between its own.
 """
 
 

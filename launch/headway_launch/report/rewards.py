@@ -59,13 +59,7 @@ def published_form(data: StudyData) -> Section:
         "days kept apart, which all other parts of this page use.",
         *_of_training(data),
     ]
-    body += [table, *_unequal_budgets(data)]
-    if data.figures["auc_own"].isna().any():
-        body.append(
-            f"Runs evaluated fewer than {FEWEST_POINTS} times have no AUC by their own range, which would be "
-            "0.5 whatever was learnt (`evaluation.every` sets how often): the mean is over the others."
-        )
-    body += _one_seed(data)
+    body += [table, *_unequal_budgets(data), *_too_short(data), *_one_seed(data)]
     return Section("published", "The form of the papers", body)
 
 
@@ -90,6 +84,21 @@ def _of_training(data: StudyData) -> list[str]:
             "over the others."
         )
     return said
+
+
+def _too_short(data: StudyData) -> list[str]:
+    """A line where runs have a curve, but none that has an area by its own range."""
+    said = []
+    for name, figures in _curves(data).items():
+        if short := int((figures["auc_own"].isna() & figures["final_reward"].notna()).sum()):
+            each = "iterations in which episodes ended" if name == "training" else "set by `evaluation.every`"
+            said.append(f"the {name} curve of {drawing.counted(short, 'run')} (its points are {each})")
+    if not said:
+        return []
+    return [
+        f"A curve of fewer than {FEWEST_POINTS} points has no AUC by its own range, which would be 0.5 "
+        f"whatever was learnt: the mean is over the others. Such is {' and '.join(said)}."
+    ]
 
 
 def _paid_by_several_rules(data: StudyData) -> list[str]:

@@ -62,8 +62,12 @@ class TrajectoryLayout:
 
 
 def _padded(shape: tuple[int, ...], dtype: DTypeLike) -> int:
-    size = prod(shape) * np.dtype(dtype).itemsize
-    return -(-size // _ALIGNMENT) * _ALIGNMENT
+    return aligned(prod(shape) * np.dtype(dtype).itemsize)
+
+
+def aligned(nbytes: int) -> int:
+    """That many bytes, rounded up so that an array of any type may lie behind them."""
+    return -(-nbytes // _ALIGNMENT) * _ALIGNMENT
 
 
 @dataclass(frozen=True, slots=True)

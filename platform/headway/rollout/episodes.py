@@ -56,13 +56,17 @@ def evaluation_seeds(root: int, first: int, count: int) -> NDArray[np.uint64]:
     return child_seeds(root, "evaluation", first, count)
 
 
+def nobody_told(step: int, ended: int) -> None:
+    """The `Told` of whoever need not know how far things are."""
+
+
 def run_episodes(
     env: BatchedEnv,
     seeds: NDArray[np.uint64],
     act: Callable[[Observed, int], NDArray[Any]],
     name_copy: NameCopy,
     heed: Callable[[Outcome], None] = lambda outcome: None,
-    told: Told = lambda step, ended: None,
+    told: Told = nobody_told,
 ) -> list[Row]:
     """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step,
     `heed` what the step led to, `told` how far things are.
@@ -96,7 +100,7 @@ def evaluate_policy(
     plan: RolloutPlan,
     parameters: Parameters,
     request: EvaluationRequest,
-    told: Told = lambda step, ended: None,
+    told: Told = nobody_told,
 ) -> list[list[Row]]:
     """Episodes of every replica: one list a replica, one row an episode, with its `episode_seed` index."""
     env = plan.make(request.count)
@@ -138,7 +142,7 @@ def evaluate_rule(
     prepared: object,
     root: int,
     episodes: int,
-    told: Told = lambda step, ended: None,
+    told: Told = nobody_told,
 ) -> list[Row]:
     """Episodes of a rule (an entry's `make` and one of its `rules`) on the evaluation seeds, one row each."""
     rows: list[Row] = []

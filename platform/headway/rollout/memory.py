@@ -1,7 +1,8 @@
-"""Memory that processes share, that vanishes with the last of them, however they end, or that none needs.
+"""Memory that processes share and that vanishes with the last of them, however they end; and memory that a
+process has freed, given back to the system.
 
-An anonymous file (memfd on Linux) is passed by descriptor: it has no name in /dev/shm that a killed
-process could leave behind, and does not depend on the size of that mount.
+What is shared is an anonymous file (memfd on Linux), passed by descriptor: it has no name in /dev/shm that a
+killed process could leave behind, and does not depend on the size of that mount.
 """
 
 import ctypes
@@ -12,14 +13,21 @@ import tempfile
 from dataclasses import dataclass
 from itertools import accumulate
 from multiprocessing import reduction
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Literal, Self, TypeVar
 
 from headway.contracts import HeadwayError
+from headway.contracts.trajectory import aligned
 from headway.rollout.usage import available_memory
 
 ValueT = TypeVar("ValueT")
 
-_ALIGNMENT = 64
+Content = Literal["trajectories", "parameters", "the environment"]
+_LOWER: dict[Content, str] = {
+    "trajectories": "rollout.copies, rollout.steps or backend.parallel",
+    "parameters": "the size of the networks or backend.parallel",
+    "the environment": "its size (env.args) or backend.parallel",
+}
+"""What makes a block smaller, or leaves more room for it, by what is in it."""
 
 
 class SharedBlock:
@@ -30,22 +38,22 @@ class SharedBlock:
         self._map = mmap.mmap(descriptor, max(nbytes, 1))
 
     @classmethod
-    def create(cls, nbytes: int) -> Self:
-        """A new block of zeros. Raises HeadwayError where the memory cannot be had."""
+    def create(cls, nbytes: int, content: Content = "trajectories") -> Self:
+        """A new block of zeros, for such `content`. Raises HeadwayError where the memory cannot be had."""
         available = available_memory()
         if available is not None and nbytes > available:
             # An anonymous file has no limit of its own: the system would kill a process instead.
-            raise _refusal(nbytes, f"{available / 2**20:.0f} MiB are free")
+            raise _refusal(nbytes, content, f"{available / 2**20:.0f} MiB are free")
         try:
             descriptor = _anonymous_file()
         except OSError as error:
-            raise _refusal(nbytes, error.strerror) from error
+            raise _refusal(nbytes, content, error.strerror) from error
         try:
             os.posix_fallocate(descriptor, 0, max(nbytes, 1))
             return cls(descriptor, nbytes)
         except OSError as error:
             os.close(descriptor)
-            raise _refusal(nbytes, error.strerror) from error
+            raise _refusal(nbytes, content, error.strerror) from error
 
     @property
     def buffer(self) -> mmap.mmap:
@@ -85,12 +93,12 @@ class SharedPickle(Generic[ValueT]):
         buffers: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
         contents = [memoryview(pickled), *(buffer.raw() for buffer in buffers)]
-        ends = list(accumulate(-(-content.nbytes // _ALIGNMENT) * _ALIGNMENT for content in contents))
+        ends = list(accumulate(aligned(content.nbytes) for content in contents))
         parts = tuple(
             slice(begin, begin + content.nbytes)
             for begin, content in zip([0, *ends[:-1]], contents, strict=True)
         )
-        block = SharedBlock.create(ends[-1])
+        block = SharedBlock.create(ends[-1], "the environment")
         for part, content in zip(parts, contents, strict=True):
             block.buffer[part] = content
         return cls(block, parts, b"_main__" in pickled)
@@ -104,17 +112,17 @@ class SharedPickle(Generic[ValueT]):
 
 
 def give_back_memory() -> None:
-    """Return to the system what was freed and lies between what was not: the C library of Linux keeps it,
-    and of setting up a large environment that is more than all that stays. Elsewhere nothing happens."""
+    """Return to the system what this process has freed. Linux's C library keeps what lies between blocks that
+    are in use: once a large environment is set up, that is more than all these. Where the C library cannot,
+    nothing happens."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)
 
 
-def _refusal(nbytes: int, reason: str | None) -> HeadwayError:
+def _refusal(nbytes: int, content: Content, reason: str | None) -> HeadwayError:
     return HeadwayError(
-        f"no {nbytes / 2**20:.0f} MiB of shared memory for trajectories ({reason}); "
-        "lower rollout.copies, rollout.steps or backend.parallel"
+        f"no {nbytes / 2**20:.0f} MiB of shared memory for {content} ({reason}); lower {_LOWER[content]}"
     )
 
 

@@ -78,7 +78,10 @@ class SharedMemory(Processes):
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
         pickled, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
-        self.blocks = SharedBlock.create(plan.layout.nbytes), SharedBlock.create(parameter_bytes(shapes))
+        self.blocks = (
+            SharedBlock.create(plan.layout.nbytes),
+            SharedBlock.create(parameter_bytes(shapes), "parameters"),
+        )
         self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]

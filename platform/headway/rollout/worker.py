@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import Contribution, HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
+from headway.contracts.trajectory import aligned
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.memory import SharedBlock, SharedPickle, give_back_memory
@@ -136,13 +137,13 @@ def parameter_arrays(
     arrays, offset = {}, 0
     for name, (shape, dtype) in shapes.items():
         arrays[name] = np.frombuffer(buffer, dtype, prod(shape), offset).reshape(shape)
-        offset += -(-arrays[name].nbytes // 64) * 64
+        offset += aligned(arrays[name].nbytes)
     return arrays
 
 
 def parameter_bytes(shapes: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]]) -> int:
     """Size of the buffer that `parameter_arrays` needs."""
-    return sum(-(-prod(shape) * dtype.itemsize // 64) * 64 for shape, dtype in shapes.values())
+    return sum(aligned(prod(shape) * dtype.itemsize) for shape, dtype in shapes.values())
 
 
 def run_worker(setup: Setup, commands: connection.Connection) -> None:

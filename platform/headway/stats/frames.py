@@ -69,6 +69,25 @@ def mean_curves(curves: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
 
+def on_common_steps(curves: pd.DataFrame) -> pd.DataFrame:
+    """Curves for `mean_curves` of runs whose points lie at different steps, as where episodes end at other
+    updates in each: within the span of all runs of a controller on a task, each has a point at every step of
+    any of them, on the straight line between its own. Runs without a common span stay as they are."""
+    frames = [curves.iloc[:0]]
+    for _, of_cell in curves.groupby(["task", "controller"], sort=False):
+        runs = [run.sort_values("env_steps") for _, run in of_cell.groupby("run_id", sort=False)]
+        first = max(run["env_steps"].iloc[0] for run in runs)
+        last = min(run["env_steps"].iloc[-1] for run in runs)
+        steps = np.unique(of_cell["env_steps"])
+        steps = steps[(first <= steps) & (steps <= last)]
+        for run in runs if len(steps) else ():
+            values = np.interp(steps, run["env_steps"], run["value"])
+            frames.append(pd.DataFrame({**run.iloc[0], "env_steps": steps, "value": values}))
+        if not len(steps):
+            frames.append(of_cell)
+    return pd.concat(frames, ignore_index=True)
+
+
 def summary(scores: pd.DataFrame) -> pd.DataFrame:
     """Of each controller, over its runs on all tasks: `runs`, `mean`, `std` (ddof = 1; NaN for one run) and
     the interquartile mean `iqm` with its 95% interval `iqm_low`, `iqm_high` by the stratified bootstrap.

@@ -1,5 +1,6 @@
 """Shared memory, shards, the watch for NaN, and the accounts of a process."""
 
+import ctypes
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,7 +15,7 @@ from headway.config import BackendConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
 from headway.finite import check_finite
 from headway.rollout import backends, usage
-from headway.rollout.memory import SharedBlock, SharedPickle
+from headway.rollout.memory import Content, SharedBlock, SharedPickle
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.usage import available_memory, cpu_seconds, proportional_memory
 from headway.rollout.worker import parameter_arrays, parameter_bytes
@@ -76,12 +77,44 @@ def test_a_shared_pickle_says_whether_the_main_module_is_in_it() -> None:
         shared.block.close()
 
 
-def test_more_memory_than_there_is_is_refused_in_one_line() -> None:
+@pytest.mark.parametrize(
+    ("content", "lower"),
+    [
+        ("trajectories", r"rollout\.copies"),
+        ("parameters", "the size of the networks"),
+        ("the environment", r"its size \(env\.args\)"),
+    ],
+)
+def test_more_memory_than_there_is_is_refused_in_one_line(content: Content, lower: str) -> None:
     available = available_memory()
     assert available is not None
-    with pytest.raises(HeadwayError, match=r"MiB of shared memory.*lower rollout\.copies") as refusal:
-        SharedBlock.create(2 * available + 10 * MEBIBYTE)
+    with pytest.raises(HeadwayError, match=rf"MiB of shared memory for {content} .*lower {lower}") as refusal:
+        SharedBlock.create(2 * available + 10 * MEBIBYTE, content)
     assert "\n" not in str(refusal.value)
+
+
+def test_an_environment_without_room_to_be_shared_is_what_the_refusal_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("headway.rollout.memory.available_memory", lambda: MEBIBYTE)
+    with pytest.raises(
+        HeadwayError, match=r"^no 2 MiB of shared memory for the environment \(1 MiB are free"
+    ):
+        SharedPickle.of(np.zeros(2 * MEBIBYTE, np.uint8))
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="another C library")
+def test_what_was_freed_between_what_is_in_use_is_given_back() -> None:
+    code = f"""
+from headway.rollout.memory import give_back_memory
+from headway.rollout.usage import proportional_memory
+blocks = [bytes(1000) for _ in range(60_000)]
+del blocks[:-1]  # the last holds on to all before it
+kept = proportional_memory()
+give_back_memory()
+assert kept - proportional_memory() > {40 * MEBIBYTE}, kept
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_memory_that_the_system_refuses_is_told_in_one_line_and_leaves_nothing_open() -> None:

@@ -50,6 +50,25 @@ def test_learning_curves_have_the_interval_of_student_and_only_common_steps() ->
     assert found[found["controller"] == "b"]["low"].isna().all()
 
 
+def test_curves_are_laid_on_the_steps_of_all_within_the_span_of_all() -> None:
+    apart = curves(a_0=[0.0, 1.0, 2.0], a_1=[2.0, 5.0], b_0=[1.0, 1.0], b_1=[3.0, 4.0])
+    apart.loc[apart["run_id"] == "a_1", "env_steps"] += 5  # at 5 and 15
+    apart.loc[apart["run_id"] == "b_1", "env_steps"] += 50  # after all of b_0
+    found = frames.on_common_steps(apart)
+    of_a = found[found["controller"] == "a"]
+    by_run = {run: (of["env_steps"].tolist(), of["value"].tolist()) for run, of in of_a.groupby("run_id")}
+    assert by_run == {"a_0": ([5, 10, 15], [0.5, 1, 1.5]), "a_1": ([5, 10, 15], [2, 3.5, 5])}
+    of_b = found[found["controller"] == "b"].reset_index(drop=True)
+    assert of_b.equals(apart[apart["controller"] == "b"].reset_index(drop=True))
+    assert set(frames.mean_curves(found)["controller"]) == {"a"}
+
+
+def test_curves_with_the_same_steps_stay_as_they_are() -> None:
+    alike = curves(a_0=[0.1, 0.7, 0.2], a_1=[2, 5, 1], b_0=[1, 1])
+    assert frames.on_common_steps(alike).equals(alike)
+    assert frames.on_common_steps(alike.iloc[:0]).empty
+
+
 def test_one_run_has_neither_deviation_nor_interval() -> None:
     found = frames.summary(scores(a={"bus": [3.0]}, b={"bus": [1.0, 2.0, 4.0, 9.0]}))
     assert found.loc["a", ["mean", "iqm"]].tolist() == [3, 3]

@@ -58,7 +58,20 @@ def test_figures_are_of_training_summed_over_buses_and_ranked(keep_run: Keep, ro
     assert "none of happo, hatrpo, ia2c, itrpo, mappo, matrpo has finished." in said
     assert "no correlation" not in said
     assert "same policy" not in said
+    assert "those seeds only" not in said
     assert "+1.00 (0.33)" in tables(found)["busenv_ranks"].rows[0]
+
+
+def test_figures_that_some_seeds_do_not_have_are_counted(keep_run: Keep, root: Path) -> None:
+    keep_run((TABLE3, "algo=coma"), 0, 10.0)
+    for seed, trained in enumerate(((0, 2, 4), (1, 3), ())):
+        keep_run((TABLE3, "algo=ippo"), seed, 10.0, trained=trained)
+    found = section(root)
+    ippo = tables(found)["busenv_table3"].data.set_index("algorithm").loc["ippo"]
+    assert ippo[["seeds", "final_reward_seeds", "auc_seeds"]].tolist() == [3, 2, 1]
+    said = words(found)
+    assert "final reward is over those seeds only in which episodes ended in training: ippo (2 of 3)." in said
+    assert "AUC is over those seeds only whose training curve has at least 3 points: ippo (1 of 3)." in said
 
 
 def test_two_algorithms_or_two_settings_of_one_have_no_correlation(keep_run: Keep, root: Path) -> None:

@@ -175,13 +175,15 @@ def test_of_a_cell_that_diverged_the_captions_say_so(keep_run: KeepRun, root: Pa
 
 def test_runs_of_few_evaluations_have_no_area_by_their_own_range(keep_run: KeepRun, root: Path) -> None:
     """Nor a half in the mean over seeds."""
-    remark = "Runs evaluated fewer than 3 times have no AUC"
+    remark = "fewer than 3 points has no AUC by its own range"
     keep_run((*TRACKING, "algo=ippo"), 0, 1.0)
     assert remark not in said(made(root))
     keep_run((*TRACKING, "algo=ippo"), 1, 1.0, points=2)
     keep_run((*TRACKING, "algo=ia2c"), 0, 1.0, points=2)
     report = made(root)
     assert remark in said(report)
+    assert "Such is the training curve of 2 runs (its points are iterations" in said(report)
+    assert "and the greedy curve of 2 runs (its points are set by `evaluation.every`)." in said(report)
     published = table(report, "published_form").set_index("controller")
     areas = published[["training_auc_own_mean", "greedy_auc_own_mean"]]
     assert areas.loc["ippo"].tolist() == [pytest.approx(0.75)] * 2
@@ -199,6 +201,8 @@ def test_training_columns_need_no_common_step(keep_run: KeepRun, root: Path) -> 
     assert a3c["training_auc_own_mean"] == pytest.approx(0.75)  # of seed 0: seed 1 has but two points
     assert a3c["training_auc_study_mean"] == pytest.approx((0.75 * 2 / 4 + 0.75) / 2)
     assert "In 1 run no episode ended" not in said(report)
+    short = "Such is the training curve of 1 run (its points are iterations in which episodes ended)."
+    assert short in said(report)
     keep_run((*TRACKING, "algo=a3c"), 2, 100.0, rules=RULES, trained=())
     with_one_more = made(root)
     a3c = table(with_one_more, "published_form").set_index("controller").loc["a3c"]
@@ -206,6 +210,7 @@ def test_training_columns_need_no_common_step(keep_run: KeepRun, root: Path) -> 
     assert "In 1 run no episode ended in training: the training columns are over the others." in said(
         with_one_more
     )
+    assert short in said(with_one_more)  # one without a point has no curve
 
 
 def test_training_columns_are_left_out_where_no_episode_ended(keep_run: KeepRun, root: Path) -> None:

@@ -338,4 +338,4 @@ METRICS = [
     "reward_regularity",
     "team_reward",
 ]
-"""Names of the episode metrics, with their units."""
+"""Names of the episode metrics; `meanings` says what they are."""

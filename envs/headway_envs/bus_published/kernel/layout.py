@@ -160,5 +160,4 @@ METRICS = [
     "regularity",
     "efficiency",
 ]
-"""Names of the episode metrics. `team_reward` is the sum over buses, as the published table has it; the next
-five count over all buses; the last four are means over moves of what they are paid for, 0 to 1."""
+"""Names of the episode metrics; `meanings` says what they are."""

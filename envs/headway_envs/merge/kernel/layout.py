@@ -218,4 +218,4 @@ METRICS = [
     "steps",
     "interventions",
 ]
-"""Names of the episode metrics, with their units."""
+"""Names of the episode metrics; `meanings` says what they are."""

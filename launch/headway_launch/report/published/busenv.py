@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from headway.stats import FEWEST_POINTS
 from headway_launch.report.gather import StudyData, over_known
 from headway_launch.report.parts import MISSING, Part, Section, Table, figure, with_deviation
 from headway_launch.report.published.episodes import env_of, tasks_of
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 
 ENVIRONMENT = "bus_published"
 _FIGURES = {"final_reward": "final reward", "auc": "AUC", "kwh": "energy a run"}
+_WHY_FEWER = {
+    "final_reward": "in which episodes ended in training",
+    "auc": f"whose training curve has at least {FEWEST_POINTS} points",
+}
+"""Of which seeds there is a figure of the training curve."""
 _FEWEST = 3
 """Algorithms of which a rank correlation is given."""
 _PUBLISHED_SEEDS = 50
@@ -97,6 +103,7 @@ def _beside(data: StudyData, task: str, number: str) -> list[Part]:
     return [
         _what_is_there(data, task, table),
         *parts,
+        *_over_fewer_seeds(table),
         *_correlations(table, number),
         *_same_policies(data, task, [str(controller) for controller in table.index]),
     ]
@@ -117,6 +124,19 @@ def _what_is_there(data: StudyData, task: str, table: pd.DataFrame) -> str:
     return f"{said}; none of {', '.join(lacking)} has finished." if lacking else f"{said}."
 
 
+def _over_fewer_seeds(table: pd.DataFrame) -> list[Part]:
+    """A line for each figure of the training curve that some seeds of a controller do not have."""
+    said: list[Part] = []
+    for name, why in _WHY_FEWER.items():
+        fewer = table[table[f"{name}_seeds"] < table["seeds"]]
+        which = [
+            f"{controller} ({row[f'{name}_seeds']} of {row['seeds']})" for controller, row in fewer.iterrows()
+        ]
+        if which:
+            said.append(f"The {_FIGURES[name]} is over those seeds only {why}: {', '.join(which)}.")
+    return said
+
+
 def _figures_of(data: StudyData, members: list["RunRow"]) -> dict[str, float]:
     """Of the runs of a cell, in the published form."""
     assert data.training_figures is not None
@@ -129,8 +149,10 @@ def _figures_of(data: StudyData, members: list["RunRow"]) -> dict[str, float]:
         "seeds": len(members),
         "final_reward": reward.mean,
         "final_reward_std": reward.std,
+        "final_reward_seeds": reward.count,
         "auc": auc.mean,
         "auc_std": auc.std,
+        "auc_seeds": auc.count,
         "kwh": float(data.summaries.loc[runs, "kwh"].mean()),
     }
 
