@@ -69,12 +69,14 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
         )
     if (line := missing_groups(config.policies, spec)) is not None:
         return line
-    if config.order == "sequential" and config.policies == "shared":
+    groups = len(set(spec.groups))
+    of_one = config.policies == "shared" or (config.policies == "groups" and groups == 1)
+    if config.order == "sequential" and of_one:
         at_once = _AT_ONCE.get(config.name, "algo.order=simultaneous")
-        several = "independent, algo.policies=groups," if spec.groups else "independent,"
+        several = "independent, algo.policies=groups," if groups > 1 else "independent,"
         return (
-            f"{config.name} updates one policy after another, and algo.policies=shared is but one; "
-            f"use algo.policies={several} or {at_once} for all at once"
+            f"{config.name} updates one policy after another, and algo.policies={config.policies} is but one "
+            f"on {spec.name}; use algo.policies={several} or {at_once} for all at once"
         )
     actions, logits = spec.action_space, config.model.initial_logits
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):

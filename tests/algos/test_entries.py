@@ -120,9 +120,14 @@ def test_turns_need_several_policies(name: str, changes: dict[str, Any], instead
     for policies in ("independent", "groups"):
         assert entry.refuses(entry.config(**changes, policies=policies), SPEC) is None
     shared = entry.config(**changes, policies="shared")
-    ungrouped = replace(SPEC, groups=())
-    for spec, several in ((SPEC, "independent, algo.policies=groups,"), (ungrouped, "independent,")):
-        line = entry.refuses(shared, spec)
+    ungrouped, one_group = replace(SPEC, groups=()), replace(SPEC, groups=("x",) * 3)
+    of_one = entry.config(**changes, policies="groups")
+    for config, spec, several in (
+        (shared, SPEC, "independent, algo.policies=groups,"),
+        (shared, ungrouped, "independent,"),
+        (of_one, one_group, "independent,"),
+    ):
+        line = entry.refuses(config, spec)
         assert line is not None
         for part in (name, f"use algo.policies={several} or {instead}"):
             assert part in line

@@ -103,6 +103,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     ),
     "happo": (HAPPO, TEAM),
     "happo box": (HAPPO, BOX),
+    "happo groups": (replace(HAPPO, policies="groups"), TEAM),
     "hatrpo": (HATRPO, TEAM),
     "hatrpo box": (HATRPO, BOX),
     "haa2c": (HAA2C, DISCRETE),
@@ -370,6 +371,7 @@ class PlainGradient:
 
 def _each_in_turn(
     update: Update,
+    grouping: Grouping,
     rows: PolicyRows,
     advantages: Tensor,
     generators: Sequence[np.random.Generator],

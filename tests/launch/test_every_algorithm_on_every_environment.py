@@ -97,7 +97,8 @@ def refused(algorithm: str, policies: str, spec: EnvSpec) -> bool:
     return (
         (algorithm in ("coma", "madqn") and isinstance(spec.action_space, Box))
         or (algorithm == "ddpg" and not isinstance(spec.action_space, Box))
-        or (algorithm in ("happo", "hatrpo") and policies != "independent")
+        or (algorithm in ("happo", "hatrpo") and policies == "shared")
+        or (algorithm in ("happo", "hatrpo") and policies == "groups" and len(set(spec.groups)) == 1)
         or (policies == "groups" and not spec.groups)
     )
 
