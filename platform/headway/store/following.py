@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from headway.events import Row
 from headway.store.checkpoint import latest_iteration
 from headway.store.curve import ThinnedCurve
 from headway.store.durable import locked, read_json, write_json
-from headway.store.folder import CHECKPOINTS, Process, RunRecord, now, read_summary, run_folders
+from headway.store.folder import CHECKPOINTS, Process, RunRecord, Status, now, read_summary, run_folders
 from headway.store.log import read_rows
 from headway.store.tracking import Tracker, TrackingError, database_uri
 
@@ -41,11 +42,14 @@ class RunFollower:
         self._child = ""
         """Its run in MLflow; empty before `begin`, and where something was not sent."""
 
-    def begin(self, tracker: Tracker) -> None:
-        """Find or create the run in MLflow, and send what its folder holds already."""
+    def begin(self, tracker: Tracker, going_on: bool = True) -> None:
+        """Find or create the run in MLflow, and send what its folder holds already; `going_on`: its cell is
+        trained."""
         self._record = record = RunRecord.read(self.directory)
         self._curve = ThinnedCurve(record.iterations, self._curve_points)
-        experiment, parent = tracker.cell(record.study, record.cell, record.parameters, _cell_tags(record))
+        experiment, parent = tracker.cell(
+            record.study, record.cell, record.parameters, _cell_tags(record), going_on
+        )
         child = tracker.child(
             experiment, parent, record.run_id, record.started, record.parameters, _run_tags(record)
         )
@@ -65,8 +69,9 @@ class RunFollower:
 
     def catch_up(self, tracker: Tracker) -> None:
         """Send all that is missing."""
-        self.begin(tracker)
-        if RunRecord.read(self.directory).settled_status != "RUNNING":
+        ended = RunRecord.read(self.directory).settled_status != "RUNNING"
+        self.begin(tracker, going_on=not ended)
+        if ended:
             self.complete(tracker)
 
     def advance(self, tracker: Tracker, rows: Iterable[Row], iteration: int) -> None:
@@ -87,7 +92,7 @@ class RunFollower:
         """Send the files and the status of a run that has ended, and the summary of one that has finished:
         another's may yet change, and MLflow only appends."""
         if not self._child:
-            self.begin(tracker)
+            self.begin(tracker, going_on=False)
         record = RunRecord.read(self.directory)
         files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
         status = record.settled_status
@@ -147,7 +152,7 @@ def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, Ru
 def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[str], list[str]]:
     """A line for each run sent, and for each unreadable one. One session at a time, so that no run is created
     twice."""
-    sent: list[str] = []
+    sent: list[RunRecord] = []
     unreadable: list[str] = []
     with locked(root / ".sync.lock", _SYNC_SECONDS, "MLflow was brought up to date"):
         for folder in folders:
@@ -156,12 +161,36 @@ def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[s
                 if _is_complete(folder, record, root, None if tracker.local else tracker.uri):
                     continue
                 RunFollower(folder, record.curve_points).catch_up(tracker)
-                sent.append(f"{record.run_id} is up to date in MLflow")
+                sent.append(record)
             except TrackingError:
                 raise
             except HeadwayError as error:
                 unreadable.append(f"{folder.name} is not sent to MLflow: {error}")
-    return sent, unreadable
+        _end_cells(root, tracker, sent)
+    return [f"{record.run_id} is up to date in MLflow" for record in sent], unreadable
+
+
+def _end_cells(root: Path, tracker: Tracker, sent: Iterable[RunRecord]) -> None:
+    """End what MLflow has as running of the cells of runs just sent, where nobody trains them any more: a
+    session that had no time to tell of its runs had none to tell of their cells."""
+    of_cells: dict[tuple[str, str], list[RunRecord]] = {(run.study, run.cell): [] for run in sent}
+    if not of_cells:
+        return
+    for folder in sorted(run_folders(root)):
+        with suppress(HeadwayError):
+            record = RunRecord.read(folder)
+            if (runs := of_cells.get((record.study, record.cell))) is not None:
+                runs.append(record)
+    for runs in of_cells.values():
+        newest = {run.seed: run for run in sorted(runs, key=lambda run: run.started)}.values()
+        statuses = {run.settled_status for run in newest}
+        if "RUNNING" in statuses:
+            continue
+        status: Status = "FINISHED" if statuses == {"FINISHED"} else "KILLED"
+        [*_, last] = newest
+        _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, going_on=False)
+        ended = max(run.ended or run.started for run in newest)
+        tracker.end(parent, "FAILED" if "FAILED" in statuses else status, ended)
 
 
 def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:

@@ -154,6 +154,11 @@ class Tracker:
         if metrics or files or found.info.status != status:
             self._ask("set_terminated", run, status, end_time=moment)
 
+    def end(self, run: str, status: Status, ended: str) -> None:
+        """Set the status of a run that MLflow has as running."""
+        if self._ask("get_run", run).info.status == "RUNNING":
+            self._ask("set_terminated", run, status, end_time=milliseconds(ended))
+
     def _create_database(self) -> None:
         """Sessions that start at once would race to create its tables, and one killed meanwhile would
         leave half of them: so one at a time, under another name."""

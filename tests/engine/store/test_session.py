@@ -203,6 +203,11 @@ def test_a_running_run_is_not_taken_over(root: Path) -> None:
     store.close()
 
 
+def _statuses(root: Path) -> list[str]:
+    """Of runs and cells in MLflow."""
+    return sorted(run.info.status for run in _mlflow(root).search_runs(["1"]))
+
+
 def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     whole = (root / "mlflow.db").read_bytes()
     (root / "mlflow.db").write_bytes(b"no database at all" * 100)
@@ -220,6 +225,7 @@ def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     histories = _histories(root, run)
     assert histories["train/loss"][-1] == (4000, 1 / 40)
     assert histories["summary/final_reward"] == [(0, 2.0)]
+    assert _statuses(root) == ["FINISHED"] * 2  # its cell's, too, which no session ended
 
     # A run that a killed session had finished, and not sent, is sent by the next one at its end.
     (run.directory / "tracking.json").unlink()
@@ -232,7 +238,7 @@ def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     (run.directory / "tracking.json").unlink()
     sync(root)
     assert _histories(root, run)["train/loss"] == histories["train/loss"]
-    assert len(_mlflow(root).search_runs(["1"])) == 2
+    assert _statuses(root) == ["FINISHED"] * 2
 
 
 def test_a_run_that_cannot_be_read_keeps_no_other_from_mlflow(root: Path) -> None:
@@ -263,6 +269,7 @@ def test_a_run_that_cannot_be_read_keeps_no_other_from_mlflow(root: Path) -> Non
     assert sync(root) == ()
     assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
     assert len(_histories(root, broken)["train/reward"]) == 10
+    assert _statuses(root) == ["FINISHED", "KILLED", "KILLED"]  # the cell's is the worse of the two
 
 
 def test_a_living_run_that_cannot_be_read_is_told_of_once_and_others_go_on(root: Path) -> None:
