@@ -3,7 +3,10 @@
 import argparse
 from collections.abc import Callable, Iterable, Mapping
 
+import yaml
+
 from headway.configuration import FieldDescription, describe, suggestion
+from headway.contracts import EnvEntry
 from headway.contracts.errors import HeadwayError
 from headway.registry import (
     algo_entries,
@@ -79,16 +82,24 @@ def _list_wrappers(name: str | None) -> None:
     print_table(("wrapper", "arguments", "batched", "what it does"), rows)
 
 
+def _env_entry(name: str) -> EnvEntry:
+    """That of an environment, or of one that has a configuration of this name."""
+    if name not in env_entries() and name in groups()["env"]:
+        configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
+        return env_entry(configured["id"] if configured["id"] in env_entries() else name)
+    return env_entry(name)
+
+
 def _list_rules(name: str | None) -> None:
     if name is None:
         rows = [(env, rule) for env, entry in env_entries().items() for rule in entry.rules]
     else:
-        rows = [(name, rule) for rule in env_entry(name).rules]
+        rows = [(name, rule) for rule in _env_entry(name).rules]
     print_table(("environment", "rule"), rows)
 
 
 def _list_metrics(name: str | None) -> None:
-    entries = env_entries() if name is None else {name: env_entry(name)}
+    entries = env_entries() if name is None else {name: _env_entry(name)}
     described = {key: {**_OF_ALL, **entry.metrics} for key, entry in entries.items() if entry.metrics}
     if not described:
         describing = ", ".join(key for key, entry in env_entries().items() if entry.metrics)

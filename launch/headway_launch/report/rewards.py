@@ -39,7 +39,8 @@ def published_form(data: StudyData) -> Section:
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
     headings = [*_environment(data), "controller", "seeds"]
     for name in _curves(data):
-        headings += [f"{name}: final {data.what}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
+        what = "reward" if name == "training" else data.what
+        headings += [f"{name}: final {what}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
     table = Table(
         "published_form",
         f"Final {data.what} and AUC over seeds, mean ± standard deviation (ddof = 1), in the form of the "
