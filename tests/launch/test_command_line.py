@@ -145,6 +145,19 @@ def test_what_metrics_are_is_listed_for_each_of_an_episode(
     assert all(row[0] == name and row[2] for row in rows)
 
 
+@pytest.mark.parametrize("what", ["metrics", "rules"])
+def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
+    what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = []
+    for name in ("intersection", "intersection_paper"):
+        assert run(["list", what, name]) == 0
+        shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
+    assert len(shown[0]) > 5
+    assert shown[0] == shown[1]
+    assert run(["list", what, "pettingzoo"]) == 2  # it names no environment before its module is given
+
+
 @pytest.mark.parametrize("name", env_entries())
 def test_arguments_that_the_meanings_of_metrics_name_are_there(name: str) -> None:
     entry = env_entry(name)
