@@ -238,7 +238,7 @@ def _opened(job: TrainingJob, notices: list[str]) -> Iterator[CrewContributors]:
 
 
 def test_who_evaluates_is_closed_where_contributors_cannot_be_had(tmp_path: Path) -> None:
-    def nobody(config: Any, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:  # noqa: ANN401 - any algorithm's
+    def nobody(config: object, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
         raise AssertionError("no worker is started")
 
     plan = AsynchronousPlan(_job("a3c", tmp_path).plan(), nobody, None)
