@@ -96,23 +96,20 @@ class CellWork:
             [self.experiment.reported_on, evaluation.seed, days, self.experiment.rules], default=str
         )
         if key not in played:
-            if self.experiment.rules:
-                from headway.drawing import counted
-
-                count = counted(len(self.experiment.rules), "rule")
-                tell(f"{count} to play, {counted(days, 'episode')} each")
-            jobs, rules = self.plan.jobs, self.experiment.rules
-            prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
-            with Counted("episodes played", len(rules) * days) as played_so_far:
-                episodes = rule_episodes(
-                    self.experiment, prepared, rules, evaluation.seed, days, played_so_far
-                )
-            played[key] = {
-                rule: [{**row, _WHICH_DAYS: evaluation.seed} for row in rows]
-                for rule, rows in episodes.items()
-            }
+            played[key] = self._played(days) if self.experiment.rules else {}
         self.rules, self.touched = played[key], True
         self._cell.keep_rules(self.rules)
+
+    def _played(self, days: int) -> Rules:
+        """What the rules do on so many evaluation days."""
+        from headway.drawing import counted
+
+        jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
+        tell(f"{counted(len(rules), 'rule')} to play, {counted(days, 'episode')} each")
+        prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
+        with Counted("episodes played", len(rules) * days) as played_so_far:
+            episodes = rule_episodes(self.experiment, prepared, rules, seed, days, played_so_far)
+        return {rule: [{**row, _WHICH_DAYS: seed} for row in rows] for rule, rows in episodes.items()}
 
     def finish(self, statuses: Sequence[Status], figures: Mapping[str, float]) -> None:
         """End the cell in MLflow, with the session's figures; `statuses` are those of its jobs."""

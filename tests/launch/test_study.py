@@ -1,6 +1,8 @@
 """Which runs of a study count, what is told of the others, and what its cells are called."""
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -8,9 +10,13 @@ import yaml
 
 from headway.contracts.errors import HeadwayError
 from headway.store import RunIndex, RunRecord, Status
-from headway.store.folder import Process, create_run_folder, now
+from headway.store.folder import Process, create_run_folder
 from headway.store.naming import cell_names, labelled_cells
 from headway_launch.study import configuration, finished_runs
+
+
+_SECONDS = count()
+"""Runs begin one after another: those of one millisecond would be ordered by their random names."""
 
 
 def keep_run(
@@ -25,7 +31,9 @@ def keep_run(
 ) -> str:
     run_id, directory = create_run_folder(root, "bus", "cell", seed)
     elsewhere = replace(Process.current(), host="elsewhere")  # it may live
-    record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started or now(), elsewhere, status, policies)
+    moment = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(_SECONDS))
+    started = started or moment.isoformat(timespec="milliseconds")
+    record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started, elsewhere, status, policies)
     replace(record, parameters=parameters, preset=preset, candidate=candidate).write(directory)
     return run_id
 
