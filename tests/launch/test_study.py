@@ -14,7 +14,6 @@ from headway.store.folder import Process, create_run_folder
 from headway.store.naming import cell_names, labelled_cells
 from headway_launch.study import configuration, finished_runs
 
-
 _SECONDS = count()
 """Runs begin one after another: those of one millisecond would be ordered by their random names."""
 
