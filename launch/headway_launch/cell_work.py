@@ -10,7 +10,7 @@ from headway.events import Row
 from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
 from headway.store.durable import read_json
-from headway.store.folder import rules_file
+from headway.store.folder import rules_file, status_of_all
 from headway.store.session import Cell, Run, SessionStore
 from headway.training import TrainingJob
 from headway_launch.comparison import rule_episodes
@@ -113,12 +113,11 @@ class CellWork:
 
     def finish(self, statuses: Sequence[Status], figures: Mapping[str, float]) -> None:
         """End the cell in MLflow, with the session's figures; `statuses` are those of its jobs."""
-        status: Status = "FINISHED" if set(statuses) <= {"FINISHED"} else "KILLED"
         rules = {
             f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
             for rule, rows in self.rules.items()
         }
-        self._cell.finish("FAILED" if "FAILED" in statuses else status, {**figures, **rules})
+        self._cell.finish(status_of_all(statuses), {**figures, **rules})
 
     def in_order(self) -> list[SeedResult]:
         """The results, in the order of the experiment's seeds."""

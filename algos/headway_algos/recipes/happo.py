@@ -7,8 +7,8 @@ state and its advantage A, agent i_m takes PPO's steps on the clipped surrogate 
 
 (Kuba et al. 2022, arXiv:2109.11251, section 4.2): what the team's advantage becomes once those before it
 have changed, so that each improves on what the others already do. In the exact scheme that this approximates
-the joint policy never gets worse. It needs a policy for each agent; where the agents of a group share one
-(`policies: groups`), they have their turn together.
+the joint policy never gets worse. Each agent has a policy of its own, or each group one (`policies:
+groups`), whose agents have their turn together.
 
 Neighbours: MAPPO has M = 1, all agents at once; HATRPO takes TRPO's step.
 """

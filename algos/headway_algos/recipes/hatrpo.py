@@ -6,8 +6,8 @@ state and its advantage A, agent i_m takes TRPO's step on
     M A,   M = product over j < m of pi_new^{i_j}(u|o) / pi_old^{i_j}(u|o)
 
 within its own bound of the mean KL (Kuba et al. 2022, arXiv:2109.11251, section 4.1). An agent whose line
-search finds no step keeps its policy, and its ratio is 1. It needs a policy for each agent; where the agents
-of a group share one (`policies: groups`), they have their turn together.
+search finds no step keeps its policy, and its ratio is 1. Each agent has a policy of its own, or each group
+one (`policies: groups`), whose agents have their turn together.
 
 Neighbours: MATRPO has M = 1, all agents at once; HAPPO replaces the trust region by PPO's clip.
 """

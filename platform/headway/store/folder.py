@@ -8,7 +8,7 @@ energy.parquet summary.json tracking*.json curves.png evaluations.csv  the sessi
 import os
 import re
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from difflib import get_close_matches
@@ -53,6 +53,14 @@ class Process:
             return abs(psutil.Process(self.pid).create_time() - self.created) < 1.0
         except psutil.NoSuchProcess:
             return False
+
+
+def status_of_all(statuses: Iterable[Status]) -> Status:
+    """That of a cell whose runs have ended so: FAILED where any has, FINISHED where all have."""
+    known = set(statuses)
+    if "FAILED" in known:
+        return "FAILED"
+    return "FINISHED" if known <= {"FINISHED"} else "KILLED"
 
 
 def settled(status: Status, session: Process) -> Status:

@@ -12,7 +12,15 @@ from headway.events import Row
 from headway.store.checkpoint import latest_iteration
 from headway.store.curve import ThinnedCurve
 from headway.store.durable import locked, read_json, write_json
-from headway.store.folder import CHECKPOINTS, Process, RunRecord, Status, now, read_summary, run_folders
+from headway.store.folder import (
+    CHECKPOINTS,
+    Process,
+    RunRecord,
+    now,
+    read_summary,
+    run_folders,
+    status_of_all,
+)
 from headway.store.log import read_rows
 from headway.store.tracking import Tracker, TrackingError, database_uri
 
@@ -186,11 +194,10 @@ def _end_cells(root: Path, tracker: Tracker, sent: Iterable[RunRecord]) -> None:
         statuses = {run.settled_status for run in newest}
         if "RUNNING" in statuses:
             continue
-        status: Status = "FINISHED" if statuses == {"FINISHED"} else "KILLED"
         [*_, last] = newest
         _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, going_on=False)
         ended = max(run.ended or run.started for run in newest)
-        tracker.end(parent, "FAILED" if "FAILED" in statuses else status, ended)
+        tracker.end(parent, status_of_all(statuses), ended)
 
 
 def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:

@@ -103,7 +103,10 @@ def test_an_environment_without_room_to_be_shared_is_what_the_refusal_names(
         SharedPickle.of(np.zeros(2 * MEBIBYTE, np.uint8))
 
 
-@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="another C library")
+@pytest.mark.skipif(
+    not hasattr(ctypes.CDLL(None), "malloc_trim"),
+    reason="a C library without malloc_trim, where nothing is to happen",
+)
 def test_what_was_freed_between_what_is_in_use_is_given_back() -> None:
     code = f"""
 from headway.rollout.memory import give_back_memory

@@ -354,6 +354,8 @@ def test_a_cost_is_better_the_lower(keep_run: KeepRun, root: Path) -> None:
         keep_run((*TRACKING, "algo=ia2c"), seed, 9.0, rules=RULES, wait=7.0)
     report = made(root, metric="evaluation_greedy/wait", lower=True)
     assert "ippo has the lowest mean final wait: 2 over 2 seeds" in said(report)
+    assert "training: final wait" not in said(report)
+    assert "training: final reward" in said(report)
     chances = table(report, "probability_of_improvement").set_index("a")["probability"]
     assert chances["ippo"] == 1
 
