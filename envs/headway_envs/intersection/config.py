@@ -79,6 +79,11 @@ class IntersectionConfig:
     """Automated vehicles an hour on each of the eight entry lanes (Poisson)."""
     horizon: int = 1500
     """Steps of an episode, 0.1 s each; at its end every AV is truncated."""
+    action_repeat: int = 1
+    """For how many steps of 0.1 s each action lasts. Rewards are summed over them, and what is counted in
+    environment steps (`env_steps`, `rollout.steps`, the discount, an episode's length) is counted in actions,
+    each of which takes so many steps to simulate; `horizon` and the metrics still in 0.1 s. Who enters
+    meanwhile keeps its speed until it is asked."""
     slots: int = 96
     """AVs at once. Those beyond are driven by SUMO and counted by the metric `avs_without_slot`."""
     observation: Literal["paper", "extended"] = "extended"
@@ -117,7 +122,11 @@ class IntersectionConfig:
         require_at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)
         require(0 <= self.impatience <= 1, f"impatience must lie between 0 and 1, not {self.impatience:g}")
         require(self.vph_per_lane_av > 0, f"vph_per_lane_av must be above 0, not {self.vph_per_lane_av:g}")
-        require_at_least(1, horizon=self.horizon, slots=self.slots)
+        require_at_least(1, horizon=self.horizon, action_repeat=self.action_repeat, slots=self.slots)
+        require(
+            self.action_repeat <= self.horizon,
+            f"action_repeat must be at most horizon, {self.horizon}, not {self.action_repeat}",
+        )
         _mode(7, av_speed_mode=self.av_speed_mode, hdv_speed_mode=self.hdv_speed_mode)
         _mode(12, av_lane_change_mode=self.av_lane_change_mode)
         require_at_least(0, warm_up_s=self.warm_up_s)

@@ -59,6 +59,12 @@ def _reservation(prepared: "Prepared") -> Rule:
     return Reservation()
 
 
+def _virtual_signal(prepared: "Prepared") -> Rule:
+    from headway_envs.intersection.rules import VirtualSignal
+
+    return VirtualSignal()
+
+
 def _painter(prepared: "Prepared") -> Painter:
     from headway_envs.intersection.picture import IntersectionPainter
 
@@ -78,6 +84,7 @@ ENTRY = EnvEntry(
         "full_throttle": _full_throttle,
         "random": lambda prepared: RandomRule(),
         "reservation": _reservation,
+        "virtual_signal": _virtual_signal,
     },
     metrics=MEANINGS,
     painter=_painter,

@@ -57,6 +57,8 @@ class IntersectionBatchedEnv:
         self._asked = (1, config.slots, 1)
         self.events: dict[int, str] = {}
         """Slots whose vehicle left or crashed in the last step: `arrived` or `collided`."""
+        self.crash_places: list[tuple[float, float]] = []
+        """Where vehicles crashed in the last step, (x, y) in m from the centre."""
         self._seed, self._episode = 0, 0
         self.ledger = Ledger(config)
         self._observed = Observed(
@@ -110,30 +112,48 @@ class IntersectionBatchedEnv:
         return self._observed
 
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
-        """0.1 s; accelerations (1, N, 1) in m/s^2, cut at 3. Raises ValueError for another shape."""
+        """0.1 s, `action_repeat` times; accelerations (1, N, 1) in m/s^2, cut at 3. Rewards are sums over
+        them: of the team's all, for those who have left, too; of the paper's and an own one those until one
+        leaves. Raises ValueError for another shape."""
         if actions.shape != self._asked:
             raise ValueError(f"actions must have shape {self._asked}, not {actions.shape}")
-        outcome, seen, ledger, street = self._outcome, self._seen, self.ledger, self.street
-        outcome.acting[0] = seen.alive
+        outcome = self._outcome
+        self.crash_places = []
         if self.events or outcome.episode_ended[0]:
             outcome.terminated.fill(False)
             outcome.truncated.fill(False)
+            outcome.episode_ended[0] = False
             self.events = {}
-        street.command(actions[0, :, 0])
-        changes = street.advance(ledger.steps + 1)
-        if changes.left or changes.crashed:
-            self._let_go(changes.left, outcome.truncated[0] if self._cut_at_exit else outcome.terminated[0])
-            self._let_go(changes.crashed, outcome.terminated[0])
-            self.events = dict.fromkeys(changes.left, "arrived") | dict.fromkeys(changes.crashed, "collided")
+        acted = outcome.acting[0]
+        acted[:] = self._seen.alive
+        outcome.rewards.fill(0)
+        # Who enters in between drives on as it came until it is asked.
+        accelerations = np.where(acted, actions[0, :, 0], 0)
+        for _ in range(self.config.action_repeat):
+            crashed = self._advance(accelerations, acted)
+            over = crashed and self.config.on_collision == "end_episode"
+            if over or self.ledger.steps >= self.config.horizon:
+                outcome.episode_ended[0] = True
+                self._end(crashed=over)
+                break
+        return outcome, self._observed
+
+    def _advance(self, accelerations: NDArray[Any], acted: NDArray[np.bool_]) -> bool:
+        """One step of 0.1 s, for which those who `acted` (N,) are paid; whether anybody crashed."""
+        outcome, ledger, street = self._outcome, self.ledger, self.street
+        street.command(accelerations)
+        changes = street.advance(ledger.steps + 1, self.events)
+        self._let_go(changes.left, "arrived", outcome.truncated if self._cut_at_exit else outcome.terminated)
+        self._let_go(changes.crashed, "collided", outcome.terminated)
         ledger.count(changes.entered, changes.arrived)
         ledger.crashes += changes.crashes
+        self.crash_places += changes.places
         ledger.avs += changes.avs
         ledger.without_slot += changes.without_slot
         ledger.pending += changes.pending
         for approach, seconds in changes.travels:
             ledger.through[approach] += 1
             ledger.travel_s.append(seconds)
-        passed = ledger.steps / self.config.horizon
         kernel.take_in(
             street.crossing,
             street.roster.traffic,
@@ -144,16 +164,12 @@ class IntersectionBatchedEnv:
                 changes.lane_changes,
                 ledger.outflow_vph,
                 changes.pending,
-                passed,
+                ledger.steps / self.config.horizon,
             ),
-            seen,
+            self._seen,
         )
-        self._pay(outcome.acting[0])
-        over = changes.crashes > 0 and self.config.on_collision == "end_episode"
-        outcome.episode_ended[0] = over or ledger.steps >= self.config.horizon
-        if outcome.episode_ended[0]:
-            self._end(crashed=over)
-        return outcome, self._observed
+        self._pay(acted, changes.crashed)
+        return changes.crashes > 0
 
     def hand_over(self, speed_mode: int) -> None:
         """Let SUMO drive all vehicles as humans, with this speed mode; actions are ignored until the
@@ -178,7 +194,7 @@ class IntersectionBatchedEnv:
         return self.config.at_exit == "truncated"
 
     def _begin(self) -> None:
-        self.ledger = Ledger(self.config)
+        self.ledger, self.crash_places = Ledger(self.config), []
         self._seen.sums.fill(0)
         self._seen.present.fill(0)
         draw = generator(self._seed, "intersection", self._episode)
@@ -187,34 +203,36 @@ class IntersectionBatchedEnv:
         self._seen.alive.fill(False)
         self._seen.state.fill(0)
 
-    def _let_go(self, slots: Sequence[int], flags: NDArray[np.bool_]) -> None:
-        """Streams that ended, with what they observed last."""
+    def _let_go(self, slots: Sequence[int], event: str, flags: NDArray[np.bool_]) -> None:
+        """Streams that ended, with what they observed last; who has never been asked had none."""
         for slot in slots:
-            flags[slot] = True
-            self._outcome.final_observations[0, slot] = self._seen.observations[slot]
+            self.events[slot] = event
+            if self._outcome.acting[0, slot]:
+                flags[0, slot] = True
+                self._outcome.final_observations[0, slot] = self._seen.observations[slot]
 
-    def _pay(self, acted: NDArray[np.bool_]) -> None:
-        """Pay for the step just taken. The paper pays whoever `acted` (N,) and still is on the road; so does
-        the scope `own`, which charges those that crashed, too."""
+    def _pay(self, acted: NDArray[np.bool_], crashed: Sequence[int]) -> None:
+        """Pay for a step of 0.1 s. The paper pays whoever `acted` (N,) and still is on the road; so does the
+        scope `own`, which charges those that `crashed`, too."""
         seen, ledger, rewards = self._seen, self.ledger, self._outcome.rewards[0]
         scaled, paper = seen.rewards.tolist()
-        # Slots that were left in this step are empty still.
+        # Slots that were left since actions were asked for are empty still.
         there = acted & seen.alive
         ledger.paper_return += paper * np.count_nonzero(there)
         if self.config.reward.kind == "paper":
-            np.multiply(there, paper, out=rewards, casting="unsafe")
+            rewards += there * np.float32(paper)
             ledger.terms += seen.paper
             ledger.team_return += paper
             return
         ledger.terms += seen.scaled
         ledger.team_return += scaled
         if self._spec.shared_reward:
-            rewards.fill(scaled)
+            rewards += np.float32(scaled)
             return
-        np.multiply(there, seen.own, out=rewards, casting="unsafe")
-        for slot, event in self.events.items():
-            if event == "collided":
-                rewards[slot] = -self.config.reward.collision
+        rewards += np.where(there, seen.own, 0).astype(np.float32)
+        for slot in crashed:
+            if acted[slot]:
+                rewards[slot] -= self.config.reward.collision
 
     def _end(self, crashed: bool) -> None:
         """Every slot's stream ends, and the next episode begins."""

@@ -6,7 +6,7 @@ _TERM = "of the reward in use: mean over steps; `scaled` unweighted, `paper` wit
 _OTHERS = "the same of all others: human drivers, and automated vehicles without a slot"
 MEANINGS = {
     "team_return": "the team's reward in use, scaled or the paper's, summed over steps",
-    "paper_return": "the paper's reward, summed over AVs and steps, whichever is in use",
+    "paper_return": "the paper's reward, whichever is in use, summed over steps and AVs asked to act",
     "collisions": "collisions, each of two vehicles",
     "inflow_vph": "vehicles that entered, an hour",
     "outflow_vph": "vehicles that left, an hour",

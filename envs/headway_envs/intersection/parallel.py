@@ -41,10 +41,11 @@ class _Face(ParallelFace):
 class IntersectionParallelEnv(_Face):
     """Vehicles as agents `av_0`, `av_1` ... in the order in which they enter; each lives once.
 
-    Time in which nobody is there passes by itself, and nobody is paid for it: `reset` ends with at least one
-    agent, and so does every `step` but the last. Whoever leaves is terminated or truncated, as `at_exit`
-    says, with `info["event"]` `arrived`, `collided` or `horizon`. The same seed and actions give the same
-    episode as `IntersectionBatchedEnv.reset([seed])`.
+    Time in which nobody is there passes by itself, and nobody is paid for it (but by the team's reward until
+    the end of an action that lasts for several steps): `reset` ends with at least one agent, and so does
+    every `step` but the last. Whoever leaves is terminated or truncated, as `at_exit` says, with
+    `info["event"]` `arrived`, `collided` or `horizon`; who enters and leaves while one action lasts has no
+    turn. The same seed and actions give the same episode as `IntersectionBatchedEnv.reset([seed])`.
     """
 
     def __init__(self, config: IntersectionConfig | Prepared | None = None, vehicles: int = 128) -> None:
@@ -68,7 +69,7 @@ class IntersectionParallelEnv(_Face):
         return self._of_slots(observed.observations, there), {name: {} for name in there}
 
     def step(self, actions: dict[str, Any]) -> Stepped:
-        """0.1 s, and as long as nobody is there; accelerations within 3 m/s^2."""
+        """An action, and as long as nobody is there; accelerations within 3 m/s^2."""
         before = self._there(self._env.observed())
         for name, slot in before.items():
             self._actions[0, slot] = actions[name]
@@ -134,7 +135,7 @@ class IntersectionSlotsParallelEnv(_Face):
         }
 
     def step(self, actions: dict[str, Any]) -> Stepped:
-        """0.1 s; accelerations within 3 m/s^2."""
+        """An action; accelerations within 3 m/s^2."""
         names = self.possible_agents
         self._actions[0] = [actions[name] for name in names]
         outcome, observed = self._advance()

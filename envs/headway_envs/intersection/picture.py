@@ -64,7 +64,7 @@ def frame_of(env: IntersectionBatchedEnv) -> Frame:
         tail=np.array(tail).reshape(count, 2),
         speed=traffic.speed[:count].copy(),
         automated=traffic.slot[:count] >= 0,
-        crashes=tuple(street.last.places),
+        crashes=tuple(env.crash_places),
         collisions=ledger.crashes,
         left=ledger.arrived,
     )

@@ -1,4 +1,4 @@
-"""Controllers to compare with: human drivers, constant actions, and first come, first served."""
+"""Controllers to compare with: human drivers, constant actions, first come, first served, and a signal."""
 
 from dataclasses import dataclass
 
@@ -14,6 +14,10 @@ from headway_envs.intersection.roster import Roster
 
 ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
 """SUMO's speed modes: every check, right of way among them; no more than a safe gap to the leader."""
+CRUISE = 15.0
+"""Of AVs that keep a rule, m/s."""
+BRAKING = 2.0
+"""With which they begin to slow down, m/s^2."""
 
 
 def _of(env: BatchedEnv) -> IntersectionBatchedEnv:
@@ -56,12 +60,8 @@ class Reservation:
     stand, since then they are the ones who wait."""
 
     ZONE_M = 100.0
-    BRAKING = 2.0
-    """With which an AV without reservation comes to its stop, m/s^2."""
     STOP_M = 3.0
     """From the stop line."""
-    CRUISE = 15.0
-    """m/s"""
     STANDING = 0.5
     """m/s"""
 
@@ -79,17 +79,13 @@ class Reservation:
         traffic, actions = roster.traffic, _actions(observed)
         waiting = self._in_order(roster, network.link_length)
         for row, slot, vehicle in roster.automated:
-            speed, left = float(traffic.speed[row]), ROAD_M - float(traffic.position[row])
-            link = int(traffic.link[row])
-            wished = self.CRUISE
+            left, link = ROAD_M - float(traffic.position[row]), int(traffic.link[row])
+            wished = _unhindered(native, row)
             if 0 < left < self.ZONE_M:
-                wished = min(self.CRUISE, self._approach(left, float(network.link_speed[link])))
                 earlier = waiting[: waiting.index(row)] if vehicle in self._asked else waiting
                 if self._blocked(roster, link, earlier, network.foes):
-                    wished = min(wished, self._approach(left - self.STOP_M, 0.0))
-            elif left <= 0 and link % 4 in (1, 2):
-                wished = max(self.CRUISE, float(network.link_speed[link]))
-            actions[0, slot, 0] = np.clip((wished - speed) / STEP_S, -STRONGEST, STRONGEST)
+                    wished = min(wished, _slowing_to(0.0, left - self.STOP_M))
+            actions[0, slot, 0] = _towards(native, row, wished)
         return actions
 
     def _in_order(self, roster: Roster, link_length: NDArray[np.float64]) -> list[int]:
@@ -115,6 +111,58 @@ class Reservation:
                 return True
         return False
 
-    def _approach(self, distance: float, speed: float) -> float:
-        """The speed from which `speed` is reached within a distance."""
-        return float(np.sqrt(speed**2 + 2 * self.BRAKING * max(distance, 0.0)))
+
+class VirtualSignal:
+    """A signal that AVs alone know and keep, and by that impose on the humans behind them (virtual traffic
+    lights: Ferreira et al. 2010, "Self-organized traffic control"; that a few vehicles that hold can part
+    mixed traffic: Wang et al. 2023, arXiv:2301.05294). Those from north and south have `GREEN_S`, then those
+    from east and west. Who comes to red holds far before the stop line: of a vehicle that stands nearer,
+    SUMO's drivers take it that it is about to enter, and wait. Who is nearer already drives on. Among those
+    with green, SUMO's checks (`av_speed_mode`) say who goes first."""
+
+    GREEN_S = 30.0
+    CLEAR_S = 4.0
+    """Between two greens, for those too near to hold."""
+    HOLD_M = 60.0
+    """From the stop line."""
+    MARGIN_M = 10.0
+    """By which one may come to a stop beyond it."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+        """(1, N, 1)"""
+        native = _of(env)
+        traffic, actions = native.street.roster.traffic, _actions(observed)
+        turn, since = divmod(native.steps_taken * STEP_S, self.GREEN_S + self.CLEAR_S)
+        green = int(turn) % 2 if since < self.GREEN_S else None
+        for row, slot, _ in native.street.roster.automated:
+            speed, to_hold = float(traffic.speed[row]), ROAD_M - self.HOLD_M - float(traffic.position[row])
+            wished = _unhindered(native, row)
+            if int(traffic.link[row]) // 4 % 2 != green and self._can_hold(speed, to_hold):
+                wished = min(wished, _slowing_to(0.0, to_hold))
+            actions[0, slot, 0] = _towards(native, row, wished)
+        return actions
+
+    def _can_hold(self, speed: float, distance: float) -> bool:
+        """Whether a vehicle comes to a stop within a distance, m, and `MARGIN_M`."""
+        return distance > -self.MARGIN_M and speed**2 <= 2 * STRONGEST * (distance + self.MARGIN_M)
+
+
+def _unhindered(env: IntersectionBatchedEnv, row: int) -> float:
+    """The speed at which an AV would drive if it were alone, m/s: it brakes for its turn."""
+    traffic, network = env.street.roster.traffic, env.street.network
+    left, turn_speed = ROAD_M - float(traffic.position[row]), float(network.link_speed[traffic.link[row]])
+    if left > 0:
+        return min(CRUISE, _slowing_to(turn_speed, left))
+    straight = int(traffic.link[row]) % 4 in (1, 2)
+    return max(CRUISE, turn_speed) if straight else CRUISE
+
+
+def _slowing_to(speed: float, distance: float) -> float:
+    """The speed from which `speed` is reached within a distance."""
+    return float(np.sqrt(speed**2 + 2 * BRAKING * max(distance, 0.0)))
+
+
+def _towards(env: IntersectionBatchedEnv, row: int, speed: float) -> float:
+    """The acceleration that comes nearest to a speed until actions are asked for again."""
+    change = speed - float(env.street.roster.traffic.speed[row])
+    return float(np.clip(change / (STEP_S * env.config.action_repeat), -STRONGEST, STRONGEST))

@@ -1,6 +1,6 @@
 """The vehicles of one simulation: commanded, advanced by a step, and read."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,7 +60,6 @@ class Street:
             network.total_length,
             config.observation == "extended",
         )
-        self.last = Changes()
         self._vehicle: Any = simulation.sumo.vehicle
         self._world: Any = simulation.sumo.simulation
         self._handed_over: int | None = None
@@ -73,7 +72,7 @@ class Street:
         """An empty crossing; `draw` is for the noise of human drivers."""
         self.simulation.begin(seed)
         self.roster.clear()
-        self._draw, self._waiting, self.last = draw, 0, Changes()
+        self._draw, self._waiting = draw, 0
         self._handed_over = None
 
     def close(self) -> None:
@@ -102,8 +101,8 @@ class Street:
         if self.config.human_noise > 0:
             self._drive_humans()
 
-    def advance(self, step: int) -> Changes:
-        """One step of SUMO, the `step`-th, and all vehicles read again."""
+    def advance(self, step: int, kept: Collection[int] = ()) -> Changes:
+        """One step of SUMO, the `step`-th, and all vehicles read again. Slots in `kept` stay empty."""
         world, changes = self._world, Changes()
         world.step()
         crashed: frozenset[str] = frozenset()
@@ -114,11 +113,10 @@ class Street:
         if arrived or crashed:
             self._take_away(arrived, crashed, step, changes)
         for vehicle in world.getDepartedIDList():
-            self._let_in(vehicle, (*changes.left, *changes.crashed), step, changes)
+            self._let_in(vehicle, (*kept, *changes.left, *changes.crashed), step, changes)
         self._waiting += world.getLoadedNumber() - changes.entered
         changes.pending = self._waiting
         self._read(changes)
-        self.last = changes
         return changes
 
     def _take_away(
@@ -143,8 +141,8 @@ class Street:
             roster.remove(vehicle)
 
     def _let_in(self, vehicle: str, freed: Sequence[int], step: int, changes: Changes) -> None:
-        """A vehicle that has just entered. Slots freed in this step stay free: their last observations are
-        still to be given."""
+        """A vehicle that has just entered. Slots that have just been freed stay free: their last observations
+        are still to be given."""
         ask, automated = self._vehicle, vehicle.startswith(AV)
         approach, turn = ask.getRouteID(vehicle).split("_")
         link = 4 * APPROACHES.index(approach) + LINKS.index((turn, ask.getLaneIndex(vehicle)))

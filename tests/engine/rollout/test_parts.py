@@ -103,11 +103,9 @@ def test_an_environment_without_room_to_be_shared_is_what_the_refusal_names(
         SharedPickle.of(np.zeros(2 * MEBIBYTE, np.uint8))
 
 
-@pytest.mark.skipif(
-    not hasattr(ctypes.CDLL(None), "malloc_trim"),
-    reason="a C library without malloc_trim, where nothing is to happen",
-)
 def test_what_was_freed_between_what_is_in_use_is_given_back() -> None:
+    """Where the C library has no malloc_trim nothing happens, and that is no error."""
+    least = 40 * MEBIBYTE if hasattr(ctypes.CDLL(None), "malloc_trim") else -MEBIBYTE
     code = f"""
 from headway.rollout.memory import give_back_memory
 from headway.rollout.usage import proportional_memory
@@ -115,7 +113,7 @@ blocks = [bytes(1000) for _ in range(60_000)]
 del blocks[:-1]  # the last holds on to all before it
 kept = proportional_memory()
 give_back_memory()
-assert kept - proportional_memory() > {40 * MEBIBYTE}, kept
+assert kept - proportional_memory() > {least}, kept
 """
     subprocess.run([sys.executable, "-c", code], check=True)
 

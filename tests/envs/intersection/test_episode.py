@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Outcome
-from headway_envs.intersection.config import IntersectionConfig
+from headway.contracts import HeadwayError, Outcome, generator
+from headway_envs.intersection.config import IntersectionConfig, RewardConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.prepared import prepare
@@ -47,12 +48,11 @@ def test_the_roster_is_what_sumo_has(crossing: Callable[..., Any]) -> None:
 def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=900, **WILD)
     env.reset(SEED)
-    entered = arrived = crashed = 0
+    crashed = 0
     for _ in range(899):
         env.step(FULL)
-        changes = env.street.last
-        entered, arrived = entered + changes.entered, arrived + changes.arrived
-        crashed += len(changes.places)
+        entered, arrived = env.ledger.entered, env.ledger.arrived
+        crashed += len(env.crash_places)
         assert entered - arrived - crashed == len(env.street.roster)
     assert min(crashed, arrived) >= 4
     outcome, _ = env.step(NOTHING)
@@ -62,6 +62,19 @@ def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Cal
     assert metrics["outflow_vph"] * seconds / 3600 == pytest.approx(arrived, abs=1)
     assert metrics["inflow_vph"] * seconds / 3600 == pytest.approx(entered, abs=1)
     assert metrics["efficiency"] == pytest.approx(metrics["outflow_vph"] / metrics["inflow_vph"])
+
+
+def test_a_crash_among_humans_is_of_one_step(crossing: Callable[..., Any]) -> None:
+    """No slot is freed by it."""
+    env = crossing(vph_per_lane_av=5, hdv_speed_mode=1, av_speed_mode=31)
+    env.reset(SEED)
+    steps = 0
+    for _ in range(1400):
+        before = env.ledger.crashes
+        env.step(NOTHING)
+        assert bool(env.crash_places) == (env.ledger.crashes > before)
+        steps += bool(env.crash_places)
+    assert steps >= 2
 
 
 @pytest.mark.parametrize("at_exit", ["truncated", "terminated"])
@@ -86,6 +99,77 @@ def test_whoever_leaves_ends_as_told_with_what_it_observed_last(
             assert not observed.alive[0, slot]
             np.testing.assert_array_equal(outcome.final_observations[0, slot], before[slot])
     assert events == {"arrived", "collided"}
+
+
+def _asked(env: IntersectionBatchedEnv, interval: int, there: frozenset[str]) -> NDArray[np.float32]:
+    """What each vehicle that was `there` is asked for in an interval, whichever slot it has."""
+    actions = NOTHING.copy()
+    for _, slot, vehicle in env.street.roster.automated:
+        if vehicle in there:
+            actions[0, slot] = generator(int(vehicle.rsplit(".")[-1]), "asked", interval).uniform(-1, 3)
+    return actions
+
+
+@pytest.mark.parametrize("kind", ["team", "own", "paper"])
+def test_a_repeated_action_is_the_same_asked_for_step_by_step(
+    kind: str, crossing: Callable[..., Any]
+) -> None:
+    """Of vehicles that were there when it was asked for; others drive on as they came. One process holds one
+    simulation: the two are played one after the other."""
+    repeat, intervals, ends, places, sums = 5, 130, [], [], []
+    reward = RewardConfig(kind="paper") if kind == "paper" else RewardConfig(scope=kind)
+    for action_repeat in (repeat, 1):
+        env = crossing(horizon=repeat * intervals - 2, action_repeat=action_repeat, reward=reward, **WILD)
+        env.reset(SEED)
+        went, rewards, ended = [], [], dict.fromkeys(("arrived", "collided"), 0)
+        for interval in range(intervals):
+            slot_of = {vehicle: slot for _, slot, vehicle in env.street.roster.automated}
+            there, paid = frozenset(slot_of), 0.0
+            for _ in range(repeat // action_repeat):
+                outcome, _ = env.step(_asked(env, interval, there))
+                # What the team is paid, or all those together who were there.
+                slots = [0] if kind == "team" else list(slot_of.values())
+                paid += float(outcome.rewards[0, slots].sum())
+                still = {vehicle for _, _, vehicle in env.street.roster.automated}
+                slot_of = {vehicle: slot for vehicle, slot in slot_of.items() if vehicle in still}
+                for slot, event in env.events.items():
+                    ended[event] += bool(outcome.acting[0, slot])
+                if outcome.episode_ended[0]:
+                    break
+            roster = env.street.roster
+            went.append((roster.ids.copy(), roster.traffic.speed[: len(roster)].tolist()))
+            rewards.append(paid)
+        assert outcome.episode_ended[0]
+        figures = _metrics(env, outcome)
+        del figures["paper_return"]  # paid to those who acted
+        places.append((went[:-1], figures))
+        sums.append(rewards)
+        ends.append(ended)
+        env.close()
+    assert places[0] == places[1]
+    np.testing.assert_allclose(sums[0], sums[1], rtol=1e-5, atol=1e-4)
+    # Who enters and crashes within an interval has never acted.
+    assert 0 < ends[0]["collided"] <= ends[1]["collided"]
+    assert 0 < ends[0]["arrived"] <= ends[1]["arrived"]
+
+
+@pytest.mark.parametrize("kind", ["team", "own", "paper"])
+def test_who_leaves_within_a_repeated_action_ends_once_and_its_slot_stays_empty(
+    kind: str, crossing: Callable[..., Any]
+) -> None:
+    reward = RewardConfig(kind="paper") if kind == "paper" else RewardConfig(scope=kind)
+    env = crossing(horizon=900, action_repeat=6, reward=reward, **WILD)
+    observed, left = env.reset(SEED), 0
+    for _ in range(149):
+        outcome, observed = env.step(FULL)
+        over = outcome.terminated[0] | outcome.truncated[0]
+        assert not (over & observed.alive[0]).any()
+        assert not (over & ~outcome.acting[0]).any()
+        assert set(np.flatnonzero(over)) <= set(env.events)
+        if kind == "own":
+            assert (outcome.rewards[0, outcome.terminated[0]] < -20).all()
+        left += over.sum()
+    assert left > 20
 
 
 def test_the_horizon_truncates_all_and_the_next_episode_is_another(crossing: Callable[..., Any]) -> None:
@@ -194,6 +278,8 @@ def test_resets_do_not_grow(crossing: Callable[..., Any]) -> None:
     [
         ({"junction": "unregulated"}, "junction must be one of priority, right_before_left, allway_stop"),
         ({"observation": "all"}, "observation must be one of paper, extended"),
+        ({"action_repeat": 0}, "action_repeat must be at least 1"),
+        ({"action_repeat": 61, "horizon": 60}, "action_repeat must be at most horizon, 60, not 61"),
         ({"vph_per_lane_av": 0}, "vph_per_lane_av must be above 0"),
         ({"vph_per_lane_hdv": -1}, "vph_per_lane_hdv must be at least 0"),
         ({"impatience": 2.0}, "impatience must lie between 0 and 1, not 2"),

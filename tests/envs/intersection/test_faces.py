@@ -22,6 +22,8 @@ def test_pettingzoo_finds_nothing() -> None:
         warnings.simplefilter("error")
         with closing(IntersectionParallelEnv(IntersectionConfig())) as vehicles:
             parallel_api_test(vehicles, num_cycles=500)
+        with closing(IntersectionParallelEnv(IntersectionConfig(action_repeat=5))) as vehicles:
+            parallel_api_test(vehicles, num_cycles=150)
         with closing(IntersectionSlotsParallelEnv(IntersectionConfig(horizon=150))) as slots:
             parallel_api_test(slots, num_cycles=400)
 

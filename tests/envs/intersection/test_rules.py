@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from headway.contracts import Rule
+from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.entry import ENTRY
 from headway_envs.intersection.env import IntersectionBatchedEnv
-from headway_envs.intersection.rules import Reservation
+from headway_envs.intersection.network import ROAD_M
+from headway_envs.intersection.rules import Reservation, VirtualSignal
 from headway_envs.intersection.simulation import libsumo
 
 
@@ -43,6 +45,55 @@ def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Calla
     assert sum(crashes["human"]) == 0
     assert sum(crashes["full_throttle"]) >= 2
     assert sum(crashes["reservation"]) < sum(crashes["full_throttle"])
+
+
+@pytest.mark.parametrize("action_repeat", [1, 10])
+def test_a_signal_that_avs_keep_lets_more_through_than_right_of_way(
+    action_repeat: int, crossing: Callable[..., Any]
+) -> None:
+    """Humans queue behind those who hold, while the minor road, which would wait for long, drives."""
+    through, worst, crashes = {}, {}, 0.0
+    for name in ("human", "virtual_signal"):
+        env = crossing(av_speed_mode=11, action_repeat=action_repeat)
+        rule = ENTRY.rules[name](env.prepared)
+        played = [_played(env, rule, seed) for seed in (1, 2, 3, 4)]
+        env.close()
+        through[name] = np.mean([figures["outflow_vph"] for figures in played])
+        worst[name] = np.mean([figures["worst_approach_s"] for figures in played])
+        crashes += sum(figures["collisions"] for figures in played)
+    assert crashes == 0
+    assert through["virtual_signal"] > 1.1 * through["human"]
+    assert worst["virtual_signal"] < 0.5 * worst["human"]
+
+
+def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
+    """Among AVs alone: nobody who could hold when its green ended enters before its next."""
+    env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal()
+    observed = env.reset(np.array([3], np.uint64))
+    green_s, half_s = rule.GREEN_S, rule.GREEN_S + rule.CLEAR_S
+    before: dict[str, float] = {}
+    too_near: set[str] = set()
+    entered = held = 0
+    for step in range(1499):
+        _, observed = env.step(rule.act(env, observed))
+        roster, (turn, since) = env.street.roster, divmod(step * STEP_S, half_s)
+        there = {vehicle: row for row, _, vehicle in roster.automated}
+        position, speed = roster.traffic.position, roster.traffic.speed
+        if abs(since - green_s) < STEP_S / 2:
+            too_near = {
+                vehicle
+                for vehicle, row in there.items()
+                if speed[row] ** 2 > 6 * (ROAD_M - rule.HOLD_M + rule.MARGIN_M - position[row])
+            }
+        for vehicle, row in there.items():
+            red = roster.traffic.link[row] // 4 % 2 != int(turn) % 2 or since >= green_s
+            passes = before.get(vehicle, position[row]) < ROAD_M <= position[row]
+            entered += passes
+            assert not (passes and red) or vehicle in too_near
+            held += red and speed[row] < 0.1 and abs(ROAD_M - rule.HOLD_M - position[row]) < rule.MARGIN_M
+        before = {vehicle: float(position[row]) for vehicle, row in there.items()}
+    assert entered > 20
+    assert held > 1000
 
 
 def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -> None:
