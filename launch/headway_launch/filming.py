@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.errors import HeadwayError
+from headway_launch.unwritten import unwritten
 from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def write_picture(frame: Frame, output: Path, caption: str) -> None:
     try:
         Image.fromarray(frame).save(output, pnginfo=words)
     except OSError as error:
-        raise unwritten(output, error) from error
+        raise unwritten("--output", output, error) from error
 
 
 def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption: str) -> None:
@@ -94,12 +94,7 @@ def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption:
                 comment=caption.encode(),
             )
     except OSError as error:
-        raise unwritten(output, error) from error
-
-
-def unwritten(output: Path, error: OSError) -> HeadwayError:
-    """What to say of a file that cannot be written."""
-    return HeadwayError(f"--output: {output} cannot be written ({error})")
+        raise unwritten("--output", output, error) from error
 
 
 def _palette(frames: Sequence[PackedFrame]) -> "Image.Image":

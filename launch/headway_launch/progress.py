@@ -9,7 +9,10 @@ from headway.events import EvaluationFinished, Event, Failed, IterationFinished,
 
 Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed"]
 ACTIVE: tuple[Status, ...] = ("starting", "training")
-ENDED: tuple[Status, ...] = ("finished", "stopped", "failed")
+ENDED: tuple[Status, ...] = ("finished", "failed")
+"""What was stopped has not: `headway resume` goes on with it."""
+OVER: tuple[Status, ...] = (*ENDED, "stopped")
+"""For this session."""
 
 
 @dataclass
@@ -105,14 +108,19 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{whole:02d}"
 
 
+def seeds_with(jobs: Sequence[JobProgress], *statuses: Status) -> int:
+    """How many seeds have one of these statuses."""
+    return sum(len(job.seeds) for job in jobs if job.status in statuses)
+
+
 def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
     """`12 of 30 runs ended (1 failed), 2 training, 3,210 steps/s, about 0:04:09 left`."""
-    seeds = sum(len(job.seeds) for job in jobs)
-    ended = sum(len(job.seeds) for job in jobs if job.status in ENDED)
-    failed = sum(len(job.seeds) for job in jobs if job.status == "failed")
+    failed, stopped = seeds_with(jobs, "failed"), seeds_with(jobs, "stopped")
     active = [job for job in jobs if job.status in ACTIVE]
-    parts = [f"{ended} of {seeds} runs ended" + (f" ({failed} failed)" if failed else "")]
-    parts.append(f"{sum(len(job.seeds) for job in active)} training")
+    parts = [f"{seeds_with(jobs, *ENDED)} of {sum(len(job.seeds) for job in jobs)} runs ended"]
+    parts[0] += f" ({failed} failed)" if failed else ""
+    parts += [f"{stopped} stopped"] if stopped else []
+    parts.append(f"{seeds_with(jobs, *ACTIVE)} training")
     speeds = [speed for job in active if (speed := job.steps_per_second) is not None]
     if speeds:
         parts.append(f"{sum(speeds):,.0f} steps/s")
@@ -130,7 +138,7 @@ def seconds_left(jobs: Sequence[JobProgress], parallel: int) -> float | None:
         if (pace := job.seconds_per_step) is not None:
             paces.setdefault(job.label, []).append(pace)
     known = [pace for of_cell in paces.values() for pace in of_cell]
-    remaining = [job for job in jobs if job.status not in ENDED]
+    remaining = [job for job in jobs if job.status not in OVER]
     if not known or not remaining:
         return None
     lengths = []

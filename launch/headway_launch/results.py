@@ -169,7 +169,7 @@ def print_results(
         rows += _over_seeds(finished)
     columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
     print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
-    _say_what_has_no_auc(results)
+    _explain(results)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
@@ -178,8 +178,8 @@ def print_results(
 def print_cells(
     study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]], days: Collection[int]
 ) -> None:
-    """A row a cell (its label, its planned seeds, the results of those that ended): means over the finished
-    seeds, and what all of them used. `days`: how many the curves' points are of."""
+    """A row a cell (its label, its planned seeds, the results of those that ended or were stopped): means
+    over the finished seeds, and what all of them used. `days`: how many the curves' points are of."""
     rows: list[tuple[Cell, ...]] = []
     for label, planned, results in cells:
         finished = [result for result in results if result.status == "FINISHED"]
@@ -191,13 +191,16 @@ def print_cells(
     estimated = any(_estimated(results) for _, _, results in cells)
     columns = _headings(_CELL_COLUMNS, estimated, days)
     print_table(columns, rows, f"study {study}", ("finished",), ("kg CO2eq", AUC_HEADING))
-    _say_what_has_no_auc([result for _, _, results in cells for result in results])
+    _explain([result for _, _, results in cells for result in results])
 
 
-def _say_what_has_no_auc(results: Sequence[SeedResult]) -> None:
+def _explain(results: Sequence[SeedResult]) -> None:
+    """What the table's words mean, and why it lacks figures."""
     from headway.drawing import counted
-    from headway.stats import FEWEST_POINTS
+    from headway.stats import FEWEST_POINTS, FINAL_SHARE
 
+    if any(result.final_reward is not None for result in results):
+        tell(f"{_FINAL}: the mean of a run's evaluations over the last {FINAL_SHARE:.0%} of its steps")
     without = sum(result.final_reward is not None and result.auc is None for result in results)
     if without:
         tell(

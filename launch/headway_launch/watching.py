@@ -9,7 +9,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from headway_launch.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall
+from headway_launch.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
 from headway_launch.telling import silence, tell
 
 if TYPE_CHECKING:
@@ -110,12 +110,12 @@ class Progress:
 
     def _of_cell(self, label: str) -> str:
         jobs = [job for job in self._jobs if job.label == label]
-        ended = sum(len(job.seeds) for job in jobs if job.status in ENDED)
-        failed = sum(len(job.seeds) for job in jobs if job.status == "failed")
+        failed, stopped = seeds_with(jobs, "failed"), seeds_with(jobs, "stopped")
+        others = (f", {failed} failed" if failed else "") + (f", {stopped} stopped" if stopped else "")
         returns = [job.evaluation_return for job in jobs if job.evaluation_return is not None]
         mean = f", return {sum(returns) / len(returns):.4g}" if returns else ""
         seeds = sum(len(job.seeds) for job in jobs)
-        return f"{label}: {ended} of {seeds} ended" + (f", {failed} failed" if failed else "") + mean
+        return f"{label}: {seeds_with(jobs, *ENDED)} of {seeds} ended{others}{mean}"
 
     def _print(self, job: JobProgress) -> None:
         self.note("  ".join(cell for cell in job.cells() if cell))

@@ -70,12 +70,14 @@ def learning_curves(
     styles: Mapping[str, Mapping[str, Any]],
     low: float | None = None,
     title: str = "",
+    sign: int = 1,
 ) -> "Figure":
     """The frame of `mean_curves` or `efficiency` (column `mean` or `iqm`), one panel a task: each controller
     with its interval, and the task's `rules` (task -> rule -> value) as dashed lines, but for one so far away
-    that nothing else could be seen. The axis is not stretched for a controller as far from most others: the
-    legend says where it is; nor for intervals much wider than the curves are apart: they go on beyond the
-    picture. `low` cuts the vertical axis below."""
+    that nothing else could be seen. The axis is not stretched for a controller that is as much worse than
+    most others (values times `sign` are the better the higher): the legend says where it is; nor for
+    intervals much wider than the curves are apart: they go on beyond the picture. `low` cuts the vertical
+    axis below."""
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
     figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
@@ -83,7 +85,7 @@ def learning_curves(
     for task, axes in zip(tasks, panels, strict=True):
         of_task = means[means["task"] == task] if task else means
         by_name = {str(name): curve for name, curve in of_task.groupby("controller", sort=False)}
-        off = far_off({name: curve[column].to_numpy() for name, curve in by_name.items()})
+        off = far_off({name: curve[column].to_numpy() for name, curve in by_name.items()}, sign)
         shade = min(_SHADE, _SHADES / len(by_name))
         for name, curve in by_name.items():
             if name not in off:
@@ -195,10 +197,11 @@ def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
     return near
 
 
-def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"]) -> dict[str, float]:
-    """Of those farther from what most controllers show (the more than half that lie closest together) than
-    some times its range (one that diverged): the farthest of each one's values. None is off where there are
-    fewer than three, as there is no most."""
+def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) -> dict[str, float]:
+    """Of those worse than what most controllers show (the more than half that lie closest together) by some
+    times its range (one that diverged): the worst of each one's values. Values times `sign` are the better
+    the higher; who is far better is never off. None is off where there are fewer than three, as there is no
+    most."""
     known = {name: of_name[np.isfinite(of_name)] for name, of_name in values.items()}
     known = {name: of_name for name, of_name in known.items() if len(of_name)}
     if len(known) < 3:
@@ -213,20 +216,25 @@ def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"]) -> dict[str, floa
     usual = float(np.diff(np.median(ranges, axis=0))[0])
     off = {}
     for name, of_name in known.items():
-        distances = np.maximum(np.maximum(low - of_name, of_name - high), 0.0)
+        distances = np.maximum(low - of_name if sign > 0 else of_name - high, 0.0)
         if usual > 0 and distances.max() > _FAR * max(high - low, usual):
             off[name] = float(of_name[distances.argmax()])
     return off
 
 
 def intervals(
-    summary: "pd.DataFrame", rules: Mapping[str, float], label: str, styles: Mapping[str, Mapping[str, Any]]
+    summary: "pd.DataFrame",
+    rules: Mapping[str, float],
+    label: str,
+    styles: Mapping[str, Mapping[str, Any]],
+    sign: int = 1,
 ) -> "Figure":
     """The frame of `summary`: a line a controller, its interquartile mean and its interval; rules as upright
-    lines, those far away in the legend only."""
+    lines, those far away in the legend only. Of controllers, too, those far worse; values times `sign` are
+    the better the higher."""
     names = [str(name) for name in summary.index]
     ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
-    off = far_off(dict(zip(names, ends, strict=True)))
+    off = far_off(dict(zip(names, ends, strict=True)), sign)
     beside = [
         _in_lines(name) + (f"\n(off, at {_four_digits(float(own[0]))})" if name in off else "")
         for name, own in zip(names, ends, strict=True)
@@ -318,16 +326,18 @@ def reward_against_cost(
     factor: float,
     labels: tuple[str, str],
     styles: Mapping[str, Mapping[str, Any]],
+    sign: int = 1,
 ) -> "Figure":
     """A point a run: its `score` over its `cost` (a column, times `factor`), and a ring at each controller's
-    mean; `labels` of the horizontal and the vertical axis. One panel a task."""
+    mean; `labels` of the horizontal and the vertical axis. One panel a task. Scores times `sign` are the
+    better the higher."""
     tasks = list(dict.fromkeys(runs["task"]))
     figure = _figure(_WIDTH, 3.7 * len(tasks))
     panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
     for task, axes in zip(tasks, panels, strict=True):
         grouped = runs[runs["task"] == task].groupby("controller", sort=False)
         by_name = {str(name): of_name for name, of_name in grouped}
-        off = far_off({name: of_name["score"].to_numpy() for name, of_name in by_name.items()})
+        off = far_off({name: of_name["score"].to_numpy() for name, of_name in by_name.items()}, sign)
         for name, of_name in by_name.items():
             colour, spent = styles[name]["color"], of_name[cost] * factor
             marker = _MARKERS[_LINES.index(styles[name]["linestyle"])]

@@ -212,6 +212,9 @@ def test_of_two_cells_or_of_wide_ones_none_is_off() -> None:
     near, away, third = np.array([0.0, 1.0]), np.array([0.0, -900.0]), np.array([-800.0, 1.0])
     assert far_off({"a": near, "b": away}) == {}
     assert far_off({"a": third, "b": away, "c": third}) == {}
+    assert far_off({"a": near, "b": -away, "c": near}) == {}  # far better
+    assert far_off({"a": near, "b": -away, "c": near}, sign=-1) == {"b": 900.0}
+    assert far_off({"a": near, "b": away, "c": near}, sign=-1) == {}
     assert far_off({"a": near, "b": away, "c": near, "d": np.array([np.nan])}) == {"b": -900.0}
 
 

@@ -64,8 +64,9 @@ def test_a_curve_of_two_points_has_no_area(
     assert result.auc == (None if area is None else pytest.approx(area))
     assert result.final_reward is not None
     print_cells("study", [("ippo", 1, [result])], {2})
+    meaning = "final reward: the mean of a run's evaluations over the last 20% of its steps\n"
     line = "no AUC of 1 run: evaluated fewer than 3 times (evaluation.every sets how often)\n"
-    assert capsys.readouterr().err == (line if area is None else "")
+    assert capsys.readouterr().err == meaning + (line if area is None else "")
 
 
 def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:

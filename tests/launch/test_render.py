@@ -184,7 +184,10 @@ def test_where_nothing_can_be_written_nothing_is_played(
     painted: list[int] = []
     monkeypatch.setattr(MergePainter, "paint", lambda *words, **named: painted.append(1))
     assert run(["render", "merge", "--rule", "idle", "--output", output]) == 2
-    assert capsys.readouterr().err.startswith(f"headway: --output: {output} cannot be written (")
+    told = capsys.readouterr().err
+    assert told.startswith(f"headway: --output: {output} cannot be written (")
+    assert "Errno" not in told
+    assert ("there is no folder no; make it first" in told) == output.startswith("no/")
     assert painted == []
 
 

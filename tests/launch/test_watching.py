@@ -67,6 +67,15 @@ def test_few_runs_have_a_line_each_with_speed_and_time_left() -> None:
     ]
 
 
+def test_who_was_stopped_has_not_ended() -> None:
+    jobs = [job(0, "ippo", 5), job(1, "ippo", 2), job(2, "ippo", 2)]
+    jobs[0].status, jobs[1].status, jobs[2].status = "finished", "stopped", "stopped"
+    assert overall(jobs, 2).startswith("1 of 3 runs ended, 2 stopped, 0 training")
+    assert seconds_left(jobs, 2) is None  # nothing is left for this session
+    lines = lines_of([*jobs, job(0, "mappo")], 80, 24)
+    assert lines[1].startswith("ippo: 1 of 3 ended, 2 stopped")
+
+
 def test_what_goes_on_shows_the_steps_of_its_checkpoint() -> None:
     resumed = JobProgress((3,), 10, "greedy", iteration=4, iteration_steps=1000)
     assert resumed.cells()[1:3] == ("4/10", "4,000 steps")

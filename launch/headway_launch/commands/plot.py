@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from headway.contracts.errors import HeadwayError
 from headway_launch.choosing import parse_conditions, require_known
 from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.unwritten import unwritten
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,13 +17,14 @@ examples:
   headway plot bus
   headway plot bus --output curves.png --metric evaluation_sampled/return
   headway plot bus --low 0                         cut the vertical axis below 0
+  headway plot bus --metric evaluation_greedy/mean_wait_min --lower-is-better
   headway plot bus --where 'policies=shared and algo.lr<1e-3' --no-rules
 
 One line a cell (algorithm and, where that tells cells apart, preset, candidate of a search and settings), one
 panel an environment: the mean over its finished seeds with the 95% interval of that mean (Student's t);
 dashed lines beside a metric of evaluation are the rules on the same days, but for one so far away that
-nothing else could be seen. Of training, where seeds have their points at different steps, each is followed
-along straight lines between its own.
+nothing else could be seen, and the axis is not stretched for a cell far worse than most. Of training, where
+seeds have their points at different steps, each is followed along straight lines between its own.
 """
 
 
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only runs that are so, as in `headway runs`; repeatable",
     )
     parser.add_argument("--no-rules", action="store_true", help="leave out the rules")
+    parser.add_argument("--lower-is-better", action="store_true", help="the metric is a cost, such as a wait")
     parser.add_argument("--low", type=float, default=None, help="lower end of the vertical axis")
     add_store_argument(parser)
 
@@ -67,11 +70,12 @@ def execute(arguments: argparse.Namespace) -> int:
         drawing.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
         title=f"{arguments.study}: {_what_is_drawn(means)}",
+        sign=-1 if arguments.lower_is_better else 1,
     )
     try:
         figure.savefig(output)
     except (OSError, ValueError) as error:
-        raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
+        raise unwritten("--output", output, error) from error
     print(output)
     return 0
 

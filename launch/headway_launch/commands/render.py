@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from headway.configuration import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.unwritten import unwritten
 from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
@@ -133,19 +134,17 @@ def _require_writable(output: Path, keep: bool) -> None:
             with output.open("ab"):
                 pass
     except OSError as error:
-        raise HeadwayError(f"--output: {output} cannot be written ({error.strerror})") from error
+        raise unwritten("--output", output, error) from error
 
 
 def _make_folder(arguments: argparse.Namespace, output: Path) -> None:
     """The run's folder of pictures, when there is one to keep; any other folder has to be there."""
     if not arguments.keep:
         return
-    from headway_launch.filming import unwritten
-
     try:
         output.parent.mkdir(exist_ok=True)
     except OSError as error:
-        raise unwritten(output, error) from error
+        raise unwritten("--output", output, error) from error
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,9 @@ def tradeoff_section(data: StudyData) -> Section:
         drawn, cost, factor, label = runs[runs["cpu_seconds"].notna()], "cpu_seconds", 1.0, "CPU s a run"
     if not len(drawn):
         return Section("tradeoff", "Reward against energy", ["Neither energy nor CPU seconds are known."])
-    picture = drawing.reward_against_cost(drawn, cost, factor, (label, f"final {data.what}"), data.styles)
+    picture = drawing.reward_against_cost(
+        drawn, cost, factor, (label, f"final {data.what}"), data.styles, data.sign
+    )
     caption = f"Final {data.what} over what the run cost: a dot a seed, a ring at each controller's mean."
     body.append(Picture("reward_against_energy", caption, picture))
     return Section("tradeoff", f"{data.what[0].upper()}{data.what[1:]} against energy", body)

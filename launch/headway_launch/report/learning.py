@@ -19,16 +19,18 @@ def curves_section(data: StudyData) -> Section:
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
             "mean by Student's t; dashed, the rules on the same days.",
-            drawing.learning_curves(means, data.rules_beside_curves, label, data.styles, low=data.low),
+            drawing.learning_curves(
+                means, data.rules_beside_curves, label, data.styles, low=data.low, sign=data.sign
+            ),
         )
     ]
-    curves = data.curves.assign(value=data.sign * data.curves["value"])
+    curves, sign = data.curves.assign(value=data.sign * data.curves["value"]), 1
     if set(data.tasks) <= set(data.scale):
         curves = frames.normalised_by_rules(curves, "value", data.scale)
         label = "normalised score"
         scale = "scores on the scale on which random play is 0 and the best rule 1"
     elif len(data.tasks) == 1:
-        curves, scale = data.curves, f"{data.what} as it is"
+        curves, sign, scale = data.curves, data.sign, f"{data.what} as it is"
     else:
         body.append(f"Sample efficiency over all environments is left out: {_why_no_scale(data)}.")
         return Section("curves", "Learning curves", body)
@@ -41,7 +43,7 @@ def curves_section(data: StudyData) -> Section:
                 "Sample efficiency: interquartile mean over "
                 f"seeds{' and environments' if len(data.tasks) > 1 else ''} at each number of steps "
                 f"({scale}), with 95% intervals by the stratified bootstrap. {data.narrow}".strip(),
-                drawing.learning_curves(found, {}, f"IQM of {label}", data.styles),
+                drawing.learning_curves(found, {}, f"IQM of {label}", data.styles, sign=sign),
             )
         )
     if left_out:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from headway.contracts.errors import HeadwayError
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
 from headway_launch.telling import tell
+from headway_launch.unwritten import unwritten
 
 PAGE = "report.html"
 _PARTS = ("tables", "pictures", "configs")
@@ -39,7 +39,7 @@ def write_report(report: Report, folder: Path) -> Path:
         page = folder / PAGE
         page.write_text(html(report), encoding="utf-8")
     except OSError as error:
-        raise HeadwayError(f"--output: {folder} cannot be written ({error.strerror or error})") from error
+        raise unwritten("--output", folder, error) from error
     others = sorted(
         str(path.relative_to(folder))
         for name in _PARTS

@@ -163,7 +163,7 @@ def sound_form(data: StudyData) -> Section:
                     f"intervals{data.numbered(place)}",
                     f"Interquartile means of the final {data.what}{data.where(task)} with their 95% "
                     f"intervals, and the rules on the days of the curves. {data.narrow}".strip(),
-                    drawing.intervals(found, values, f"IQM of final {data.what}", data.styles),
+                    drawing.intervals(found, values, f"IQM of final {data.what}", data.styles, data.sign),
                 )
             )
     return Section("sound", "The sound form", body)
@@ -227,7 +227,7 @@ def improvement_section(data: StudyData) -> Section:
         )
         scores = data.scores_on(task)
         by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
-        if off := drawing.far_off(by_name):
+        if off := drawing.far_off(by_name, data.sign):
             caption += f" Beyond the axis: {', '.join(f'{name} (at {figure(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
         profiles = frames.profiles(scores, thresholds)

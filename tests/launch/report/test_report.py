@@ -173,6 +173,27 @@ def test_of_a_cell_that_diverged_the_captions_say_so(keep_run: KeepRun, root: Pa
     assert pictures["reward_against_energy"].get_ylim()[0] > -30
 
 
+@pytest.mark.parametrize(("lower", "diverged"), [(False, False), (True, False), (True, True)])
+def test_who_is_far_better_is_drawn(lower: bool, diverged: bool, keep_run: KeepRun, root: Path) -> None:
+    two_algorithms(keep_run)
+    sign = -1 if lower != diverged else 1
+    for seed in range(2):
+        keep_run((*TRACKING, "algo=ddpg"), seed, sign * 98_000.0, energy=KNOWN)
+    report = report_of(StudyData(root, "study", lower_is_better=lower))
+    assert ("Beyond the axis: ddpg" in said(report)) == diverged
+    drawn = [
+        part.figure.axes[0]
+        for section in report.sections
+        for part in section.body
+        if isinstance(part, Picture)
+        and part.name in ("learning_curves", "intervals", "reward_against_energy")
+    ]
+    assert len(drawn) >= 2
+    for axes in drawn:
+        reach = [*axes.get_xlim(), *axes.get_ylim()]
+        assert (max(map(abs, reach)) > 50_000) != diverged
+
+
 def test_runs_of_few_evaluations_have_no_area_by_their_own_range(keep_run: KeepRun, root: Path) -> None:
     """Nor a half in the mean over seeds."""
     remark = "fewer than 3 points has no AUC by its own range"

@@ -33,7 +33,8 @@ def draw_scenario(tables: Tables, day: str, title: str, output: Path) -> None:
 
     Left the map: each link as wide as the passengers whom it carries a day, coloured by line where there are
     up to ten, else by the headway of its buses. Right, by hour: buses on the road, boardings, and headways
-    of patterns. Raises HeadwayError where the day type has no trips or the file cannot be written."""
+    of patterns. Raises HeadwayError where the day type has no trips; OSError or ValueError where the file
+    cannot be written."""
     from matplotlib.figure import Figure
 
     trips = tables.trips[tables.trips["daytype"] == day]
@@ -48,10 +49,7 @@ def draw_scenario(tables: Tables, day: str, title: str, output: Path) -> None:
     _draw_boardings(places["boardings"], tables, day)
     _draw_headways(places["headways"], trips)
     figure.suptitle(title)
-    try:
-        figure.savefig(output)
-    except (OSError, ValueError) as error:
-        raise HeadwayError(f"--output: {output} cannot be written ({error})") from error
+    figure.savefig(output)
 
 
 def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> None:

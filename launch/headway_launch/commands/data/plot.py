@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.unwritten import unwritten
 
 EXAMPLES = """\
 examples:
@@ -40,6 +41,10 @@ def execute(arguments: argparse.Namespace) -> int:
     there = set(tables.trips["daytype"])
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
     lines = tables.patterns["line"].nunique()
-    draw_scenario(tables, day, f"{name}: {lines:,} lines, {len(tables.stops):,} stops, {day}", output)
+    title = f"{name}: {lines:,} lines, {len(tables.stops):,} stops, {day}"
+    try:
+        draw_scenario(tables, day, title, output)
+    except (OSError, ValueError) as error:
+        raise unwritten("--output", output, error) from error
     print(output)
     return 0

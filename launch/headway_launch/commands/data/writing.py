@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.unwritten import unwritten
 from headway_launch.watching import Counted
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def write_scenario(tables: "Tables", out: Path) -> None:
                 if old.is_dir() and not out.exists():
                     old.rename(out)
     except OSError as error:
-        raise HeadwayError(f"OUT: {out} cannot be written ({error})") from error
+        raise unwritten("OUT", out, error) from error
 
 
 def tell_written(tables: "Tables", out: Path) -> None:
