@@ -1,5 +1,6 @@
 """The intersection's entry in the registry. Imports nothing heavy, and SUMO not at all."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
@@ -8,6 +9,9 @@ from headway_envs.intersection.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.intersection.prepared import Prepared
+
+SHARES = (0.25, 0.5, 0.75)
+"""Of AVs, in rules whose signal not all keep."""
 
 
 def _prepare(config: IntersectionConfig) -> "Prepared":
@@ -59,10 +63,10 @@ def _reservation(prepared: "Prepared") -> Rule:
     return Reservation()
 
 
-def _virtual_signal(prepared: "Prepared") -> Rule:
+def _virtual_signal(prepared: "Prepared", share: float = 1.0) -> Rule:
     from headway_envs.intersection.rules import VirtualSignal
 
-    return VirtualSignal()
+    return VirtualSignal(share)
 
 
 def _painter(prepared: "Prepared") -> Painter:
@@ -85,6 +89,7 @@ ENTRY = EnvEntry(
         "random": lambda prepared: RandomRule(),
         "reservation": _reservation,
         "virtual_signal": _virtual_signal,
+        **{f"virtual_signal_{share:g}": partial(_virtual_signal, share=share) for share in SHARES},
     },
     metrics=MEANINGS,
     painter=_painter,

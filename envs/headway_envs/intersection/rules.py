@@ -1,6 +1,8 @@
 """Controllers to compare with: human drivers, constant actions, first come, first served, and a signal."""
 
 from dataclasses import dataclass
+from typing import ClassVar
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,20 +114,25 @@ class Reservation:
         return False
 
 
+@dataclass(frozen=True)
 class VirtualSignal:
     """A signal that AVs alone know and keep, and by that impose on the humans behind them (virtual traffic
     lights: Ferreira et al. 2010, "Self-organized traffic control"; that a few vehicles that hold can part
     mixed traffic: Wang et al. 2023, arXiv:2301.05294). Those from north and south have `GREEN_S`, then those
     from east and west. Who comes to red holds far before the stop line: of a vehicle that stands nearer,
     SUMO's drivers take it that it is about to enter, and wait. Who is nearer already drives on. Among those
-    with green, SUMO's checks (`av_speed_mode`) say who goes first."""
+    with green, SUMO's checks (`av_speed_mode`) say who goes first. Below a `share` of 1 the other AVs drive as
+    if there were no signal, which tells what it gains as long as not all keep it."""
 
-    GREEN_S = 30.0
-    CLEAR_S = 4.0
+    share: float = 1.0
+    """Of AVs, those that keep the signal."""
+
+    GREEN_S: ClassVar[float] = 30.0
+    CLEAR_S: ClassVar[float] = 4.0
     """Between two greens, for those too near to hold."""
-    HOLD_M = 60.0
+    HOLD_M: ClassVar[float] = 60.0
     """From the stop line."""
-    MARGIN_M = 10.0
+    MARGIN_M: ClassVar[float] = 10.0
     """By which one may come to a stop beyond it."""
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
@@ -134,13 +141,18 @@ class VirtualSignal:
         traffic, actions = native.street.roster.traffic, _actions(observed)
         turn, since = divmod(native.steps_taken * STEP_S, self.GREEN_S + self.CLEAR_S)
         green = int(turn) % 2 if since < self.GREEN_S else None
-        for row, slot, _ in native.street.roster.automated:
+        for row, slot, vehicle in native.street.roster.automated:
             speed, to_hold = float(traffic.speed[row]), ROAD_M - self.HOLD_M - float(traffic.position[row])
             wished = _unhindered(native, row)
-            if int(traffic.link[row]) // 4 % 2 != green and self._can_hold(speed, to_hold):
+            red = int(traffic.link[row]) // 4 % 2 != green and self._keeps(vehicle)
+            if red and self._can_hold(speed, to_hold):
                 wished = min(wished, _slowing_to(0.0, to_hold))
             actions[0, slot, 0] = _towards(native, row, wished)
         return actions
+
+    def _keeps(self, vehicle: str) -> bool:
+        """Whether a vehicle is among the share that does, the same in every episode."""
+        return crc32(vehicle.encode()) < self.share * 2**32
 
     def _can_hold(self, speed: float, distance: float) -> bool:
         """Whether a vehicle comes to a stop within a distance, m, and `MARGIN_M`."""

@@ -66,6 +66,26 @@ def test_a_signal_that_avs_keep_lets_more_through_than_right_of_way(
     assert worst["virtual_signal"] < 0.5 * worst["human"]
 
 
+def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callable[..., Any]) -> None:
+    """Each vehicle does the one or the other always; with none who keeps the signal it is in no action."""
+    env = crossing(av_speed_mode=11)
+    all_keep, half, none = VirtualSignal(), ENTRY.rules["virtual_signal_0.5"](env.prepared), VirtualSignal(0)
+    observed = env.reset(np.array([3], np.uint64))
+    kept: dict[str, bool] = {}
+    for _ in range(1499):
+        _, observed = env.step(none.act(env, observed))
+        actions = [rule.act(env, observed)[0, :, 0] for rule in (all_keep, half, none)]
+        for _, slot, vehicle in env.street.roster.automated:
+            keeps, asked, drives = (found[slot] for found in actions)
+            if keeps != drives:
+                assert asked in (keeps, drives)
+                assert kept.setdefault(vehicle, asked == keeps) == (asked == keeps)
+            else:
+                assert asked == drives
+    assert len(kept) > 30
+    assert 0.3 < np.mean(list(kept.values())) < 0.7
+
+
 def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
     """Among AVs alone: nobody who could hold when its green ended enters before its next."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal()
