@@ -66,7 +66,7 @@ def execute(arguments: argparse.Namespace) -> int:
     figure = drawing.learning_curves(
         means,
         {} if arguments.no_rules else rules_beside(runs, arguments.metric),
-        arguments.metric.replace("_", " ").replace("/", ": "),
+        _axis(arguments.metric, arguments.lower_is_better),
         drawing.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
         title=f"{arguments.study}: {_what_is_drawn(means)}",
@@ -78,6 +78,11 @@ def execute(arguments: argparse.Namespace) -> int:
         raise unwritten("--output", output, error) from error
     print(output)
     return 0
+
+
+def _axis(metric: str, lower_is_better: bool) -> str:
+    """What the vertical axis shows."""
+    return metric.replace("_", " ").replace("/", ": ") + (" (lower is better)" if lower_is_better else "")
 
 
 def _what_is_drawn(means: "pd.DataFrame") -> str:
