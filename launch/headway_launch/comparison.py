@@ -46,7 +46,7 @@ def rules_to_play(environment: "PreparedEnv", names: str | None) -> tuple[str, .
 
 def _why_not(environment: "PreparedEnv", rule: str) -> str | None:
     try:
-        environment.entry.rules[rule](environment.prepared)
+        environment.entry.rules[rule].make(environment.prepared)
     except HeadwayError as error:
         return str(error)
     return None
@@ -65,7 +65,9 @@ def rule_episodes(
 
     make, known = experiment.env.make, experiment.env.rules
     return {
-        rule: evaluate_rule(make, known[rule], prepared, root, episodes, counting(counted, f"rule {rule}"))
+        rule: evaluate_rule(
+            make, known[rule].make, prepared, root, episodes, counting(counted, f"rule {rule}")
+        )
         for rule in rules
     }
 

@@ -131,7 +131,7 @@ class Experiment:
                 )
         for rule in self.rules:
             try:
-                self.env.rules[rule](prepared)
+                self.env.rules[rule].make(prepared)
             except HeadwayError as error:  # its wrappers hide what it looks at
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         give_back_memory()  # before it is all there again in each training process

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from headway.configuration import suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.errors import HeadwayError
-from headway.contracts.random_rule import RandomRule
+from headway.contracts.random_rule import RANDOM
 from headway.contracts.wrapping import WrapperEntry
 
 Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
@@ -22,7 +22,7 @@ def env_entries() -> Mapping[str, EnvEntry]:
     """Every environment by name, each with the rule `random`. Raises HeadwayError where a package's entry
     point cannot be loaded."""
     return {
-        name: entry if "random" in entry.rules else replace(entry, rules={"random": _random, **entry.rules})
+        name: entry if "random" in entry.rules else replace(entry, rules={"random": RANDOM, **entry.rules})
         for name, entry in _load("headway.envs", EnvEntry).items()
     }
 
@@ -80,10 +80,6 @@ def wrapper_entry(name: str, path: str = "") -> WrapperEntry:
         return wrapper_entries()[name]
     except KeyError:
         raise HeadwayError(f"{before}{name!r} is no wrapper; {suggestion(name, wrapper_entries())}") from None
-
-
-def _random(prepared: object) -> RandomRule:
-    return RandomRule()
 
 
 def _named(entries: Mapping[str, Entry], name: str, kind: str) -> Entry:

@@ -254,7 +254,9 @@ def _learned(
     assert done.metrics["staleness/mean"][0] == 3
     (learned,) = contributors.evaluate(77, 20, True, learner.acting_parameters())
     contributors.close()
-    played = [evaluate_rule(toy.make, toy.rules[rule], prepared, 77, 20) for rule in ("random", "optimal")]
+    played = [
+        evaluate_rule(toy.make, toy.rules[rule].make, prepared, 77, 20) for rule in ("random", "optimal")
+    ]
     greedy, random, best = (
         float(np.mean([float(row["return"]) for row in rows])) for rows in (learned, *played)
     )

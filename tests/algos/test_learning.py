@@ -79,7 +79,7 @@ def _returns(evaluated: list[list[Row]]) -> list[float]:
 def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
     toy = TOYS[env]
     prepared = toy.prepare(toy.config(**env_args))
-    rows = evaluate_rule(toy.make, toy.rules[name], prepared, ROOT, EPISODES)
+    rows = evaluate_rule(toy.make, toy.rules[name].make, prepared, ROOT, EPISODES)
     return float(np.mean([float(row["return"]) for row in rows]))
 
 

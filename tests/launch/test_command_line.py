@@ -107,7 +107,12 @@ def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
 def test_environments_that_a_file_makes_of_others_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     """All that `env=` takes by name."""
     assert run(["list", "envs"]) == 0
-    assert "intersection_paper\t" in capsys.readouterr().out
+    rules = {
+        name: own for name, _, own in (line.split("\t") for line in capsys.readouterr().out.splitlines())
+    }
+    assert "virtual_signal_0.5" in rules["intersection"]
+    assert rules["intersection_paper"] == rules["intersection"]
+    assert rules["pettingzoo"] == "random"
     assert run(["list", "envs", "intersection_paper"]) == 0
     assert "id: intersection\n" in capsys.readouterr().out
 
@@ -145,6 +150,36 @@ def test_what_metrics_are_is_listed_for_each_of_an_episode(
     assert all(row[0] == name and row[2] for row in rows)
 
 
+def test_what_every_rule_does_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    """In a line that is no other rule's of the same environment."""
+    assert run(["list", "rules"]) == 0
+    header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert header == ["environment", "rule", "what it does"]
+    listed = [(name, rule) for name, rule, _ in rows]
+    registered = [(name, rule) for name, entry in env_entries().items() for rule in entry.rules]
+    assert listed[: len(registered)] == registered
+    assert ("intersection_paper", "reservation") in listed[len(registered) :]
+    assert all(len(what.split()) > 1 and len(what) <= 110 for _, _, what in rows)
+    assert len({(name, what) for name, _, what in rows}) == len(rows)
+    assert run(["list", "rules", "bus"]) == 0
+    of_bus = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert of_bus == [header, *(row for row in rows if row[0] == "bus")]
+    assert "under 0.7 of the target" in dict(row[1:] for row in of_bus)["headway_holding_0.7"]
+
+
+def test_an_environment_that_a_module_will_name_has_the_rule_random(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shown = []
+    for name in ("pettingzoo", "mpe2.simple_spread_v3"):
+        assert run(["list", "rules", name]) == 0
+        shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
+    assert [row[0] for row in shown[0]] == ["rule", "random"]
+    assert shown[0] == shown[1]
+    assert run(["list", "metrics", "pettingzoo"]) == 2  # whose they would be is not known yet
+    assert run(["list", "rules", "buss"]) == 2
+
+
 @pytest.mark.parametrize("what", ["metrics", "rules"])
 def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
     what: str, capsys: pytest.CaptureFixture[str]
@@ -155,7 +190,6 @@ def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
         shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
     assert len(shown[0]) > 5
     assert shown[0] == shown[1]
-    assert run(["list", what, "pettingzoo"]) == 2  # it names no environment before its module is given
 
 
 @pytest.mark.parametrize("name", env_entries())

@@ -1,13 +1,17 @@
 """The bus environment's entry in the registry. Imports nothing heavy."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, Painter, Rule
+from headway.contracts import BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.bus.prepared import Prepared
+
+HOLDING_SHARES = (0.7, 0.9)
+"""Of the target headway, under which buses are held."""
 
 
 def _prepare(config: BusConfig) -> "Prepared":
@@ -52,16 +56,10 @@ def _move_with_service(prepared: "Prepared") -> Rule:
     return MoveWithService()
 
 
-def _holding_07(prepared: "Prepared") -> Rule:
+def _headway_holding(prepared: "Prepared", share: float) -> Rule:
     from headway_envs.bus.rules import HeadwayHolding
 
-    return HeadwayHolding(0.7, prepared.config.dispatch_window_s)
-
-
-def _holding_09(prepared: "Prepared") -> Rule:
-    from headway_envs.bus.rules import HeadwayHolding
-
-    return HeadwayHolding(0.9, prepared.config.dispatch_window_s)
+    return HeadwayHolding(share, prepared.config.dispatch_window_s)
 
 
 def _even_headway(prepared: "Prepared") -> Rule:
@@ -84,12 +82,27 @@ ENTRY = EnvEntry(
     prepare_beside=_prepare_beside,
     parallel_env=_parallel_env,
     rules={
-        "always_move": _always_move,
-        "move_with_service": _move_with_service,
-        "headway_holding_0.7": _holding_07,
-        "headway_holding_0.9": _holding_09,
-        "even_headway": _even_headway,
-        "schedule_holding": _schedule_holding,
+        "always_move": RuleEntry(
+            "leaves every stop and terminal at once, and never goes to the service centre", _always_move
+        ),
+        "move_with_service": RuleEntry(
+            "as always_move, but goes to service in time, as the holding rules do", _move_with_service
+        ),
+        **{
+            f"headway_holding_{share:g}": RuleEntry(
+                f"holds while the headway is under {share:g} of the target (forward headway control); "
+                "service in time",
+                partial(_headway_holding, share=share),
+            )
+            for share in HOLDING_SHARES
+        },
+        "even_headway": RuleEntry(
+            "holds while the bus ahead is nearer than the one behind and than the target; service in time",
+            _even_headway,
+        ),
+        "schedule_holding": RuleEntry(
+            "holds until the planned time, at stops and terminals; service in time", _schedule_holding
+        ),
     },
     metrics=MEANINGS,
     painter=_painter,

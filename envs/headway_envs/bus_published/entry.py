@@ -2,12 +2,15 @@
 
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Rule, RuleEntry
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.meanings import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.bus_published.prepared import Prepared
+
+SERVICE_BELOW = 0.5
+"""Share of its uptime below which `move_with_service` sends a bus to the centre."""
 
 
 def _prepare(config: BusPublishedConfig) -> "Prepared":
@@ -45,7 +48,7 @@ def _always(action: int) -> Rule:
 def _move_with_service(prepared: "Prepared") -> Rule:
     from headway_envs.bus_published.rules import MoveWithService
 
-    return MoveWithService(0.5)
+    return MoveWithService(SERVICE_BELOW)
 
 
 ENTRY = EnvEntry(
@@ -55,10 +58,17 @@ ENTRY = EnvEntry(
     prepare=_prepare,
     parallel_env=_parallel_env,
     rules={
-        "always_move": lambda prepared: _always(1),
-        "always_wait": lambda prepared: _always(0),
-        "move_with_service": _move_with_service,
-        "random": lambda prepared: RandomRule(),
+        "always_move": RuleEntry(
+            "MOVE at every step, and never to the service centre", lambda prepared: _always(1)
+        ),
+        "always_wait": RuleEntry(
+            "WAIT at every step: no bus leaves its first stop", lambda prepared: _always(0)
+        ),
+        "move_with_service": RuleEntry(
+            f"MOVE, and to service once the uptime is below {SERVICE_BELOW:g} and the fuel lasts for the way",
+            _move_with_service,
+        ),
+        "random": RANDOM,
     },
     metrics=MEANINGS,
     preload=("headway_envs.bus_published.kernel", "headway_envs.bus_published.env"),

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.meanings import MEANINGS
 
@@ -82,14 +82,31 @@ ENTRY = EnvEntry(
     prepare=_prepare,
     parallel_env=_parallel_env,
     rules={
-        "human": _human,
-        "human_mode1": _human_mode1,
-        "zero": _zero,
-        "full_throttle": _full_throttle,
-        "random": lambda prepared: RandomRule(),
-        "reservation": _reservation,
-        "virtual_signal": _virtual_signal,
-        **{f"virtual_signal_{share:g}": partial(_virtual_signal, share=share) for share in SHARES},
+        "human": RuleEntry(
+            "SUMO drives all as humans, with every check, right of way among them (speed mode 31)", _human
+        ),
+        "human_mode1": RuleEntry(
+            "SUMO drives all as humans, who keep a safe gap to the leader and no more (speed mode 1)",
+            _human_mode1,
+        ),
+        "zero": RuleEntry("asks for an acceleration of 0 always", _zero),
+        "full_throttle": RuleEntry("asks for the strongest acceleration always", _full_throttle),
+        "random": RANDOM,
+        "reservation": RuleEntry(
+            "first come, first served through the junction (after Dresner and Stone 2008, arXiv:1401.3466)",
+            _reservation,
+        ),
+        "virtual_signal": RuleEntry(
+            "a signal that AVs alone know, and so impose on the humans behind them (Ferreira et al. 2010)",
+            _virtual_signal,
+        ),
+        **{
+            f"virtual_signal_{share:g}": RuleEntry(
+                f"virtual_signal kept by {share:.0%} of the AVs; the others drive as if there were none",
+                partial(_virtual_signal, share=share),
+            )
+            for share in SHARES
+        },
     },
     metrics=MEANINGS,
     painter=_painter,

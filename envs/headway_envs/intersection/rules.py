@@ -121,8 +121,8 @@ class VirtualSignal:
     mixed traffic: Wang et al. 2023, arXiv:2301.05294). Those from north and south have `GREEN_S`, then those
     from east and west. Who comes to red holds far before the stop line: of a vehicle that stands nearer,
     SUMO's drivers take it that it is about to enter, and wait. Who is nearer already drives on. Among those
-    with green, SUMO's checks (`av_speed_mode`) say who goes first. Below a `share` of 1 the other AVs drive as
-    if there were no signal, which tells what it gains as long as not all keep it."""
+    with green, SUMO's checks (`av_speed_mode`) say who goes first. Below a `share` of 1 the other AVs drive
+    as if there were no signal, which tells what it gains as long as not all keep it."""
 
     share: float = 1.0
     """Of AVs, those that keep the signal."""

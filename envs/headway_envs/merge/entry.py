@@ -1,10 +1,9 @@
 """The merging environments' entries in the registry. Imports nothing heavy."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, Painter, RandomRule, Rule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
 from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.meanings import MEANINGS
 
@@ -56,11 +55,15 @@ def _idm_mobil(prepared: "Prepared") -> Rule:
     return IdmMobil()
 
 
-RULES: dict[str, Callable[[Any], Rule]] = {
-    "idle": _idle,
-    "always_left": _always_left,
-    "idm_mobil": _idm_mobil,
-    "random": lambda prepared: RandomRule(),
+RULES: dict[str, RuleEntry] = {
+    "idle": RuleEntry("keeps the lane and the speed: whoever is on a ramp hits its end", _idle),
+    "always_left": RuleEntry(
+        "changes to the left as soon as that is allowed, whoever is there, and keeps the speed", _always_left
+    ),
+    "idm_mobil": RuleEntry(
+        "drives every CAV as a human driver: IDM, MOBIL, and its first speed as the desired one", _idm_mobil
+    ),
+    "random": RANDOM,
 }
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from headway.contracts import EnvEntry, RandomRule
+from headway.contracts import RANDOM, EnvEntry, RuleEntry
 from headway_envs.toy.matrix import Matrix, MatrixConfig, OptimalMatrix
 from headway_envs.toy.recall import OptimalRecall, Recall, RecallConfig
 from headway_envs.toy.tracking import OptimalTracking, Tracking, TrackingConfig
@@ -48,7 +48,12 @@ ENTRIES: dict[str, EnvEntry] = {
         config=TrivialConfig,
         make=Trivial,
         parallel_env=_trivial_parallel,
-        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalTrivial()},
+        rules={
+            "random": RANDOM,
+            "optimal": RuleEntry(
+                "names the largest number at every step: returns `steps`", lambda config: OptimalTrivial()
+            ),
+        },
         metrics={"accuracy": "share of right actions, over steps and agents"},
     ),
     "matrix": EnvEntry(
@@ -56,7 +61,12 @@ ENTRIES: dict[str, EnvEntry] = {
         config=MatrixConfig,
         make=Matrix,
         parallel_env=_matrix_parallel,
-        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalMatrix()},
+        rules={
+            "random": RANDOM,
+            "optimal": RuleEntry(
+                "both agents play their part of the largest payoff", lambda config: OptimalMatrix()
+            ),
+        },
         metrics={"optimal": "1 where the largest payoff was played, else 0"},
     ),
     "tracking": EnvEntry(
@@ -64,7 +74,13 @@ ENTRIES: dict[str, EnvEntry] = {
         config=TrackingConfig,
         make=Tracking,
         parallel_env=_tracking_parallel,
-        rules={"random": lambda config: RandomRule(), "optimal": OptimalTracking},
+        rules={
+            "random": RANDOM,
+            "optimal": RuleEntry(
+                "the linear-quadratic regulator of the steps that are left (Bertsekas, vol. 1, section 3.1)",
+                OptimalTracking,
+            ),
+        },
         metrics={
             "distance": "squared distance to the target, mean over steps and agents",
             "effort": "squared length of the actions as cut to their bounds, likewise",
@@ -75,7 +91,13 @@ ENTRIES: dict[str, EnvEntry] = {
         config=RecallConfig,
         make=Recall,
         parallel_env=_recall_parallel,
-        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalRecall()},
+        rules={
+            "random": RANDOM,
+            "optimal": RuleEntry(
+                "names the cue at every step, as the environment has it: returns 1",
+                lambda config: OptimalRecall(),
+            ),
+        },
         metrics={"recalled": "share of agents that named their cue"},
     ),
     "visitors": EnvEntry(
@@ -83,7 +105,10 @@ ENTRIES: dict[str, EnvEntry] = {
         config=VisitorsConfig,
         make=Visitors,
         parallel_env=_visitors_parallel,
-        rules={"random": lambda config: RandomRule(), "optimal": lambda config: OptimalVisitors()},
+        rules={
+            "random": RANDOM,
+            "optimal": RuleEntry("takes the best allowed option: regret 0", lambda config: OptimalVisitors()),
+        },
         metrics={
             "regret": "worth of the best allowed options less what was paid, summed over all choices",
             "disallowed": "choices of an option that was not allowed",

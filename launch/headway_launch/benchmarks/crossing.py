@@ -129,7 +129,7 @@ def _driver(
     drive: str | float, prepared: object, seed: int
 ) -> Callable[[BatchedEnv, Observed], NDArray[np.float32]]:
     if isinstance(drive, str):
-        return env_entry("intersection").rules[drive](prepared).act
+        return env_entry("intersection").rules[drive].make(prepared).act
     draw, mean = np.random.default_rng(seed), drive
 
     def act(env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 import yaml
 
 from headway.configuration import FieldDescription, describe, suggestion
-from headway.contracts import EnvEntry
+from headway.contracts import RANDOM, EnvEntry, RuleEntry
 from headway.contracts.errors import HeadwayError
 from headway.registry import (
     algo_entries,
@@ -26,6 +26,7 @@ examples:
   headway list envs mpe2.simple_spread_v3      those of a PettingZoo environment, by its module
   headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
   headway list algos mappo     its hyper-parameters (algo.KEY=VALUE)
+  headway list rules bus       what its classical rules do
   headway list metrics bus     what the figures of its episodes mean, with their units
   headway list experiments     what `headway run experiment=NAME` takes
   headway list searches        what `headway search NAME` takes
@@ -50,13 +51,12 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _list_envs(name: str | None) -> None:
-    entries = env_entries()
-    by_file = [option for option in groups()["env"] if option not in entries]
     if name is None:
-        rows = [(key, entry.summary, ", ".join(entry.rules)) for key, entry in entries.items()]
-        rows += [(option, summary_of("env", option), "") for option in by_file]
+        summaries = {key: entry.summary for key, entry in env_entries().items()}
+        summaries |= {option: summary_of("env", option) for option in _by_file()}
+        rows = [(key, summary, ", ".join(_rules(key))) for key, summary in summaries.items()]
         print_table(("environment", "what it is", "rules"), rows)
-    elif name in by_file:
+    elif name in _by_file():
         _list_group("env")(name)
     else:
         _print_keys(env_entry(name).config, "env.args")
@@ -82,20 +82,36 @@ def _list_wrappers(name: str | None) -> None:
     print_table(("wrapper", "arguments", "batched", "what it does"), rows)
 
 
+def _by_file() -> list[str]:
+    """Names of environments that are those of a file of `configs/env` alone."""
+    return [option for option in groups()["env"] if option not in env_entries()]
+
+
+def _configured(name: str) -> str | None:
+    """The registered environment that a file of this name configures, else `name`; None where the file leaves
+    it to a PettingZoo environment's module."""
+    if name not in _by_file():
+        return name
+    configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
+    own = configured.get("id")
+    return own if own in env_entries() else None
+
+
 def _env_entry(name: str) -> EnvEntry:
     """That of an environment, or of one that has a configuration of this name."""
-    if name not in env_entries() and name in groups()["env"]:
-        configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
-        return env_entry(configured["id"] if configured["id"] in env_entries() else name)
-    return env_entry(name)
+    return env_entry(_configured(name) or name)
+
+
+def _rules(name: str) -> Mapping[str, RuleEntry]:
+    """Of an environment, likewise; of a file that leaves it to a module, what all have."""
+    own = _configured(name)
+    return {"random": RANDOM} if own is None else env_entry(own).rules
 
 
 def _list_rules(name: str | None) -> None:
-    if name is None:
-        rows = [(env, rule) for env, entry in env_entries().items() for rule in entry.rules]
-    else:
-        rows = [(name, rule) for rule in _env_entry(name).rules]
-    print_table(("environment", "rule"), rows)
+    names = [*env_entries(), *_by_file()] if name is None else [name]
+    rows = [(env, rule, entry.summary) for env in names for rule, entry in _rules(env).items()]
+    print_table(("environment", "rule", "what it does"), rows, whole=("rule",))
 
 
 def _list_metrics(name: str | None) -> None:

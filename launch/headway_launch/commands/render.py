@@ -184,7 +184,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
     found, rules = experiment.prepare(), experiment.env.rules
     if arguments.rule not in rules:
         raise HeadwayError(f"--rule: {arguments.rule!r} is no rule here; {suggestion(arguments.rule, rules)}")
-    rule = rules[arguments.rule](found.prepared)
+    rule = rules[arguments.rule].make(found.prepared)
     settings = f", {' '.join(arguments.overrides)}" if arguments.overrides else ""
     return _Player(
         f"rule {arguments.rule} on {arguments.name}{settings}",

@@ -16,7 +16,7 @@ from typing import Any
 
 from headway.adapters.installed import require_environment_module
 from headway.adapters.parallel_entry import NO_OPTIONS, AdapterOptions
-from headway.contracts import BatchedEnv, EnvEntry, HeadwayError, RandomRule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError
 from headway.signatures import argument_record, as_tuples, free_record, takes_anything
 
 _NUMBERED = re.compile(r"(.+?)_?\d+")
@@ -66,7 +66,7 @@ def module_entry(
         make=make_batch,
         prepare=partial(_prepare, module, options),
         parallel_env=partial(_make_parallel, module, options),
-        rules={"random": lambda prepared: RandomRule()},
+        rules={"random": RANDOM},
         preload=("headway.adapters.modules", module),
     )
 

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from headway.adapters.pettingzoo import ParallelEnvBatch
-from headway.contracts import BatchedEnv, EnvEntry, RandomRule, Rule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, RuleEntry
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def parallel_entry(
     config: type,
     parallel_env: Callable[[Any], Any],
     options: AdapterOptions = NO_OPTIONS,
-    rules: Mapping[str, Callable[[Any], Rule]] = MappingProxyType({}),
+    rules: Mapping[str, RuleEntry] = MappingProxyType({}),
 ) -> EnvEntry:
     """The entry of an environment that is written as a ParallelEnv; `parallel_env`: (config) -> ParallelEnv,
     a function at the top of a module, since workers are given it by name."""
@@ -52,7 +52,7 @@ def parallel_entry(
         config=config,
         make=partial(_make, parallel_env, options, name),
         parallel_env=parallel_env,
-        rules={"random": lambda config: RandomRule(), **rules},
+        rules={"random": RANDOM, **rules},
     )
 
 

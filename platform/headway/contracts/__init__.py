@@ -9,7 +9,7 @@ policy, numbers that an agent remembers.
 """
 
 from headway.contracts.acting import ActingPolicy, RememberingPolicy
-from headway.contracts.entries import AlgoEntry, EnvEntry, Painter, Rule
+from headway.contracts.entries import AlgoEntry, EnvEntry, Painter, Rule, RuleEntry
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
 from headway.contracts.errors import HeadwayError
 from headway.contracts.learning import (
@@ -19,13 +19,14 @@ from headway.contracts.learning import (
     Learner,
     ReplayingLearner,
 )
-from headway.contracts.random_rule import RandomRule
+from headway.contracts.random_rule import RANDOM, RandomRule
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
 from headway.contracts.streams import child_seeds, generator
 from headway.contracts.trajectory import Trajectory, TrajectoryLayout
 from headway.contracts.wrapping import BatchedWrapper, ObservationBounds, WrapperEntry
 
 __all__ = [
+    "RANDOM",
     "ActingPolicy",
     "ActionSpace",
     "AlgoEntry",
@@ -49,6 +50,7 @@ __all__ = [
     "RememberingPolicy",
     "ReplayingLearner",
     "Rule",
+    "RuleEntry",
     "Trajectory",
     "TrajectoryLayout",
     "WrapperEntry",

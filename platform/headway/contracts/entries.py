@@ -37,6 +37,16 @@ class Rule(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class RuleEntry:
+    """A rule of an environment, by its name there."""
+
+    summary: str
+    """One line for `headway list rules`: what it does, with its source where it has one."""
+    make: Callable[[Any], Rule]
+    """(prepared) -> rule."""
+
+
 class Painter(Protocol):
     """Draws what happens, for people."""
 
@@ -70,8 +80,8 @@ class EnvEntry:
     `reset([s])` of the batch does; metrics travel in info `episode_metrics`, their names in
     `metadata["episode_metrics"]`. Its attribute `native`, where it has one, is the batch of one copy behind
     it and what that observed last: the environment's rules look there."""
-    rules: Mapping[str, Callable[[Any], Rule]] = field(default_factory=dict)
-    """Name -> (prepared) -> rule."""
+    rules: Mapping[str, RuleEntry] = field(default_factory=dict)
+    """By name; `random` is added where it is not among them."""
     metrics: Mapping[str, str] = field(default_factory=dict)
     """What each episode metric is, with its unit, in the order of `EnvSpec.metrics`: for `headway list`."""
     painter: Callable[[Any], Painter] | None = None

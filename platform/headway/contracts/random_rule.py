@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.contracts.entries import RuleEntry
 from headway.contracts.environment import BatchedEnv, Observed
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 from headway.contracts.streams import generator
@@ -38,3 +39,10 @@ class RandomRule:
                 floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - WIDTH, low)
                 ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + WIDTH, high)
                 return draw.uniform(floor, ceiling, (*shape, len(low))).astype(np.float32)
+
+
+RANDOM = RuleEntry(
+    "plays uniformly at random, of discrete actions those allowed: the zero of normalised scores",
+    lambda prepared: RandomRule(),
+)
+"""The rule `random`, of every environment."""

@@ -144,7 +144,7 @@ def evaluate_rule(
     episodes: int,
     told: Told = nobody_told,
 ) -> list[Row]:
-    """Episodes of a rule (an entry's `make` and one of its `rules`) on the evaluation seeds, one row each."""
+    """Episodes of a rule (an entry's `make`, and that of its rule) on the evaluation seeds, one row each."""
     rows: list[Row] = []
     rule = make_rule(prepared)  # one for all blocks: a rule that draws must not draw the same in each
     with closing(make_env(prepared, 1)) as env:

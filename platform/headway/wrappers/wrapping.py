@@ -26,6 +26,7 @@ from headway.contracts import (
     Painter,
     RandomRule,
     Rule,
+    RuleEntry,
 )
 from headway.wrappers.batch import AbsentObserveZeros
 from headway.wrappers.listed import ListedWrapper
@@ -84,7 +85,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         prepare=lambda config: _prepare(name, entry, tuple(wrappers), entry.prepare(config)),
         prepare_beside=None if beside is None else _prepare_beside(name, entry, tuple(wrappers), beside),
         parallel_env=None,
-        rules={rule: _behind(rule, make) for rule, make in rules.items()},
+        rules={rule: _behind(rule, own) for rule, own in rules.items()},
         painter=None if entry.painter is None else _painter_behind(entry.painter),
     )
 
@@ -213,9 +214,9 @@ def _options(spec: EnvSpec) -> AdapterOptions:
     )
 
 
-def _behind(name: str, make: Callable[[Any], Rule]) -> Callable[[Wrapped], Rule]:
+def _behind(name: str, own: RuleEntry) -> RuleEntry:
     def make_behind(wrapped: Wrapped) -> Rule:
-        rule = make(wrapped.prepared)
+        rule = own.make(wrapped.prepared)
         if not (wrapped.shows_native or isinstance(rule, RandomRule)):
             raise HeadwayError(
                 f"rule {name!r} of {wrapped.name} cannot look behind these wrappers; leave out the rule, or "
@@ -223,7 +224,7 @@ def _behind(name: str, make: Callable[[Any], Rule]) -> Callable[[Wrapped], Rule]
             )
         return RuleBehindWrappers(rule, through_parallel_env=wrapped.parallel is not None)
 
-    return make_behind
+    return replace(own, make=make_behind)
 
 
 @dataclass(frozen=True)

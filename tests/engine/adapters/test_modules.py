@@ -293,7 +293,7 @@ def test_an_undeclared_death_says_what_to_set() -> None:
 
 def test_random_play_is_a_rule_of_every_environment() -> None:
     entry = env_entry(SPREAD)
-    rows = evaluate_rule(entry.make, entry.rules["random"], entry.prepare(entry.config()), 0, 3)
+    rows = evaluate_rule(entry.make, entry.rules["random"].make, entry.prepare(entry.config()), 0, 3)
     assert [row["length"] for row in rows] == [25, 25, 25]
 
 
@@ -303,7 +303,7 @@ def test_an_entry_of_a_parallel_env_is_all_that_another_package_writes() -> None
     recording = play(lambda copies: make(config, copies))
     assert recording.spec.name == "game"
     CHECKS["shared reward"](lambda copies: make(config, copies), recording)
-    assert evaluate_rule(make, entry.rules["random"], config, 0, 2)
+    assert evaluate_rule(make, entry.rules["random"].make, config, 0, 2)
 
 
 def _matrix(config: MatrixConfig) -> Any:  # noqa: ANN401 - PettingZoo comes without types

@@ -17,7 +17,7 @@ from same_game import prepared
 from headway.adapters.conformance import play
 from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
-from headway.contracts import BatchedEnv, HeadwayError, Observed, WrapperEntry
+from headway.contracts import BatchedEnv, HeadwayError, Observed, RuleEntry, WrapperEntry
 from headway.registry import env_entry, wrapper_entries
 from headway.rollout.episodes import evaluate_rule
 from headway.wrappers import parallel
@@ -219,9 +219,9 @@ def test_an_environments_own_rules_look_behind_wrappers(name: str, wrappers: lis
     rule = {"bus": "headway_holding_0.9"}.get(name, "optimal")
     wrapped = wrapped_entry(name, entry, listed_wrappers(wrappers))
     shared = wrapped.prepare(entry.config())
-    rows = evaluate_rule(wrapped.make, wrapped.rules[rule], shared, root=3, episodes=2)
+    rows = evaluate_rule(wrapped.make, wrapped.rules[rule].make, shared, root=3, episodes=2)
     if shared.parallel is None:
-        expected = evaluate_rule(entry.make, entry.rules[rule], shared.prepared, root=3, episodes=2)
+        expected = evaluate_rule(entry.make, entry.rules[rule].make, shared.prepared, root=3, episodes=2)
         assert rows == expected
         return
     expected = [_played(name, rule, shared.prepared, index) for index in range(2)]
@@ -233,7 +233,7 @@ def _played(name: str, rule: str, shared: object, index: int) -> float:
     from headway.contracts import child_seeds
 
     entry = ENTRIES[name]
-    env, played = entry.make(shared, 1), entry.rules[rule](shared)
+    env, played = entry.make(shared, 1), entry.rules[rule].make(shared)
     seed = episode_seed(int(child_seeds(3, "evaluation", index, 1)[0]), 0)
     observed, total = env.reset(np.array([seed], dtype=np.uint64)), 0.0
     while True:
@@ -248,7 +248,7 @@ def test_behind_a_wrapper_that_changes_what_actions_mean_only_random_is_left() -
     wrapped = wrapped_entry("tracking", ENTRIES["tracking"], listed)
     assert list(wrapped.rules) == ["random"]
     shared = wrapped.prepare(ENTRIES["tracking"].config())
-    rows = evaluate_rule(wrapped.make, wrapped.rules["random"], shared, root=0, episodes=1)
+    rows = evaluate_rule(wrapped.make, wrapped.rules["random"].make, shared, root=0, episodes=1)
     assert np.isfinite(float(rows[0]["return"]))
 
 
@@ -263,13 +263,18 @@ class Defend:
 
 def test_rules_of_an_adapted_environment_are_given_the_adapter() -> None:
     entry = parallel_entry(
-        "duel", "duel", NoArguments, _broken_duel, rules={"defend": lambda config: Defend()}
+        "duel",
+        "duel",
+        NoArguments,
+        _broken_duel,
+        rules={"defend": RuleEntry("all defend", lambda config: Defend())},
     )
     wrapped = wrapped_entry("duel", entry, listed_wrappers([STACK, "agent_indicator_v0"]))
     env, rule = wrapped.make(wrapped.prepare(NoArguments()), 2), wrapped.rules["defend"]
+    assert rule.summary == "all defend"
     observed = env.reset(np.zeros(2, dtype=np.uint64))
     assert observed.observations.shape == (2, 3, 2 * 2 + 3)
-    outcome, _ = env.step(rule(wrapped.prepare(NoArguments())).act(env, observed))
+    outcome, _ = env.step(rule.make(wrapped.prepare(NoArguments())).act(env, observed))
     np.testing.assert_array_equal(outcome.rewards, np.full((2, 3), 2.0))
 
 
@@ -278,8 +283,8 @@ def test_a_rule_that_cannot_look_behind_says_so() -> None:
     wrapped = wrapped_entry("trivial", ENTRIES["trivial"], listed_wrappers([DELAY]))
     shared = wrapped.prepare(ENTRIES["trivial"].config())
     with pytest.raises(HeadwayError, match="rule 'optimal' of trivial cannot look behind these wrappers"):
-        wrapped.rules["optimal"](shared)
-    assert evaluate_rule(wrapped.make, wrapped.rules["random"], shared, root=0, episodes=1)
+        wrapped.rules["optimal"].make(shared)
+    assert evaluate_rule(wrapped.make, wrapped.rules["random"].make, shared, root=0, episodes=1)
 
 
 def test_every_environment_has_the_rule_random() -> None:

@@ -16,7 +16,7 @@ LINE1 = Path(__file__).parents[4] / "shared" / "data" / "sunt" / "line1"
 
 def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
     prepared = ENTRY.prepare(BusConfig(scenario=scenario))
-    env, rule = ENTRY.make(prepared, DAYS), ENTRY.rules[rule_name](prepared)
+    env, rule = ENTRY.make(prepared, DAYS), ENTRY.rules[rule_name].make(prepared)
     observed = env.reset(child_seeds(17, "days", 0, DAYS))
     for _ in range(prepared.config.ticks):
         outcome, observed = env.step(rule.act(env, observed))
@@ -40,7 +40,7 @@ def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) ->
 def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_must() -> None:
     """Hardly any runs out of fuel, and none of those that will be at the depot soon enough goes."""
     prepared = ENTRY.prepare(BusConfig())
-    env, rule = ENTRY.make(prepared, 5), ENTRY.rules["move_with_service"](prepared)
+    env, rule = ENTRY.make(prepared, 5), ENTRY.rules["move_with_service"].make(prepared)
     observed, net, visits = env.reset(child_seeds(17, "days", 0, 5)), env.network, 0
     nearest = net.detour[net.pattern_calls[:-1]].min()
     for _ in range(prepared.config.ticks):
@@ -62,7 +62,7 @@ def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_m
 @pytest.mark.parametrize("name", sorted(ENTRY.rules))
 def test_every_rule_acts_within_the_masks(name: str) -> None:
     prepared = ENTRY.prepare(BusConfig())
-    env, rule = ENTRY.make(prepared, 2), ENTRY.rules[name](prepared)
+    env, rule = ENTRY.make(prepared, 2), ENTRY.rules[name].make(prepared)
     observed = env.reset(np.arange(2, dtype=np.uint64))
     for _ in range(200):
         actions = rule.act(env, observed)

@@ -51,7 +51,9 @@ def test_each_copy_draws_a_centre_and_keeps_it(begun: Begun) -> None:
 def test_moving_beats_waiting_and_chance_and_service_beats_moving(begun: Begun) -> None:
     """The reward pays for the uptime, which a visit to the centre restores for about a minute's reward: so
     that moving always is not the best, but only what most of the published learners came to."""
-    team = {name: _first_days(begun(32), make(None))["team_reward"] for name, make in ENTRY.rules.items()}
+    team = {
+        name: _first_days(begun(32), rule.make(None))["team_reward"] for name, rule in ENTRY.rules.items()
+    }
     assert (team["always_move"] > team["always_wait"]).all()
     assert (team["always_move"] > team["random"]).all()
     assert (team["move_with_service"] > team["always_move"] + 100).all()

@@ -29,7 +29,7 @@ def _played(env: IntersectionBatchedEnv, rule: Rule, seed: int) -> dict[str, flo
 @pytest.mark.parametrize("name", sorted(ENTRY.rules))
 def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=300)
-    metrics = _played(env, ENTRY.rules[name](env.prepared), 1)
+    metrics = _played(env, ENTRY.rules[name].make(env.prepared), 1)
     assert all(np.isfinite(list(metrics.values())))
     assert metrics["avs"] > 5
 
@@ -40,7 +40,7 @@ def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Calla
     for name in ("human", "reservation", "full_throttle"):
         env.close()
         env = crossing(horizon=1200)
-        rule = ENTRY.rules[name](env.prepared)
+        rule = ENTRY.rules[name].make(env.prepared)
         crashes[name] = [_played(env, rule, seed)["collisions"] for seed in (1, 2)]
     assert sum(crashes["human"]) == 0
     assert sum(crashes["full_throttle"]) >= 2
@@ -55,7 +55,7 @@ def test_a_signal_that_avs_keep_lets_more_through_than_right_of_way(
     through, worst, crashes = {}, {}, 0.0
     for name in ("human", "virtual_signal"):
         env = crossing(av_speed_mode=11, action_repeat=action_repeat)
-        rule = ENTRY.rules[name](env.prepared)
+        rule = ENTRY.rules[name].make(env.prepared)
         played = [_played(env, rule, seed) for seed in (1, 2, 3, 4)]
         env.close()
         through[name] = np.mean([figures["outflow_vph"] for figures in played])
@@ -69,7 +69,11 @@ def test_a_signal_that_avs_keep_lets_more_through_than_right_of_way(
 def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callable[..., Any]) -> None:
     """Each vehicle does the one or the other always; with none who keeps the signal it is in no action."""
     env = crossing(av_speed_mode=11)
-    all_keep, half, none = VirtualSignal(), ENTRY.rules["virtual_signal_0.5"](env.prepared), VirtualSignal(0)
+    all_keep, half, none = (
+        VirtualSignal(),
+        ENTRY.rules["virtual_signal_0.5"].make(env.prepared),
+        VirtualSignal(0),
+    )
     observed = env.reset(np.array([3], np.uint64))
     kept: dict[str, bool] = {}
     for _ in range(1499):
@@ -118,7 +122,7 @@ def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[...,
 
 def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -> None:
     env, sumo = crossing(horizon=600), libsumo()
-    rule, observed = ENTRY.rules["human"](env.prepared), env.reset(np.array([1], np.uint64))
+    rule, observed = ENTRY.rules["human"].make(env.prepared), env.reset(np.array([1], np.uint64))
     for step in range(300):
         actions = rule.act(env, observed) if step >= 150 else np.zeros((1, 96, 1), np.float32)
         _, observed = env.step(actions)

@@ -15,7 +15,7 @@ Make = Callable[..., MergeBatchedEnv]
 
 def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
     """The metrics of each copy's first episode."""
-    rule, observed = RULES[rule_name](env.prepared), env.observed()
+    rule, observed = RULES[rule_name].make(env.prepared), env.observed()
     first = np.full((env.num_copies, len(env.spec.metrics)), np.nan)
     for _ in range(100):
         outcome, observed = env.step(rule.act(env, observed))
@@ -30,7 +30,7 @@ def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
 def test_rules_act_within_the_masks(make: Make, name: str, rule: str) -> None:
     """`idm_mobil` alone asks for something outside of the action space, which the environment knows."""
     env = make(name, copies=4)
-    player, observed = RULES[rule](env.prepared), env.observed()
+    player, observed = RULES[rule].make(env.prepared), env.observed()
     for _ in range(100):
         actions = player.act(env, observed)
         assert actions.shape == observed.alive.shape
@@ -86,4 +86,4 @@ def test_the_supervisor_leaves_what_is_safe_alone(make: Make) -> None:
 def test_idm_mobil_says_where_it_cannot_play(make: Make) -> None:
     adapted = ParallelEnvBatch(lambda: ENTRIES["merge"].parallel_env(make().prepared.config), 1, "merge")
     with pytest.raises(TypeError, match="idm_mobil needs a MergeBatchedEnv, not ParallelEnvBatch"):
-        RULES["idm_mobil"](None).act(adapted, adapted.reset(np.zeros(1, np.uint64)))
+        RULES["idm_mobil"].make(None).act(adapted, adapted.reset(np.zeros(1, np.uint64)))

@@ -25,7 +25,7 @@ def run_rule(
     """Rewards (T, C, N), and metrics (episodes, M) of the episodes that ended."""
     prepared = entry.prepare(config)
     env: BatchedEnv = entry.make(prepared, copies)
-    rule = entry.rules[rule_name](prepared)
+    rule = entry.rules[rule_name].make(prepared)
     observed, rewards, metrics = env.reset(seeds(copies)), [], []
     for _ in range(steps):
         outcome, observed = env.step(rule.act(env, observed))
@@ -181,7 +181,7 @@ def test_episodes_differ_from_each_other(name: str) -> None:
     entry = ENTRIES[name]
     env = entry.make(entry.config(), 2)
     first = env.reset(seeds(2)).states.copy()
-    actions = entry.rules["random"](entry.config())
+    actions = entry.rules["random"].make(entry.config())
     observed = env.reset(seeds(2))
     while True:
         outcome, observed = env.step(actions.act(env, observed))

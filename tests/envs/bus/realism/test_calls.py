@@ -94,7 +94,7 @@ def test_the_same_seed_gives_the_same_day_and_a_rule_another(tables: Tables) -> 
     prepared = prepare(BusConfig(end_hour=8))
     first, again = (next(simulated_days(tables, prepared, 1)) for _ in range(2))
     pd.testing.assert_frame_equal(first, again)
-    held = next(simulated_days(tables, prepared, 1, ENTRY.rules["even_headway"](prepared)))
+    held = next(simulated_days(tables, prepared, 1, ENTRY.rules["even_headway"].make(prepared)))
     assert (held["left"] - held["time"]).sum() > (first["left"] - first["time"]).sum()
 
 
