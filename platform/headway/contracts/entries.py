@@ -90,6 +90,11 @@ class EnvEntry:
     """Modules that worker processes import once, before forking (compiled kernels). A module's `warm()`, if
     it has one, is called before training starts, so that what it compiles is compiled once, not by each."""
 
+    def __post_init__(self) -> None:
+        for name, rule in self.rules.items():
+            if not isinstance(rule, RuleEntry):
+                raise TypeError(f"rule {name!r} must be a RuleEntry, not {type(rule).__name__}")
+
 
 @dataclass(frozen=True)
 class AlgoEntry:

@@ -1,7 +1,6 @@
 """The list of wrappers: names, arguments, and what is refused in one line."""
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -127,16 +126,10 @@ ENTRIES = {"NAME": WrapperEntry("half the pay", Nothing, halved, halved_batch)}
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[str]:
+def package(install: Callable[[str, str, str], None], request: pytest.FixtureRequest) -> Iterator[str]:
     """A package with a wrapper of its own, of the name asked for."""
     name = request.param
-    module = f"package_of_{name}"
-    (tmp_path / f"{module}.py").write_text(PACKAGE.replace("NAME", name))
-    metadata = tmp_path / f"{module}-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text(f"[headway.wrappers]\nmine = {module}:ENTRIES\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    install(f"package_of_{name}", PACKAGE.replace("NAME", name), "headway.wrappers")
     wrapper_entries.cache_clear()
     yield name
     wrapper_entries.cache_clear()
