@@ -275,7 +275,10 @@ def _report_training() -> None:
             f"| {budget / alone.per_cpu_second / 60.0:.1f} | {stacked} | {alone.worker_mb:.0f} |",
             flush=True,
         )
-    print(f"\nMeasured over {TRAINED_STEPS:,} steps; what is learned later may crowd the road less, or more.")
+    print(
+        f"\nMeasured over {TRAINED_STEPS:,} environment steps (of intersection_study actions, each of ten "
+        "steps of SUMO); what is learned later may crowd the road less, or more."
+    )
 
 
 def _training(experiment: str, algo: str, alone: bool = False) -> tuple[Task, int]:
