@@ -130,19 +130,21 @@ def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_ou
     log = RunLog(directory)
     log.append("curve", [{"iteration": 0, "env_steps": 0, "evaluation_greedy/return": 2.0}])
     log.commit(0)
-    drawn: list[tuple[list[str], object, object, str]] = []
+    drawn: list[tuple[list[str], object, str, int, object]] = []
 
-    def keep(means: pd.DataFrame, rules: object, axis: str, *_: object, title: str, **__: object) -> Figure:
-        drawn.append((sorted(means["controller"].unique()), rules, title, axis))
+    def keep(
+        means: pd.DataFrame, rules: object, axis: str, styles: object, *, low: object, title: str, sign: int
+    ) -> Figure:
+        drawn.append((sorted(means["controller"].unique()), rules, axis, sign, title))
         return Figure()
 
     monkeypatch.setattr(drawing, "learning_curves", keep)
     words = ["plot", "study", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.png")]
     assert run([*words, "--where", "algorithm=mappo", "--no-rules"]) == 0
     axis = "evaluation greedy: return"
-    assert drawn == [(["mappo"], {}, "study: one seed", axis)]
+    assert drawn == [(["mappo"], {}, axis, 1, "study: one seed")]
     assert run([*words, "--where", "algorithm=mappo", "--lower-is-better"]) == 0
-    assert drawn[1][3] == f"{axis} (lower is better)"
+    assert drawn[1][2:4] == (f"{axis} (lower is better)", -1)
     capsys.readouterr()
     for condition, line in (
         ("algorithm=coma", "--where: no finished run of study is so"),

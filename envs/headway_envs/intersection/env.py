@@ -58,7 +58,8 @@ class IntersectionBatchedEnv:
         self.events: dict[int, str] = {}
         """Slots whose vehicle left or crashed in the last step: `arrived` or `collided`."""
         self.crash_places: list[tuple[float, float]] = []
-        """Where vehicles crashed in the last step, (x, y) in m from the centre."""
+        """Where vehicles crashed in the last step of the running episode, (x, y) in m from the centre; none
+        once a step has ended it."""
         self._seed, self._episode = 0, 0
         self.ledger = Ledger(config)
         self._observed = Observed(
@@ -97,6 +98,11 @@ class IntersectionBatchedEnv:
     def steps_taken(self) -> int:
         """In the running episode."""
         return self.ledger.steps
+
+    @property
+    def episode(self) -> tuple[int, int]:
+        """The running one: the seed of the last `reset`, and how many episodes have ended since."""
+        return self._seed, self._episode
 
     def observed(self) -> Observed:
         """What the agents face now."""

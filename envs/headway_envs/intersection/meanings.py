@@ -30,5 +30,6 @@ MEANINGS = {
     "travel_time_av_s": "mean time on the road of those of avs_through, s; the episode's where none did",
     "worst_approach_s": "seconds AVs with a slot spent for each that went through, on the worst approach",
     "fairness_jain": "Jain's index of the same seconds over the approaches: 1 where equal",
+    "sumo_steps": "steps of SUMO in the episode, 0.1 s each; `length` counts actions",
     **{f"reward_{term}": f"term {term.replace('_', ' ')} {_TERM}" for term in TERMS},
 }

@@ -15,7 +15,7 @@ METRICS = (
     "inflow_warm_vph", "outflow_warm_vph", "vehicles", "pending", "speed", "speed_av", "speed_hdv",
     "acceleration_av", "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel_gal_s",
     "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
-    "fairness_jain", *(f"reward_{term}" for term in TERMS),
+    "fairness_jain", "sumo_steps", *(f"reward_{term}" for term in TERMS),
 )  # fmt: skip
 """In the order of `Ledger.metrics`; `meanings` says what they are."""
 
@@ -91,6 +91,7 @@ class Ledger:
             float(np.mean(self.travel_s)) if self.travel_s else seconds,
             max(spent, default=0.0),
             jain(spent),
+            self.steps,
             *(self.terms / steps).tolist(),
         ]
 

@@ -1,8 +1,8 @@
 """Controllers to compare with: human drivers, constant actions, first come, first served, and a signal."""
 
 from dataclasses import dataclass
+from hashlib import blake2b
 from typing import ClassVar
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,15 +144,16 @@ class VirtualSignal:
         for row, slot, vehicle in native.street.roster.automated:
             speed, to_hold = float(traffic.speed[row]), ROAD_M - self.HOLD_M - float(traffic.position[row])
             wished = _unhindered(native, row)
-            red = int(traffic.link[row]) // 4 % 2 != green and self._keeps(vehicle)
+            red = int(traffic.link[row]) // 4 % 2 != green and self._keeps(vehicle, native.episode)
             if red and self._can_hold(speed, to_hold):
                 wished = min(wished, _slowing_to(0.0, to_hold))
             actions[0, slot, 0] = _towards(native, row, wished)
         return actions
 
-    def _keeps(self, vehicle: str) -> bool:
-        """Whether a vehicle is among the share that does, the same in every episode."""
-        return crc32(vehicle.encode()) < self.share * 2**32
+    def _keeps(self, vehicle: str, episode: tuple[int, int]) -> bool:
+        """Whether a vehicle is among the share that does, drawn for each in each episode."""
+        draw = blake2b(f"{vehicle} {episode}".encode(), digest_size=4).digest()
+        return int.from_bytes(draw) < self.share * 2**32
 
     def _can_hold(self, speed: float, distance: float) -> bool:
         """Whether a vehicle comes to a stop within a distance, m, and `MARGIN_M`."""

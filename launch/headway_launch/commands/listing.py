@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 import yaml
 
 from headway.configuration import FieldDescription, describe, suggestion
-from headway.contracts import RANDOM, EnvEntry, RuleEntry
+from headway.contracts import RANDOM, RuleEntry
 from headway.contracts.errors import HeadwayError
 from headway.registry import (
     algo_entries,
@@ -97,28 +97,33 @@ def _configured(name: str) -> str | None:
     return own if own in env_entries() else None
 
 
-def _env_entry(name: str) -> EnvEntry:
-    """That of an environment, or of one that has a configuration of this name."""
-    return env_entry(_configured(name) or name)
-
-
 def _rules(name: str) -> Mapping[str, RuleEntry]:
-    """Of an environment, likewise; of a file that leaves it to a module, what all have."""
+    """Of an environment, or of one that has a configuration of this name; of a file that leaves it to a
+    module, what all have."""
     own = _configured(name)
     return {"random": RANDOM} if own is None else env_entry(own).rules
 
 
+def _metrics(name: str) -> Mapping[str, str]:
+    """Likewise; of a file that leaves it to a module, none."""
+    own = _configured(name)
+    return {} if own is None else env_entry(own).metrics
+
+
+def _names(name: str | None) -> list[str]:
+    """The one that is asked for, or all environments, those that are a file's alone among them."""
+    return [*env_entries(), *_by_file()] if name is None else [name]
+
+
 def _list_rules(name: str | None) -> None:
-    names = [*env_entries(), *_by_file()] if name is None else [name]
-    rows = [(env, rule, entry.summary) for env in names for rule, entry in _rules(env).items()]
+    rows = [(env, rule, entry.summary) for env in _names(name) for rule, entry in _rules(env).items()]
     print_table(("environment", "rule", "what it does"), rows, whole=("rule",))
 
 
 def _list_metrics(name: str | None) -> None:
-    entries = env_entries() if name is None else {name: _env_entry(name)}
-    described = {key: {**_OF_ALL, **entry.metrics} for key, entry in entries.items() if entry.metrics}
+    described = {key: {**_OF_ALL, **metrics} for key in _names(name) if (metrics := _metrics(key))}
     if not described:
-        describing = ", ".join(key for key, entry in env_entries().items() if entry.metrics)
+        describing = ", ".join(key for key in _names(None) if _metrics(key))
         raise HeadwayError(
             f"{name} does not say what its metrics mean: its EnvEntry needs `metrics`; "
             f"those that do: {describing}"

@@ -16,13 +16,13 @@ from headway_envs.bus.scenario.synthetic import generate
 @pytest.mark.parametrize("scenario", ["line", "district"])
 def test_a_picture_shows_the_map_and_the_day(scenario: str, tmp_path: Path) -> None:
     tables = generate(scenario, 0)
-    draw_scenario(tables, "weekday", scenario, tmp_path / "a.png")
+    draw_scenario(tables, "weekday", scenario).savefig(tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     left = pixels[:, : pixels.shape[1] * 55 // 100]
     coloured = (left.max(axis=2) - left.min(axis=2) > 60).mean()
     assert coloured > 0.002  # links, not only black text on white
-    draw_scenario(tables, "sunday", scenario, tmp_path / "b.png")
+    draw_scenario(tables, "sunday", scenario).savefig(tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 
 
@@ -43,8 +43,8 @@ def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(turned: bool
     assert np.mean(axes.get_xlim()) == pytest.approx((links.x0 + links.x1) / 2.0, abs=0.05 * wide)
 
 
-def test_a_day_without_trips_is_one_line(tmp_path: Path) -> None:
+def test_a_day_without_trips_is_one_line() -> None:
     tables = generate("line", 0)
     weekday = replace(tables, trips=tables.trips[tables.trips["daytype"] == "weekday"])
     with pytest.raises(HeadwayError, match="there is no trip on a sunday"):
-        draw_scenario(weekday, "sunday", "", tmp_path / "a.png")
+        draw_scenario(weekday, "sunday", "")

@@ -90,6 +90,16 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
     assert 0.3 < np.mean(list(kept.values())) < 0.7
 
 
+def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
+    """Neither every fourth nor the same on all days."""
+    rule, vehicles = VirtualSignal(0.25), [f"av.{lane}.{number}" for lane in range(8) for number in range(50)]
+    days = np.array([[rule._keeps(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
+    assert days.mean() == pytest.approx(0.25, abs=0.02)
+    assert days.mean(axis=0).max() < 0.7
+    gaps = np.diff(np.flatnonzero(days[0]))
+    assert np.std(gaps) == pytest.approx(np.sqrt(0.75) / 0.25, rel=0.4)  # geometric
+
+
 def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
     """Among AVs alone: nobody who could hold when its green ended enters before its next."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal()

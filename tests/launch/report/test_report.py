@@ -181,17 +181,15 @@ def test_who_is_far_better_is_drawn(lower: bool, diverged: bool, keep_run: KeepR
         keep_run((*TRACKING, "algo=ddpg"), seed, sign * 98_000.0, energy=KNOWN)
     report = report_of(StudyData(root, "study", lower_is_better=lower))
     assert ("Beyond the axis: ddpg" in said(report)) == diverged
-    drawn = [
-        part.figure.axes[0]
+    pictures = {
+        part.name: part.figure.axes[0]
         for section in report.sections
         for part in section.body
         if isinstance(part, Picture)
-        and part.name in ("learning_curves", "intervals", "reward_against_energy")
-    ]
-    assert len(drawn) >= 2
-    for axes in drawn:
-        reach = [*axes.get_xlim(), *axes.get_ylim()]
-        assert (max(map(abs, reach)) > 50_000) != diverged
+    }
+    for name in ("learning_curves", "intervals", "profiles", "reward_against_energy"):
+        reach = [*pictures[name].get_xlim(), *pictures[name].get_ylim()]
+        assert (max(map(abs, reach)) > 50_000) != diverged, name
 
 
 def test_runs_of_few_evaluations_have_no_area_by_their_own_range(keep_run: KeepRun, root: Path) -> None:

@@ -1,7 +1,6 @@
 """A picture of a scenario: the lines on the map, the load of the links, and the headways."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from headway_envs.bus.scenario.tables import Tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
@@ -28,13 +28,12 @@ _HEADWAYS_MIN = (5.0, 60.0)
 """Ends of the scale of headways, minutes."""
 
 
-def draw_scenario(tables: Tables, day: str, title: str, output: Path) -> None:
-    """Write a picture of one day type as `output` (a suffix that matplotlib knows).
+def draw_scenario(tables: Tables, day: str, title: str) -> "Figure":
+    """A picture of one day type.
 
     Left the map: each link as wide as the passengers whom it carries a day, coloured by line where there are
     up to ten, else by the headway of its buses. Right, by hour: buses on the road, boardings, and headways
-    of patterns. Raises HeadwayError where the day type has no trips; OSError or ValueError where the file
-    cannot be written."""
+    of patterns. Raises HeadwayError where the day type has no trips."""
     from matplotlib.figure import Figure
 
     trips = tables.trips[tables.trips["daytype"] == day]
@@ -49,7 +48,7 @@ def draw_scenario(tables: Tables, day: str, title: str, output: Path) -> None:
     _draw_boardings(places["boardings"], tables, day)
     _draw_headways(places["headways"], trips)
     figure.suptitle(title)
-    figure.savefig(output)
+    return figure
 
 
 def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> None:

@@ -42,8 +42,9 @@ def execute(arguments: argparse.Namespace) -> int:
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
     lines = tables.patterns["line"].nunique()
     title = f"{name}: {lines:,} lines, {len(tables.stops):,} stops, {day}"
+    figure = draw_scenario(tables, day, title)
     try:
-        draw_scenario(tables, day, title, output)
+        figure.savefig(output)
     except (OSError, ValueError) as error:
         raise unwritten("--output", output, error) from error
     print(output)

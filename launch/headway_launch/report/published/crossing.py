@@ -26,7 +26,7 @@ HUMANS = "human"
 """The rule by which SUMO drives all vehicles, with right of way."""
 FIGURES = (
     Figure("paper_return", "reward (their sum)", 0),
-    Figure("length", "actions", 0),
+    Figure("sumo_steps", "steps", 0),
     Figure("inflow_vph", "inflow, veh/h", 0),
     Figure("outflow_vph", "outflow, veh/h", 0),
     Figure("efficiency", "efficiency", 3),
