@@ -97,7 +97,7 @@ ENTRY = EnvEntry(
             _reservation,
         ),
         "virtual_signal": RuleEntry(
-            "a signal that AVs alone know and impose on those behind (Ferreira et al. 2010); for av_speed_mode=11",
+            "a signal AVs alone know and impose on those behind (Ferreira et al. 2010); for av_speed_mode=11",
             _virtual_signal,
         ),
         **{
