@@ -1,7 +1,9 @@
-"""`headway compare`: all cells of a study and the classical rules on the same days, with intervals."""
+"""`headway compare`: all cells of a study and the classical rules on the same days, with intervals; or rules
+alone."""
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 if TYPE_CHECKING:
     from headway.events import Row
     from headway.stats import Interval
+    from headway_launch.composing import Experiment
     from headway_launch.stored import StoredRun
     from headway_launch.tables import Cell
 
@@ -20,6 +23,8 @@ examples:
   headway compare bus --episodes 200
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
   headway compare bus --rules always_move,headway_holding_0.9
+  headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, nothing trained
+  headway compare experiment=intersection_study --against human --metrics outflow_vph,collisions
 
 Every finished seed's newest policy plays the same days, and so does every rule. The differences are
 controller minus reference, paired day by day, with 95% intervals by Student's t: over days for a rule and
@@ -30,8 +35,13 @@ metrics ENVIRONMENT`.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The study, the days and the reference."""
-    parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
+    """The study or the environment, the days and the reference."""
+    parser.add_argument(
+        "study",
+        metavar="STUDY|KEY=VALUE",
+        help="a study, as `headway runs` shows it; or, for rules alone, overrides as for `headway run`",
+    )
+    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", default=[], help="more of them")
     parser.add_argument("--episodes", type=int, default=100, help="days (default: 100)")
     parser.add_argument("--seed", type=int, default=2_000_003, help="root of the days' seeds")
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
@@ -66,8 +76,8 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--episodes {arguments.episodes}: must be at least 2, as days are paired")
     if arguments.seed < 0:
         raise HeadwayError(f"--seed {arguments.seed}: must not be negative")
-    cells = _cells(existing_store(arguments.store), arguments.study)
-    experiment = next(iter(cells.values()))[0].experiment
+    subject = _subject(arguments)
+    experiment, cells = subject.experiment, subject.cells
     found = experiment.prepare()
     names = rules_to_play(found, arguments.rules)
     if not names:
@@ -115,11 +125,37 @@ def execute(arguments: argparse.Namespace) -> int:
         "95% to",
         "interval",
     )
-    print_table(columns, rows, title=f"{arguments.study}: {arguments.episodes} days, {arguments.mode}")
-    fewest = min(map(len, cells.values()))
+    mode = f", {arguments.mode}" if cells else ""
+    print_table(columns, rows, title=f"{subject.name}: {arguments.episodes} days{mode}")
+    fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         tell(few_seeds(fewest))
     return 0
+
+
+@dataclass(frozen=True)
+class _Subject:
+    """Who is compared, and on what."""
+
+    name: str
+    experiment: "Experiment"
+    cells: Mapping[str, list["StoredRun"]]
+    """Learners by label; none where rules are compared alone."""
+
+
+def _subject(arguments: argparse.Namespace) -> _Subject:
+    from headway_launch.composing import compose
+
+    if "=" in arguments.study:
+        words = [arguments.study, *arguments.overrides]
+        return _Subject(" ".join(words), compose(words), {})
+    if arguments.overrides:
+        raise HeadwayError(
+            f"{arguments.overrides[0]!r}: a study is compared as it was trained; for rules alone on an "
+            f"environment, give overrides only: headway compare env=ENV {' '.join(arguments.overrides)}"
+        )
+    cells = _cells(existing_store(arguments.store), arguments.study)
+    return _Subject(arguments.study, next(iter(cells.values()))[0].experiment, cells)
 
 
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
