@@ -22,20 +22,20 @@ SEEDS_FOR_A_CLAIM = 10
 _COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to", "interval")
 
 
-def rules_to_play(environment: "PreparedEnv", names: str | None) -> tuple[str, ...]:
-    """Rules of an environment by name: those of `--rules a,b`, or else all that can play it. Those that
-    cannot, because wrappers hide what they look at, are told in a line.
+def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
+    """Rules of an environment by name, each once: those that `option` gives, `a,b`, or else all that can play
+    it. Those that cannot, because wrappers hide what they look at, are told in a line.
 
     Raises HeadwayError for a name that is no rule, and for a rule that is named and cannot play.
     """
     known = environment.entry.rules
     if names is not None:
-        wanted = tuple(name.strip() for name in names.split(",") if name.strip())
+        wanted = tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
         for name in wanted:
             if name not in known:
-                raise HeadwayError(f"--rules: {name!r} is no rule here; {suggestion(name, known)}")
+                raise HeadwayError(f"{option}: {name!r} is no rule here; {suggestion(name, known)}")
             if problem := _why_not(environment, name):
-                raise HeadwayError(f"--rules: {problem}")
+                raise HeadwayError(f"{option}: {problem}")
         return wanted
     problems = {name: problem for name in known if (problem := _why_not(environment, name))}
     if problems:

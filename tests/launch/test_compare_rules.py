@@ -45,10 +45,19 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     ("words", "line"),
     [
         (["bus", "env.args.steps=3"], "a study is compared as it was trained"),
+        (["tracking"], "there is no store in 'runs'"),
+        (["tracking"], "for rules alone: headway compare env=tracking"),
+        (["toy_tracking"], "for rules alone: headway compare experiment=toy_tracking"),
+        (
+            [*GAME, "evaluation.episodes=2"],
+            "'evaluation.episodes=2' changes nothing where rules are compared",
+        ),
+        (["algo=ippo", "env=tracking"], "'algo=ippo' changes nothing where rules are compared"),
+        (["env.args.steps=7"], "which environment? Give env=ENV or experiment=EXPERIMENT"),
         (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
         (["env=trackin"], "tracking"),
         ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
-        ([*GAME, "--against", "ippo"], "--against: 'ippo' is no rule played here"),
+        ([*GAME, "--against", "ippo"], "--against: 'ippo' is no rule here"),
         ([*GAME, "--episodes", "1"], "must be at least 2"),
     ],
 )
@@ -59,3 +68,10 @@ def test_what_cannot_be_compared_is_one_line(
     told = capsys.readouterr().err
     assert line in told
     assert told.count("\n") == 1
+
+
+def test_the_reference_is_played_too_and_no_rule_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--episodes", "2", "--rules", "random,random", "--against", "optimal"]
+    assert run(["compare", *GAME, *words]) == 0
+    rows = capsys.readouterr().out.splitlines()[1:]
+    assert [row.split("\t")[1] for row in rows] == ["rule optimal", "rule random"]

@@ -308,7 +308,7 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
         (["--rules", ","], "--rules names none"),
         (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
         (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
-        (["--rules", "random", "--against", "optimal"], "--against: 'optimal' is no rule played here"),
+        (["--rules", "random", "--against", "optimum"], "--against: 'optimum' is no rule here"),
     ):
         assert run(["compare", "default", "--episodes", "2", *words]) == 2
         assert line in capsys.readouterr().err

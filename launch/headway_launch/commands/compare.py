@@ -83,9 +83,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if not names:
         raise HeadwayError("--rules names none; give one at least, such as --rules random")
     if arguments.against is not None and arguments.against not in names:
-        raise HeadwayError(
-            f"--against: {arguments.against!r} is no rule played here; {suggestion(arguments.against, names)}"
-        )
+        names = (*rules_to_play(found, arguments.against, "--against"), *names)
     compile_kernels(experiment.env)
     policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
@@ -144,18 +142,40 @@ class _Subject:
 
 
 def _subject(arguments: argparse.Namespace) -> _Subject:
-    from headway_launch.composing import compose
+    from headway_launch.composing import compose, groups
 
     if "=" in arguments.study:
         words = [arguments.study, *arguments.overrides]
+        _require_for_rules(words)
         return _Subject(" ".join(words), compose(words), {})
     if arguments.overrides:
         raise HeadwayError(
-            f"{arguments.overrides[0]!r}: a study is compared as it was trained; for rules alone on an "
-            f"environment, give overrides only: headway compare env=ENV {' '.join(arguments.overrides)}"
+            f"{arguments.overrides[0]!r}: a study is compared as it was trained; leave this out, or "
+            f"{arguments.study!r}, if rules are to be compared alone"
         )
-    cells = _cells(existing_store(arguments.store), arguments.study)
+    try:
+        cells = _cells(existing_store(arguments.store), arguments.study)
+    except HeadwayError as error:
+        known = groups()
+        for group in ("env", "experiment"):
+            if arguments.study in known[group]:
+                hint = f"for rules alone: headway compare {group}={arguments.study}"
+                raise HeadwayError(f"{error}; {hint}") from error
+        raise
     return _Subject(arguments.study, next(iter(cells.values()))[0].experiment, cells)
+
+
+def _require_for_rules(words: Sequence[str]) -> None:
+    """Refuse what rules alone do not heed, and overrides that do not say what they are played on."""
+    keys = [word.partition("=")[0].lstrip("+~") for word in words]
+    for word, key in zip(words, keys, strict=True):
+        if key.split(".")[0] not in ("env", "experiment"):
+            raise HeadwayError(
+                f"{word!r} changes nothing where rules are compared alone; give env=, env.KEY= or "
+                "experiment=, and options such as --episodes, --rules and --seed"
+            )
+    if not {"env", "experiment"} & set(keys):
+        raise HeadwayError("which environment? Give env=ENV or experiment=EXPERIMENT, too")
 
 
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from headway.contracts.errors import HeadwayError
 from headway_launch.choosing import parse_conditions, require_known
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.unwritten import unwritten
+from headway_launch.figures import write_figure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,10 +72,7 @@ def execute(arguments: argparse.Namespace) -> int:
         title=f"{arguments.study}: {_what_is_drawn(means)}",
         sign=-1 if arguments.lower_is_better else 1,
     )
-    try:
-        figure.savefig(output)
-    except (OSError, ValueError) as error:
-        raise unwritten("--output", output, error) from error
+    write_figure(figure, output)
     print(output)
     return 0
 

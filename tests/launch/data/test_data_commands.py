@@ -47,6 +47,7 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["describe", "nowhere"], ["scenario 'nowhere' is none of line, corridor, district, city"]),
         (["plot", "nowhere"], ["scenario 'nowhere' is none of"]),
         (["plot", "line", "--output", "x.nothing"], ["--output: x.nothing cannot be written"]),
+        (["plot", "line", "--output", "x"], ["--output: x does not say which kind", "as x.png or .svg"]),
         (["plot", "line", "--output", "no/x.png"], ["--output: no/x.png cannot", "there is no folder no;"]),
         (["plot", "line", "--day-type", "monday"], ["--day-type", "monday"]),
         (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.unwritten import unwritten
+from headway_launch.figures import write_figure
 
 EXAMPLES = """\
 examples:
@@ -42,10 +42,6 @@ def execute(arguments: argparse.Namespace) -> int:
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
     lines = tables.patterns["line"].nunique()
     title = f"{name}: {lines:,} lines, {len(tables.stops):,} stops, {day}"
-    figure = draw_scenario(tables, day, title)
-    try:
-        figure.savefig(output)
-    except (OSError, ValueError) as error:
-        raise unwritten("--output", output, error) from error
+    write_figure(draw_scenario(tables, day, title), output)
     print(output)
     return 0
