@@ -36,7 +36,7 @@ TINY = (
     "evaluation.every=1000000",
 )
 LONG = ("env_steps=1e8",)
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 BEGUN = "(training| left)"
 """In a progress line once training has begun: `training`, or the time left where it is known already."""
 
