@@ -12,6 +12,7 @@ from headway.configuration import describe
 from headway.registry import env_entries, env_entry
 from headway_launch.command_line import run
 from headway_launch.commands import compare, evaluate
+from headway_launch.composing import compose
 
 
 @pytest.mark.parametrize(
@@ -98,10 +99,14 @@ def test_an_empty_store_has_no_runs(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 @pytest.mark.parametrize("command", [compare, evaluate], ids=["compare", "evaluate"])
 def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
-    named = re.findall(r"^ +headway .*--(?:rules|against) (\S+)", command.EXAMPLES, re.MULTILINE)
-    rules = {rule for names in named for rule in names.split(",")}
-    assert rules
-    assert rules <= set(env_entry("bus").rules)
+    """Of the environment that an example gives, else of the buses."""
+    examples = re.findall(r"^ +headway .*--(?:rules|against) .*$", command.EXAMPLES, re.MULTILINE)
+    assert examples
+    for example in examples:
+        given = re.findall(r"(?:env|experiment)=\S+", example)
+        there = compose(given).env.rules if given else env_entry("bus").rules
+        named = re.findall(r"--(?:rules|against) (\S+)", example)
+        assert {rule for names in named for rule in names.split(",")} <= set(there), example
 
 
 def test_environments_that_a_file_makes_of_others_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
