@@ -53,11 +53,13 @@ def test_rules_are_compared_on_the_days_of_an_environment(
             "'evaluation.episodes=2' changes nothing where rules are compared",
         ),
         (["algo=ippo", "env=tracking"], "'algo=ippo' changes nothing where rules are compared"),
+        ([*GAME, "env.training_args.noise=0"], "changes nothing where rules are compared"),
         (["env.args.steps=7"], "which environment? Give env=ENV or experiment=EXPERIMENT"),
         (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
         (["env=trackin"], "tracking"),
         ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
         ([*GAME, "--against", "ippo"], "--against: 'ippo' is no rule here"),
+        ([*GAME, "--metrics", "distanse"], "'distanse' is no metric here; did you mean distance?"),
         ([*GAME, "--episodes", "1"], "must be at least 2"),
     ],
 )

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "study",
         metavar="STUDY|KEY=VALUE",
-        help="a study, as `headway runs` shows it; or, for rules alone, overrides as for `headway run`",
+        help="a study, as `headway runs` shows it; or, for rules alone, env=, env.KEY= or experiment=",
     )
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", default=[], help="more of them")
     parser.add_argument("--episodes", type=int, default=100, help="days (default: 100)")
@@ -84,13 +84,13 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError("--rules names none; give one at least, such as --rules random")
     if arguments.against is not None and arguments.against not in names:
         names = (*rules_to_play(found, arguments.against, "--against"), *names)
+    metrics = _metrics(arguments.metrics, ("length", "return", *found.spec.metrics))
     compile_kernels(experiment.env)
     policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
     controllers = len(names) + sum(map(len, policies.values()))
     with Counted("episodes played", controllers * episodes) as counted:
         rules = rule_episodes(experiment, found.prepared, names, root, episodes, counted)
-        metrics = _metrics(arguments.metrics, rules)
         reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
         played = {
             label: [
@@ -169,7 +169,7 @@ def _require_for_rules(words: Sequence[str]) -> None:
     """Refuse what rules alone do not heed, and overrides that do not say what they are played on."""
     keys = [word.partition("=")[0].lstrip("+~") for word in words]
     for word, key in zip(words, keys, strict=True):
-        if key.split(".")[0] not in ("env", "experiment"):
+        if key.split(".")[0] not in ("env", "experiment") or key.startswith("env.training_args"):
             raise HeadwayError(
                 f"{word!r} changes nothing where rules are compared alone; give env=, env.KEY= or "
                 "experiment=, and options such as --episodes, --rules and --seed"
@@ -195,10 +195,7 @@ def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
     return cells
 
 
-def _metrics(names: str, rules: Mapping[str, Sequence["Row"]]) -> tuple[str, ...]:
-    from headway.events import LABELS
-
-    known = [name for name in next(iter(rules.values()))[0] if name not in LABELS]
+def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
     wanted = tuple(name.strip() for name in names.split(",") if name.strip())
     for name in wanted:
         if name not in known:
