@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
-"""Training seeds from which a difference with an interval that excludes 0 is worth a claim."""
+"""Training seeds from which a difference with an interval over them that excludes 0 is worth a claim."""
+DAYS_FOR_A_CLAIM = 20
+"""Days from which one over days is."""
 _COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to", "interval")
 
 

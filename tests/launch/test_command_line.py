@@ -195,6 +195,8 @@ def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
         shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
     assert len(shown[0]) > 5
     assert shown[0] == shown[1]
+    assert run(["list", what, "intersection_papr"]) == 2
+    assert "did you mean intersection_paper?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", env_entries())

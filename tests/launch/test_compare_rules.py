@@ -38,6 +38,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     assert float(rows["return", "rule random"]["95% to"]) < 0
     assert rows["return", "rule optimal"]["minus optimal"] == ""
     assert "train at least" not in shown.err
+    assert "4 days: the intervals take days to differ by a normal law" in shown.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -77,3 +78,18 @@ def test_the_reference_is_played_too_and_no_rule_twice(capsys: pytest.CaptureFix
     assert run(["compare", *GAME, *words]) == 0
     rows = capsys.readouterr().out.splitlines()[1:]
     assert [row.split("\t")[1] for row in rows] == ["rule optimal", "rule random"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--episodes", "19"], True),
+        (["--episodes", "20"], False),
+        (["--episodes", "3", "--rules", "random"], False),
+    ],
+)
+def test_few_days_are_told_where_there_is_an_interval_over_them(
+    words: list[str], told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["compare", *GAME, *words]) == 0
+    assert ("play at least 20 before" in capsys.readouterr().err) == told

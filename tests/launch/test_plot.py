@@ -81,6 +81,17 @@ def test_training_curves_whose_points_lie_at_different_steps_are_drawn(
     assert "share no step at which they have 'training/return'\n" in capsys.readouterr().err
 
 
+def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _keep_seed(tmp_path, 0, "evaluation_greedy/wait", {0: 2.0, 4: 1.0})
+    words = ["plot", "apart", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.svg")]
+    assert run([*words, "--metric", "wait"]) == 0, capsys.readouterr().err
+    assert "evaluation greedy: wait" in (tmp_path / "drawn.svg").read_text()
+    assert run([*words, "--metric", "wiat"]) == 2
+    assert "did you mean evaluation_greedy/wait?" in capsys.readouterr().err
+
+
 def test_evaluations_at_different_steps_are_not_put_together(tmp_path: Path) -> None:
     for seed, points in enumerate(({0: 0.0, 2: 2.0}, {1: 3.0, 3: 5.0})):
         _keep_seed(tmp_path, seed, "evaluation_greedy/return", points)

@@ -59,6 +59,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.comparison import (
+        DAYS_FOR_A_CLAIM,
         SEEDS_FOR_A_CLAIM,
         counting,
         difference,
@@ -124,10 +125,16 @@ def execute(arguments: argparse.Namespace) -> int:
         "interval",
     )
     mode = f", {arguments.mode}" if cells else ""
-    print_table(columns, rows, title=f"{subject.name}: {arguments.episodes} days{mode}")
+    days = f"{arguments.episodes} days"
+    print_table(columns, rows, title=f"{subject.name}: {days} of {found.spec.name}{mode}")
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         tell(few_seeds(fewest))
+    if arguments.episodes < DAYS_FOR_A_CLAIM and len(rules) + len(played) > 1:
+        tell(
+            f"{days}: the intervals take days to differ by a normal law and may miss rare ones; "
+            f"play at least {DAYS_FOR_A_CLAIM} before saying which is better"
+        )
     return 0
 
 

@@ -89,8 +89,10 @@ def _by_file() -> list[str]:
 
 def _configured(name: str) -> str | None:
     """The registered environment that a file of this name configures, else `name`; None where the file leaves
-    it to a PettingZoo environment's module."""
+    it to a PettingZoo environment's module. Raises HeadwayError for a name that neither knows."""
     if name not in _by_file():
+        if "." not in name and name not in env_entries():
+            raise HeadwayError(f"{name!r} is no environment; {suggestion(name, _names(None))}")
         return name
     configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
     own = configured.get("id")

@@ -17,7 +17,7 @@ examples:
   headway plot bus
   headway plot bus --output curves.png --metric evaluation_sampled/return
   headway plot bus --low 0                         cut the vertical axis below 0
-  headway plot bus --metric evaluation_greedy/mean_wait_min --lower-is-better
+  headway plot bus --metric mean_wait_min --lower-is-better
   headway plot bus --where 'policies=shared and algo.lr<1e-3' --no-rules
 
 One line a cell (algorithm and, where that tells cells apart, preset, candidate of a search and settings), one
@@ -32,7 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study, the metric and the file."""
     parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
     parser.add_argument("--output", default=None, help="picture to write (default: STUDY.png)")
-    parser.add_argument("--metric", default="evaluation_greedy/return", help="column of the curve")
+    parser.add_argument(
+        "--metric",
+        default="evaluation_greedy/return",
+        help="column of the curve; a bare name is one of evaluation_greedy (default: return)",
+    )
     parser.add_argument(
         "--where",
         action="append",
@@ -55,6 +59,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
     root = existing_store(arguments.store)
     conditions = parse_conditions(arguments.where)
+    named: str = arguments.metric
+    metric = named if "/" in named else f"evaluation_greedy/{named}"
     finished = finished_runs(root, arguments.study)
     require_known(finished, conditions, "")
     chosen = tuple(row for row in finished if all(condition.holds(row) for condition in conditions))
@@ -62,11 +68,11 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--where: no finished run of {arguments.study} is so; see headway runs --where")
     runs = Selection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
-    means = frames.mean_curves(curves_of(runs, arguments.metric))
+    means = frames.mean_curves(curves_of(runs, metric))
     figure = drawing.learning_curves(
         means,
-        {} if arguments.no_rules else rules_beside(runs, arguments.metric),
-        _axis(arguments.metric, arguments.lower_is_better),
+        {} if arguments.no_rules else rules_beside(runs, metric),
+        _axis(metric, arguments.lower_is_better),
         drawing.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
         title=f"{arguments.study}: {_what_is_drawn(means)}",
