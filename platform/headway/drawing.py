@@ -357,31 +357,23 @@ def reward_against_cost(
     return figure
 
 
-def reward_components(components: "pd.DataFrame", label: str) -> "Figure":
-    """Stacked bars, a bar a row (a controller or a rule) and a colour a column: what is paid to the right of
-    0, what is charged to the left, and a mark at the sum."""
-    names = [_in_lines(str(name)) for name in components.index]
-    figure = _figure(_WIDTH, 1.0 + _rows_height(names))
-    axes, places = figure.subplots(), np.arange(len(components))
-    paid, charged = np.zeros(len(components)), np.zeros(len(components))
-    for place, name in enumerate(components.columns):
-        values = components[name].fillna(0).to_numpy()
-        start = np.where(values >= 0, paid, charged)
-        axes.barh(
-            places,
-            values,
-            left=start,
-            height=0.6,
-            label=name,
-            color=_COLOURS[place % len(_COLOURS)],
-            alpha=0.85,
-        )
-        paid, charged = paid + np.maximum(values, 0), charged + np.minimum(values, 0)
-    axes.plot(paid + charged, places, "D", color="black", markersize=5, label="sum")
-    axes.axvline(0, color="0.3", linewidth=0.8)
-    _name_rows(axes, names)
-    _finish(axes, label, "")
-    _legends_beside(figure, [axes])
+def reward_components(components: "pd.DataFrame") -> "Figure":
+    """A panel a component of the reward (a column), a bar a controller or a rule (a row): paid to the right
+    of 0, charged to the left. Each has its own scale, as they may be unweighted and then do not add up."""
+    names, places = [_in_lines(str(name)) for name in components.index], np.arange(len(components))
+    longest = max(len(line) for name in names for line in name.split("\n"))
+    across = min(len(components.columns), 2 if longest > _NAME_LENGTH // 2 else 3)
+    down = -(-len(components.columns) // across)
+    figure = _figure(_WIDTH, down * (1.0 + _rows_height(names)))
+    panels = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
+    for axes, name in zip(panels, components.columns, strict=False):
+        axes.barh(places, components[name], height=0.6, color="#4477AA")
+        axes.axvline(0, color="0.3", linewidth=0.8)
+        axes.locator_params(axis="x", nbins=4)
+        _finish(axes, str(name), "")
+    for spare in panels[len(components.columns) :]:
+        spare.remove()
+    _name_rows(panels[0], names)
     return figure
 
 

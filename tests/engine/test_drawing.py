@@ -73,6 +73,6 @@ def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
         runs = pd.DataFrame({"task": "t", "controller": names, "score": 1.0, "kwh": range(12)})
         figure = reward_against_cost(runs, "kwh", 1.0, ("kWh a run", "final reward"), styles)
     else:
-        parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(6)}, index=names)
-        figure = reward_components(parts, "reward of a day")
+        parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(8)}, index=names)
+        figure = reward_components(parts)
     _whole_and_readable(figure)

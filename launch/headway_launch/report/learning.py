@@ -128,12 +128,13 @@ def figures_section(data: StudyData) -> Section:
         components = means[[str(name).startswith(_COMPONENT) for name in means.index]]
         if len(components):
             parted = True
-            picture = drawing.reward_components(components.T, "reward, by component")
+            picture = drawing.reward_components(components.T)
             body.append(
                 Picture(
                     f"components{data.numbered(place)}",
                     f"The parts of the reward{where} as the episodes' figures `{_COMPONENT}...` give them, "
-                    "on their own scale: paid to the right of 0, charged to the left.",
+                    "each on its own scale (`headway list metrics` says whether weighted): paid to the right "
+                    "of 0, charged to the left.",
                     picture,
                 )
             )
