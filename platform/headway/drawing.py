@@ -359,7 +359,11 @@ def reward_against_cost(
 
 def reward_components(components: "pd.DataFrame") -> "Figure":
     """A panel a component of the reward (a column), a bar a controller or a rule (a row): paid to the right
-    of 0, charged to the left. Each has its own scale, as they may be unweighted and then do not add up."""
+    of 0, charged to the left. Each has its own scale, as they may be unweighted and then do not add up; those
+    that are 0 for all are left out."""
+    nothing = components.round(12).eq(0).all()  # Rounded, as sums of rewards may leave 1e-17.
+    if not nothing.all():
+        components = components.loc[:, ~nothing]
     names, places = [_in_lines(str(name)) for name in components.index], np.arange(len(components))
     longest = max(len(line) for name in names for line in name.split("\n"))
     across = min(len(components.columns), 2 if longest > _NAME_LENGTH // 2 else 3)
@@ -370,6 +374,7 @@ def reward_components(components: "pd.DataFrame") -> "Figure":
         axes.barh(places, components[name], height=0.6, color="#4477AA")
         axes.axvline(0, color="0.3", linewidth=0.8)
         axes.locator_params(axis="x", nbins=4)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:.3g}")
         _finish(axes, str(name), "")
     for spare in panels[len(components.columns) :]:
         spare.remove()

@@ -76,3 +76,11 @@ def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
         parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(8)}, index=names)
         figure = reward_components(parts)
     _whole_and_readable(figure)
+
+
+def test_components_that_are_0_for_all_have_no_panel() -> None:
+    parts = pd.DataFrame(
+        {"speed": [1.0, 2.0], "lanes": [0.0, -2e-17], "crash": [0.0, -1.0]}, index=["a", "b"]
+    )
+    assert [axes.get_xlabel() for axes in reward_components(parts).axes] == ["speed", "crash"]
+    assert [axes.get_xlabel() for axes in reward_components(parts[["lanes"]]).axes] == ["lanes"]

@@ -134,7 +134,7 @@ def figures_section(data: StudyData) -> Section:
                     f"components{data.numbered(place)}",
                     f"The parts of the reward{where} as the episodes' figures `{_COMPONENT}...` give them, "
                     "each on its own scale (`headway list metrics` says whether weighted): paid to the right "
-                    "of 0, charged to the left.",
+                    "of 0, charged to the left. Parts that are 0 for all are left out.",
                     picture,
                 )
             )
