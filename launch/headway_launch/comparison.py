@@ -20,7 +20,7 @@ _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
 """Training seeds from which a difference with an interval over them that excludes 0 is worth a claim."""
 DAYS_FOR_A_CLAIM = 20
-"""Days from which one over days is."""
+"""Days from which a difference with an interval over days that excludes 0 is worth a claim."""
 _COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to", "interval")
 
 
@@ -124,6 +124,14 @@ def few_seeds(seeds: int) -> str:
     else:
         known = f"{seeds} seeds: the interval takes them to differ by a normal law and may miss rare failures"
     return f"{known}; train at least {SEEDS_FOR_A_CLAIM} before saying which is better"
+
+
+def few_days(days: int) -> str:
+    """What so few days cannot tell."""
+    return (
+        f"{days} days: the intervals take days to differ by a normal law and may miss rare ones; "
+        f"play at least {DAYS_FOR_A_CLAIM} before saying which is better"
+    )
 
 
 def _print_upright(columns: Sequence[str], table: Sequence[Sequence[Cell]], methods: Iterable[str]) -> None:

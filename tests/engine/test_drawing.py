@@ -1,6 +1,7 @@
 """Pictures of many cells can be read."""
 
 import io
+import math
 from itertools import pairwise
 
 import pandas as pd
@@ -80,7 +81,7 @@ def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
 
 def test_components_that_are_0_for_all_have_no_panel() -> None:
     parts = pd.DataFrame(
-        {"speed": [1.0, 2.0], "lanes": [0.0, -2e-17], "crash": [0.0, -1.0]}, index=["a", "b"]
+        {"speed": [1.0, 2.0], "lanes": [0.0, -2e-17], "crash": [math.nan, -1.0]}, index=["a", "b"]
     )
     assert [axes.get_xlabel() for axes in reward_components(parts).axes] == ["speed", "crash"]
     assert [axes.get_xlabel() for axes in reward_components(parts[["lanes"]]).axes] == ["lanes"]

@@ -185,6 +185,14 @@ def test_an_environment_that_a_module_will_name_has_the_rule_random(
     assert run(["list", "rules", "buss"]) == 2
 
 
+@pytest.mark.parametrize("what", ["envs", "metrics", "rules"])
+def test_a_wrong_name_is_told_the_nearest_of_what_a_file_configures_too(
+    what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["list", what, "intersection_papr"]) == 2
+    assert "did you mean intersection_paper?" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("what", ["metrics", "rules"])
 def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
     what: str, capsys: pytest.CaptureFixture[str]
@@ -195,8 +203,6 @@ def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
         shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
     assert len(shown[0]) > 5
     assert shown[0] == shown[1]
-    assert run(["list", what, "intersection_papr"]) == 2
-    assert "did you mean intersection_paper?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", env_entries())

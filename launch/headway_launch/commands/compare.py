@@ -63,6 +63,7 @@ def execute(arguments: argparse.Namespace) -> int:
         SEEDS_FOR_A_CLAIM,
         counting,
         difference,
+        few_days,
         few_seeds,
         rule_episodes,
         rules_to_play,
@@ -125,16 +126,12 @@ def execute(arguments: argparse.Namespace) -> int:
         "interval",
     )
     mode = f", {arguments.mode}" if cells else ""
-    days = f"{arguments.episodes} days"
-    print_table(columns, rows, title=f"{subject.name}: {days} of {found.spec.name}{mode}")
+    print_table(columns, rows, title=f"{subject.name}: {episodes} days of {found.spec.name}{mode}")
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         tell(few_seeds(fewest))
-    if arguments.episodes < DAYS_FOR_A_CLAIM and len(rules) + len(played) > 1:
-        tell(
-            f"{days}: the intervals take days to differ by a normal law and may miss rare ones; "
-            f"play at least {DAYS_FOR_A_CLAIM} before saying which is better"
-        )
+    if episodes < DAYS_FOR_A_CLAIM and len(rules) + len(played) > 1:
+        tell(few_days(episodes))
     return 0
 
 

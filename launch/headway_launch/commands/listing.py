@@ -59,7 +59,7 @@ def _list_envs(name: str | None) -> None:
     elif name in _by_file():
         _list_group("env")(name)
     else:
-        _print_keys(env_entry(name).config, "env.args")
+        _print_keys(env_entry(_known(name)).config, "env.args")
 
 
 def _list_algos(name: str | None) -> None:
@@ -82,6 +82,14 @@ def _list_wrappers(name: str | None) -> None:
     print_table(("wrapper", "arguments", "batched", "what it does"), rows)
 
 
+def _known(name: str) -> str:
+    """It, if there may be such an environment: one with a dot is a module's. Raises HeadwayError if not, with
+    the nearest of all there are, those that are a file's alone among them."""
+    if "." in name or name in _names(None):
+        return name
+    raise HeadwayError(f"{name!r} is no environment; {suggestion(name, _names(None))}")
+
+
 def _by_file() -> list[str]:
     """Names of environments that are those of a file of `configs/env` alone."""
     return [option for option in groups()["env"] if option not in env_entries()]
@@ -89,11 +97,9 @@ def _by_file() -> list[str]:
 
 def _configured(name: str) -> str | None:
     """The registered environment that a file of this name configures, else `name`; None where the file leaves
-    it to a PettingZoo environment's module. Raises HeadwayError for a name that neither knows."""
+    it to a PettingZoo environment's module."""
     if name not in _by_file():
-        if "." not in name and name not in env_entries():
-            raise HeadwayError(f"{name!r} is no environment; {suggestion(name, _names(None))}")
-        return name
+        return _known(name)
     configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
     own = configured.get("id")
     return own if own in env_entries() else None
