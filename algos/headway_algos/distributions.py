@@ -47,6 +47,19 @@ class MaskedCategorical:
         """sum p_old (log p_old - log p): (P, B)."""
         return old._expectation(old.log_probs - self.log_probs)
 
+    def slopes(
+        self, actions: Tensor, of_log_prob: Tensor, of_entropy: Tensor, old: Self | None, of_kl: Tensor | None
+    ) -> tuple[Tensor, None]:
+        """d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B), with coefficients (P, B) of the
+        log-probabilities of actions (P, B), of entropies and of divergences; nothing depends on more."""
+        probabilities = self.log_probs.exp()
+        surprise = self.log_probs + self.entropy()[:, None]
+        slope = -probabilities * (of_log_prob[:, None] + of_entropy[:, None] * surprise)
+        slope.scatter_add_(1, actions[:, None], of_log_prob[:, None])
+        if old is not None and of_kl is not None:
+            slope += of_kl[:, None] * (probabilities - old.log_probs.exp())
+        return slope, None
+
     def detach(self) -> Self:
         """The same as a constant."""
         return type(self)(self.log_probs.detach(), self.allowed)
@@ -91,6 +104,22 @@ class DiagonalGaussian:
         variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
         distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
+
+    def slopes(
+        self, actions: Tensor, of_log_prob: Tensor, of_entropy: Tensor, old: Self | None, of_kl: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1), with
+        coefficients (P, B) of the log-densities of actions (P, B, A), of entropies and of divergences."""
+        inverse = torch.exp(-self.log_std)
+        standard = (actions.transpose(1, 2) - self.mean) * inverse
+        pulled = of_log_prob[:, None] * standard
+        of_mean, of_log_std = pulled, pulled * standard - of_log_prob[:, None] + of_entropy[:, None]
+        if old is not None and of_kl is not None:
+            shift = (self.mean - old.mean) * inverse
+            variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
+            of_mean = of_mean + of_kl[:, None] * shift
+            of_log_std += of_kl[:, None] * (1 - variance_ratio - shift.square())
+        return of_mean * inverse, of_log_std.sum(2, keepdim=True)
 
     def detach(self) -> Self:
         """The same as a constant, whatever becomes of the parameters."""

@@ -144,24 +144,26 @@ def minibatches(
     """
     stack, batch = selected.shape
     candidates = [np.flatnonzero(row) for row in selected]
-    fillers = np.array([[rows[0] if len(rows) else 0] for rows in candidates])
-    offsets = np.arange(stack)[:, None] * batch
+    counts = np.array([len(rows) for rows in candidates])
+    edges = counts * np.arange(parts + 1)[:, None] // parts
+    sizes = np.diff(edges, axis=0)  # (parts, P)
+    widths, active = sizes.max(axis=1).tolist(), sizes > 0
+    within = np.arange(max(widths))
+    weight = np.where(within < sizes[..., None], 1 / np.maximum(sizes, 1)[..., None], 0)
+    weights = torch.from_numpy(weight).to(layout.device, layout.dtype)
+    # Of each network's shuffled rows; past a minibatch's end is padding.
+    places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
-        shuffled = [random.permutation(rows) for random, rows in zip(generators, candidates, strict=True)]
-        for part in range(parts):
-            chunks = [rows[len(rows) * part // parts : len(rows) * (part + 1) // parts] for rows in shuffled]
-            width = max(len(chunk) for chunk in chunks)
-            index = np.repeat(fillers, width, axis=1)
-            weight = np.zeros((stack, width))
-            for p, chunk in enumerate(chunks):
-                index[p, : len(chunk)] = chunk
-                weight[p, : len(chunk)] = 1 / max(len(chunk), 1)
-            index += offsets
-            pieces = [
-                Piece(
-                    torch.from_numpy(index[:, rows].ravel()).to(layout.device),
-                    torch.from_numpy(weight[:, rows]).to(layout.device, layout.dtype),
-                )
-                for rows in even_slices(width, stack, piece_samples)
-            ]
-            yield pieces, np.array([len(chunk) > 0 for chunk in chunks])
+        index = np.empty(places.shape, np.int64)
+        for p, (random, rows) in enumerate(zip(generators, candidates, strict=True)):
+            shuffled = random.permutation(rows)
+            index[:, p] = p * batch + (shuffled[places[:, p]] if len(rows) else 0)
+        indices = torch.from_numpy(index).to(layout.device)
+        for part, width in enumerate(widths):
+            yield (
+                [
+                    Piece(indices[part, :, rows].flatten(), weights[part, :, rows])
+                    for rows in even_slices(width, stack, piece_samples)
+                ],
+                active[part],
+            )

@@ -31,14 +31,9 @@ class LinearisedMLP:
     def of(cls, network: StackedMLP, rows: Tensor) -> Self:
         """At the network's parameters and rows (P, B, D)."""
         with torch.no_grad():
-            return cls.of_layers(network, list(network.layers(rows)))
-
-    @classmethod
-    def of_layers(cls, network: StackedMLP, layers: Sequence[Tensor]) -> Self:
-        """At the network's parameters and rows of which `StackedMLP.layers` gave these, with gradients or
-        without."""
-        *inputs, outputs = (layer.detach() for layer in layers)
-        return cls(tuple(w.detach() for w in network.weights), tuple(inputs), outputs, network.activation)
+            *inputs, outputs = network.layers(rows)
+        weights = tuple(weight.detach() for weight, _ in network.by_layer())
+        return cls(weights, tuple(inputs), outputs, network.activation)
 
     def _through(self, layer: int, signal: Tensor) -> Tensor:
         """A signal times the slope of the activation that made the input of `layer`."""

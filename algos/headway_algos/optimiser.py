@@ -1,6 +1,6 @@
 """One Adam over a stack of networks, gradients clipped and steps counted for each network by itself."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import copy
 from typing import Any, Self
 
@@ -18,18 +18,17 @@ class StackedAdam:
 
     `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound. Moments and
     counts of steps belong to a network: no network's steps depend on its stack, or on when others stepped.
+    The parameters become views of one tensor: a step is then a handful of operations, however many there are.
     """
 
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
         self.parameters = list(parameters)
         self.grad_clip = grad_clip
         self.base_lr = self.lr = lr
-        self.means = [torch.zeros_like(parameter) for parameter in self.parameters]
-        self.squares = [torch.zeros_like(parameter) for parameter in self.parameters]
-        for parameter, mean in zip(self.parameters, self.means, strict=True):
-            if parameter.stride() != mean.stride():
-                raise ValueError(f"a parameter of strides {parameter.stride()} has gaps: give a copy of it")
-        self.counts = np.zeros(len(self.parameters[0]), np.int64)
+        self.values = joined(self.parameters)
+        """(P, V): all parameters of a network, one after another, as in the next two."""
+        self.means, self.squares = torch.zeros_like(self.values), torch.zeros_like(self.values)
+        self.counts = np.zeros(len(self.values), np.int64)
 
     def begin(self) -> None:
         """Forget the gradients."""
@@ -44,18 +43,19 @@ class StackedAdam:
         """Clip and apply the gradients; returns each network's norm before the clip, (P,).
 
         Networks that are not `active` (P,) had no data: they stay as they were, instead of moving on by
-        their momentum, and their norm is 0.
+        their momentum, and their norm is 0. Raises RuntimeError where the parameters are others by now.
         """
-        gradients = [_gradient(parameter) for parameter in self.parameters]
+        if self.parameters[0].data_ptr() != self.values.data_ptr():
+            raise RuntimeError(
+                "the parameters were moved, or given to another optimiser, since this one began"
+            )
+        gradient = self._gradient()
         if not active.all():
-            for gradient in gradients:
-                gradient[torch.from_numpy(~active).to(gradient.device)] = 0
-        norm = torch.stack([g.flatten(1).square().sum(1) for g in gradients]).sum(0).sqrt()
+            gradient[torch.from_numpy(~active).to(gradient.device)] = 0
+        norm: Tensor = torch.linalg.vector_norm(gradient, dim=1)
         if self.grad_clip is not None:
-            factor = (self.grad_clip / (norm + 1e-6)).clamp(max=1)
-            for gradient in gradients:
-                gradient.mul_(factor.view(-1, *[1] * (gradient.dim() - 1)))
-        tensors = [[p.detach() for p in self.parameters], gradients, self.means, self.squares]
+            gradient *= (self.grad_clip / (norm + 1e-6)).clamp_(max=1)[:, None]
+        tensors = [self.values, gradient, self.means, self.squares]
         # Adam's correction of its young moments depends on the count: networks of one count go together.
         for count in sorted(set(self.counts[active].tolist())):
             chosen = active & (self.counts == count)
@@ -63,21 +63,25 @@ class StackedAdam:
                 self._apply(tensors, count)
                 continue
             index = torch.from_numpy(np.flatnonzero(chosen)).to(norm.device)
-            parts = [[tensor[index] for tensor in kind] for kind in tensors]
+            parts = [tensor[index] for tensor in tensors]
             self._apply(parts, count)
-            for kind, part in zip(tensors, parts, strict=True):
-                for tensor, values in zip(kind, part, strict=True):
-                    tensor.index_copy_(0, index, values)
+            for tensor, part in zip(tensors, parts, strict=True):
+                tensor.index_copy_(0, index, part)
         self.counts[active] += 1
         return norm
 
-    def _apply(self, tensors: list[list[Tensor]], count: int) -> None:
-        """torch's Adam on (parameters, gradients, means, squares) that took `count` steps."""
-        parameters, gradients, means, squares = tensors
-        counts = [torch.full((), float(count), device=parameter.device) for parameter in parameters]
+    def _gradient(self) -> Tensor:
+        """(P, V), 0 where there is none."""
+        gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in self.parameters]
+        return torch.cat([gradient.flatten(1) for gradient in gradients], dim=1)
+
+    def _apply(self, tensors: list[Tensor], count: int) -> None:
+        """torch's Adam on (values, gradient, means, squares) that took `count` steps."""
+        values, gradient, mean, square = ([tensor] for tensor in tensors)
+        counts = [torch.full((), float(count), device=gradient[0].device)]
         with torch.no_grad():
             adam(
-                parameters, gradients, means, squares, [], counts, fused=True, amsgrad=False, beta1=BETA_1,
+                values, gradient, mean, square, [], counts, fused=True, amsgrad=False, beta1=BETA_1,
                 beta2=BETA_2, lr=self.lr, weight_decay=0.0, eps=EPSILON, maximize=False,
             )  # fmt: skip
 
@@ -85,15 +89,15 @@ class StackedAdam:
         """The same for networks `policies` (n,) alone: `parameters` are copies of theirs."""
         part = copy(self)
         part.parameters = list(parameters)
-        part.means = [tensor[policies] for tensor in self.means]
-        part.squares = [tensor[policies] for tensor in self.squares]
+        part.values = joined(part.parameters)
+        part.means, part.squares = self.means[policies], self.squares[policies]
         part.counts = self.counts[policies.cpu().numpy()]
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
         """Take over what `part`, narrowed to these policies, has become."""
-        for mine, theirs in zip(self.means + self.squares, part.means + part.squares, strict=True):
-            mine.index_copy_(0, policies, theirs)
+        self.means.index_copy_(0, policies, part.means)
+        self.squares.index_copy_(0, policies, part.squares)
         self.counts[policies.cpu().numpy()] = part.counts
 
     def state_dict(self) -> dict[str, Any]:
@@ -102,16 +106,22 @@ class StackedAdam:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
-        for mine, theirs in zip(self.means + self.squares, [*state["means"], *state["squares"]], strict=True):
-            mine.copy_(theirs)
+        self.means.copy_(state["means"])
+        self.squares.copy_(state["squares"])
         self.counts[:] = state["counts"].cpu().numpy()
 
 
-def _gradient(parameter: nn.Parameter) -> Tensor:
-    """Of a parameter, in its layout: torch's fused Adam pairs elements by their place in memory and takes
-    another layout without complaint (its foreach form is safe, and slower)."""
-    if parameter.grad is None:
-        return torch.zeros_like(parameter)
-    if parameter.grad.stride() == parameter.stride():
-        return parameter.grad
-    return torch.empty_like(parameter).copy_(parameter.grad)
+def joined(parameters: Sequence[nn.Parameter]) -> Tensor:
+    """(P, V): parameters (P, ...) one after another; from now on they are views of it."""
+    with torch.no_grad():
+        values = torch.cat([parameter.flatten(1) for parameter in parameters], dim=1)
+        sizes = [parameter[0].numel() for parameter in parameters]
+        for parameter, part in zip(parameters, torch.split(values, sizes, dim=1), strict=True):
+            parameter.data = part.view(parameter.shape)
+    return values
+
+
+def add_gradients(parameters: Iterable[nn.Parameter], gradients: Iterable[Tensor]) -> None:
+    """Add to the parameters' gradients, as backpropagation does."""
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient if parameter.grad is None else parameter.grad.add_(gradient)

@@ -20,6 +20,7 @@ from headway_algos.experience import Layout
 from headway_algos.fisher import flat, unflat
 from headway_algos.grouping import Grouping
 from headway_algos.networks import StackedMLP
+from headway_algos.passes import PerceptronPass, forward_pass
 from headway_algos.policy_rows import PolicyRows
 from headway_algos.updates.kfac import KFAC
 
@@ -429,9 +430,10 @@ def _regression(
 def _regress(regression: NaturalRegression, rows: Tensor, targets: Tensor) -> None:
     regression.begin()
     weight = torch.full((P, B), 1 / B, dtype=DOUBLE)
-    outputs, linear = regression.outputs(rows)
-    ((outputs[:, 0] - targets) ** 2 * weight).sum().backward()
-    regression.include(linear, None, weight)
+    passed = forward_pass(regression.network, rows, None)
+    assert isinstance(passed, PerceptronPass)
+    passed.send_back((2 * (passed.outputs[:, 0] - targets) * weight)[:, None])
+    regression.include(passed.linear, None, weight)
     regression.step(np.ones(P, np.bool_))
 
 

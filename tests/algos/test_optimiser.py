@@ -90,7 +90,19 @@ def test_a_gradient_laid_out_otherwise_than_its_parameter_is_the_same_gradient(l
     assert all(torch.equal(a, b) for a, b in zip(mine, its, strict=True))
 
 
-def test_a_parameter_with_gaps_in_memory_is_refused() -> None:
-    slice_of_another = torch.nn.Parameter(torch.zeros(3, 8, dtype=DOUBLE)[:, ::2])
-    with pytest.raises(ValueError, match="has gaps: give a copy of it"):
-        StackedAdam([slice_of_another], 0.05, None)
+def test_parameters_given_to_another_optimiser_are_not_stepped_by_the_first() -> None:
+    parameters = _parameters(2)
+    first = StackedAdam(parameters, 0.05, None)
+    StackedAdam(parameters, 0.05, None)
+    with pytest.raises(RuntimeError, match="given to another optimiser"):
+        first.step(np.ones(2, np.bool_))
+
+
+def test_parameters_that_become_views_keep_their_values_and_stay_apart() -> None:
+    parameters, as_they_were = _parameters(3), _parameters(3)
+    optimiser = StackedAdam(parameters, 0.05, None)
+    assert all(torch.equal(a, b) for a, b in zip(parameters, as_they_were, strict=True))
+    with torch.no_grad():
+        parameters[1].zero_()
+    assert torch.equal(parameters[0], as_they_were[0])
+    assert int((optimiser.values == 0).sum()) == parameters[1].numel()

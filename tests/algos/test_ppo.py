@@ -17,7 +17,7 @@ from headway_algos.experience import Layout
 from headway_algos.grouping import Grouping
 from headway_algos.optimiser import StackedAdam
 from headway_algos.policy_rows import PolicyRows, standardise
-from headway_algos.updates.ppo import PPO, clipped_surrogate
+from headway_algos.updates.ppo import PPO, slope_of_surrogate
 
 P, B, D, A = 3, 24, 4, 3
 DOUBLE = torch.float64
@@ -27,22 +27,24 @@ CONFIG = AlgoConfig(
 )
 
 
-def test_clipped_surrogate_by_cases() -> None:
-    """Equation 7: growth beyond the clip pays nothing, a loss is felt in full."""
+def test_the_surrogates_slope_is_that_of_equation_7() -> None:
     random = np.random.default_rng(0)
-    ratios, advantages = np.exp(random.normal(size=200)), random.normal(size=200)
-    got = clipped_surrogate(torch.from_numpy(ratios), torch.from_numpy(advantages), 0.2)
-    for ratio, advantage, value in zip(ratios, advantages, got.tolist(), strict=True):
-        bound = min(ratio, 1.2) if advantage > 0 else max(ratio, 0.8)
-        assert value == pytest.approx(bound * advantage, abs=1e-12)
+    log_ratios = torch.from_numpy(0.3 * random.normal(size=200)).requires_grad_()
+    advantages = torch.from_numpy(random.normal(size=200))
+    ratios = log_ratios.exp()
+    surrogate = torch.minimum(ratios * advantages, ratios.clamp(0.8, 1.2) * advantages)
+    (expected,) = torch.autograd.grad(surrogate.sum(), log_ratios)
+    got = slope_of_surrogate(ratios.detach(), advantages, 0.2)
+    assert 20 < int((got == 0).sum()) < 180
+    torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_gradient_of_the_clipped_surrogate_is_zero_only_where_the_clip_binds() -> None:
-    cases = [(1.5, 1.0, 0.0), (1.5, -1.0, -1.0), (0.5, 1.0, 1.0), (0.5, -1.0, 0.0), (1.1, 2.0, 2.0)]
+def test_the_surrogates_slope_is_zero_only_where_the_clip_binds() -> None:
+    """Growth beyond the clip pays nothing, a loss is felt in full."""
+    cases = [(1.5, 1.0, 0.0), (1.5, -1.0, -1.5), (0.5, 1.0, 0.5), (0.5, -1.0, 0.0), (1.1, 2.0, 2.2)]
     for ratio, advantage, slope in cases:
-        r = torch.tensor([ratio], dtype=DOUBLE, requires_grad=True)
-        surrogate = clipped_surrogate(r, torch.tensor([advantage], dtype=DOUBLE), 0.2)
-        assert float(torch.autograd.grad(surrogate.sum(), r)[0]) == slope
+        got = slope_of_surrogate(torch.tensor([ratio]), torch.tensor([advantage]), 0.2)
+        assert got.item() == pytest.approx(slope, rel=1e-6)
 
 
 def test_advantages_are_standardised_for_each_policy_over_its_selected_rows() -> None:

@@ -33,11 +33,6 @@ class NaturalRegression:
             parameter.grad = None
         self.optimiser.begin()
 
-    def outputs(self, rows: Tensor) -> tuple[Tensor, LinearisedMLP]:
-        """Outputs (P, O, B) of inputs (P, B, D), for gradients, and the networks there, for `include`."""
-        layers = list(self.network.layers(rows))
-        return layers[-1], LinearisedMLP.of_layers(self.network, layers)
-
     def include(self, linear: LinearisedMLP, taken: Tensor | None, weight: Tensor) -> None:
         """Add a piece of the batch: the networks at its inputs, which output was meant (P, B) where there are
         several, and weights (P, B) that sum to 1 over the batch."""

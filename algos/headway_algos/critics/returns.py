@@ -14,10 +14,11 @@ from headway_algos.critics.estimate import Estimate
 from headway_algos.critics.natural import NaturalRegression
 from headway_algos.critics.streams import Streams, presence
 from headway_algos.critics.views import View
-from headway_algos.experience import Layout, even_slices
+from headway_algos.experience import Layout, Piece, even_slices
 from headway_algos.memories import Memories
 from headway_algos.normalisation import RunningMoments
 from headway_algos.optimiser import StackedAdam
+from headway_algos.passes import PerceptronPass, forward_pass
 from headway_algos.recurrent import RecurrentNetwork, make_network
 from headway_algos.scenes import Scene
 from headway_algos.sequences import learning_batches
@@ -110,7 +111,7 @@ class Regression:
         With `value_clip` the squared error is cut there, as RLlib's vf_clip_param does.
         """
         config, layout = self.config, self.layout
-        network, moments = self.networks.network, self.networks.return_moments
+        moments = self.networks.return_moments
         selected = layout.selection(estimate.present)
         targets = torch.from_numpy(layout.grouping.gather(estimate.returns, layout.replicas)).to(
             layout.device
@@ -127,21 +128,7 @@ class Regression:
         for pieces, active in learning_batches(selected, sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                inputs, linear = piece.of(estimate.inputs), None
-                taken = None if estimate.taken is None else piece.of(estimate.taken)
-                if isinstance(self.optimiser, NaturalRegression):
-                    outputs, linear = self.optimiser.outputs(inputs)
-                else:
-                    outputs = network(inputs, piece.timeline)
-                values = outputs[:, 0] if taken is None else outputs.gather(1, taken[:, None])[:, 0]
-                error = (values - piece.of(targets)) ** 2
-                if config.value_clip is not None:
-                    error = error.clamp(max=config.value_clip)
-                loss = (error * piece.weight).sum(1)
-                torch.autograd.backward(loss.sum())
-                loss_sum += loss.detach()
-                if isinstance(self.optimiser, NaturalRegression) and linear is not None:
-                    self.optimiser.include(linear, taken, piece.weight)
+                loss_sum += self._learn(piece, estimate, targets)
             self.optimiser.step(active)
             steps += active
         self.networks.carry(memories)
@@ -151,6 +138,27 @@ class Regression:
             "loss": by_network.mean(axis=1),
             "explained_variance": explained_variance(estimate, layout.replicas),
         }
+
+    def _learn(self, piece: Piece, estimate: Estimate, targets: Tensor) -> Tensor:
+        """Add a piece's gradients; returns its share of the loss, (P,)."""
+        taken = None if estimate.taken is None else piece.of(estimate.taken)
+        passed = forward_pass(self.networks.network, piece.of(estimate.inputs), piece.timeline)
+        with torch.no_grad():
+            outputs = passed.outputs
+            values = outputs[:, 0] if taken is None else outputs.gather(1, taken[:, None])[:, 0]
+            difference = values - piece.of(targets)
+            error, slope = difference.square(), 2 * difference * piece.weight
+            if self.config.value_clip is not None:
+                slope = slope.masked_fill_(error > self.config.value_clip, 0)
+                error = error.clamp_(max=self.config.value_clip)
+            if taken is None:
+                of_outputs = slope[:, None]
+            else:
+                of_outputs = torch.zeros_like(outputs).scatter_(1, taken[:, None], slope[:, None])
+            passed.send_back(of_outputs)
+            if isinstance(self.optimiser, NaturalRegression) and isinstance(passed, PerceptronPass):
+                self.optimiser.include(passed.linear, taken, piece.weight)
+            return (error * piece.weight).sum(1)
 
     def _generators(self, iteration: int) -> list[np.random.Generator]:
         networks = range(self.layout.grouping.num_policies)

@@ -12,14 +12,17 @@ from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.experience import Layout, Piece, even_slices
-from headway_algos.optimiser import StackedAdam
+from headway_algos.optimiser import StackedAdam, add_gradients
+from headway_algos.passes import forward_pass
 from headway_algos.policy_rows import PolicyRows
 from headway_algos.sequences import learning_batches, over_rows
 
 
-def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
-    """min(ratio A, clip(ratio, 1 - clip, 1 + clip) A): equation 7 of the paper, row by row."""
-    return torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
+def slope_of_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """d min(r A, clip(r, 1 - clip, 1 + clip) A) / d log r, row by row: the surrogate is equation 7 of the
+    paper. It is r A, but 0 where the clip binds: growth beyond it pays nothing, a loss is felt in full."""
+    gained = ratio * advantages
+    return torch.where(gained > ratio.clamp(1 - clip, 1 + clip) * advantages, 0, gained)
 
 
 def _network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
@@ -32,18 +35,18 @@ def _network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tens
         return outputs.transpose(1, 2).contiguous()
 
 
-def _kl_to_old(
+def _old(
     new: MaskedCategorical | DiagonalGaussian,
     old_outputs: Tensor,
     masks: Tensor | None,
     old_log_std: Tensor | None,
-) -> Tensor:
-    """KL(old || new), (P, B), from the old network outputs (P, B, A)."""
+) -> Any:  # noqa: ANN401 - of the same kind as `new`, which the type checker cannot say
+    """The distributions that old network outputs (P, B, A) stand for."""
     outputs = old_outputs.transpose(1, 2)
     if isinstance(new, MaskedCategorical):
-        return new.kl_from(MaskedCategorical.of_logits(outputs, masks))
+        return MaskedCategorical.of_logits(outputs, masks)
     assert old_log_std is not None
-    return new.kl_from(DiagonalGaussian(outputs, old_log_std))
+    return DiagonalGaussian(outputs, old_log_std)
 
 
 class PPO:
@@ -68,22 +71,7 @@ class PPO:
         for pieces, active in learning_batches(rows.selected, rows.sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                masks = piece.of(rows.masks) if rows.masks is not None else None
-                distribution = actor(piece.of(rows.observations), masks, piece.timeline)
-                log_ratio = distribution.log_prob(piece.of(rows.actions)) - piece.of(rows.log_probs)
-                ratio = log_ratio.exp()
-                surrogate = clipped_surrogate(ratio, piece.of(advantages), config.clip)
-                entropy = distribution.entropy()
-                objective = surrogate + config.entropy_coeff * entropy
-                if old_outputs is not None:
-                    kl = _kl_to_old(distribution, piece.of(old_outputs), masks, old_log_std)
-                    objective = objective - self.kl_coeff[:, None] * kl
-                else:
-                    # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
-                    kl = ratio - 1 - log_ratio
-                (-(objective * piece.weight).sum()).backward()
-                clipped = ((ratio - 1).abs() > config.clip).to(layout.dtype)
-                totals[:3] += _weighted(piece, kl, entropy, clipped)
+                totals[:3] += self._learn(piece, rows, advantages, old_outputs, old_log_std)
             totals[3] += self.optimiser.step(active)
             steps += active
         kl, entropy, clipped, norm = totals / torch.from_numpy(steps).to(totals).clamp(min=1)
@@ -95,6 +83,42 @@ class PPO:
             new = adapted(self.kl_coeff, info["kl"], config.kl_target)
             self.kl_coeff = torch.where(has_rows, new, self.kl_coeff)
         return info
+
+    def _learn(
+        self,
+        piece: Piece,
+        rows: PolicyRows,
+        advantages: Tensor,
+        old_outputs: Tensor | None,
+        old_log_std: Tensor | None,
+    ) -> Tensor:
+        """Add a piece's gradients; returns its shares of the mean KL, entropy and clip fraction, (3, P)."""
+        actor, config, weight = self.actor, self.config, piece.weight
+        masks = piece.of(rows.masks) if rows.masks is not None else None
+        actions, advantage = piece.of(rows.actions), piece.of(advantages)
+        passed = forward_pass(actor.network, piece.of(rows.observations), piece.timeline)
+        with torch.no_grad():
+            distribution = actor.distribution(passed.outputs, masks)
+            log_ratio = distribution.log_prob(actions) - piece.of(rows.log_probs)
+            ratio = log_ratio.exp()
+            old, of_kl = None, None
+            if old_outputs is not None:
+                old = _old(distribution, piece.of(old_outputs), masks, old_log_std)
+                of_kl = self.kl_coeff[:, None] * weight
+            slope, of_log_std = distribution.slopes(
+                actions,
+                -weight * slope_of_surrogate(ratio, advantage, config.clip),
+                -config.entropy_coeff * weight,
+                old,
+                of_kl,
+            )
+            passed.send_back(slope)
+            if actor.log_std is not None and of_log_std is not None:
+                add_gradients([actor.log_std], [of_log_std])
+            # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
+            kl = ratio - 1 - log_ratio
+            clipped = ((ratio - 1).abs() > config.clip).to(weight)
+            return (torch.stack([kl, distribution.entropy(), clipped]) * weight).sum(2)
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""
@@ -131,10 +155,6 @@ def adapted(kl_coeff: Tensor, kl: Tensor, target: float) -> Tensor:
     return torch.where(kl < target / 2, kl_coeff * 0.5, kl_coeff)
 
 
-def _weighted(piece: Piece, *values: Tensor) -> Tensor:
-    return torch.stack([(value.detach() * piece.weight).sum(1) for value in values])
-
-
 def _mean_kl(
     actor: Actor, rows: PolicyRows, old_outputs: Tensor | None, old_log_std: Tensor | None, config: AlgoConfig
 ) -> Tensor:
@@ -150,6 +170,6 @@ def _mean_kl(
         for part in parts:
             masks = rows.masks[:, part] if rows.masks is not None else None
             new = actor.distribution(new_outputs[:, :, part], masks)
-            kl = _kl_to_old(new, old_outputs[:, part], masks, old_log_std)
+            kl = new.kl_from(_old(new, old_outputs[:, part], masks, old_log_std))
             total += torch.where(selected[:, part], kl, 0).sum(1)
     return total / selected.sum(1).clamp(min=1)

@@ -1,0 +1,65 @@
+"""Passes through a stack of networks, to learn from: outputs forward, and a loss's slope there backward.
+
+For multilayer perceptrons both are written out: recording each operation, as torch does to differentiate
+whatever it was, takes longer than the operations do where minibatches are small.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from headway_algos.linearised import LinearisedMLP
+from headway_algos.networks import StackedMLP
+from headway_algos.optimiser import add_gradients
+from headway_algos.recurrent import Network, RecurrentNetwork
+from headway_algos.timeline import Timeline
+
+
+class Pass(Protocol):
+    """P networks at rows of their own."""
+
+    @property
+    def outputs(self) -> Tensor:
+        """(P, A, B), a constant to torch."""
+        ...
+
+    def send_back(self, slope: Tensor) -> None:
+        """Add to the gradients of the networks' parameters those of a loss of which d loss / d outputs is
+        given, (P, A, B)."""
+        ...
+
+
+@dataclass(frozen=True)
+class PerceptronPass:
+    """Through multilayer perceptrons."""
+
+    network: StackedMLP
+    linear: LinearisedMLP
+
+    @property
+    def outputs(self) -> Tensor:
+        return self.linear.outputs
+
+    def send_back(self, slope: Tensor) -> None:
+        parameters = [parameter for kind in zip(*self.network.by_layer(), strict=True) for parameter in kind]
+        add_gradients(parameters, self.linear.pull(slope))
+
+
+@dataclass(frozen=True)
+class _RecordedPass:
+    recorded: Tensor
+
+    @property
+    def outputs(self) -> Tensor:
+        return self.recorded.detach()
+
+    def send_back(self, slope: Tensor) -> None:
+        self.recorded.backward(slope)  # type: ignore[no-untyped-call]  # torch leaves it untyped
+
+
+def forward_pass(network: Network, rows: Tensor, timeline: Timeline | None) -> Pass:
+    """Of rows (P, B, D), for networks that remember in the order of a timeline."""
+    if isinstance(network, RecurrentNetwork):
+        return _RecordedPass(network(rows, timeline))
+    return PerceptronPass(network, LinearisedMLP.of(network, rows))
