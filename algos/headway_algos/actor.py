@@ -14,6 +14,8 @@ from headway_algos.config import ModelConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks import acting_arrays
 from headway_algos.normalisation import RunningMoments
+from headway_algos.optimiser import add_gradients
+from headway_algos.passes import Pass
 from headway_algos.recurrent import RecurrentNetwork, make_network
 from headway_algos.timeline import Timeline
 
@@ -48,6 +50,14 @@ class Actor(nn.Module):
         if self.log_std is None:
             return MaskedCategorical.of_logits(outputs, masks)
         return DiagonalGaussian(outputs, self.log_std)
+
+    def send_back(self, passed: Pass, slopes: tuple[Tensor, Tensor | None]) -> None:
+        """Add to the gradients of what is `learnable` those of a loss, from what it depends on in the
+        distributions (see their `slopes`) at a pass through the network."""
+        of_outputs, of_log_std = slopes
+        passed.send_back(of_outputs)
+        if self.log_std is not None and of_log_std is not None:
+            add_gradients([self.log_std], [of_log_std])
 
     @property
     def learnable(self) -> list[nn.Parameter]:

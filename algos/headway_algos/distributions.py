@@ -48,7 +48,12 @@ class MaskedCategorical:
         return old._expectation(old.log_probs - self.log_probs)
 
     def slopes(
-        self, actions: Tensor, of_log_prob: Tensor, of_entropy: Tensor, old: Self | None, of_kl: Tensor | None
+        self,
+        actions: Tensor,
+        of_log_prob: Tensor,
+        of_entropy: Tensor,
+        old: Self | None = None,
+        of_kl: Tensor | None = None,
     ) -> tuple[Tensor, None]:
         """d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B), with coefficients (P, B) of the
         log-probabilities of actions (P, B), of entropies and of divergences; nothing depends on more."""
@@ -106,7 +111,12 @@ class DiagonalGaussian:
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
 
     def slopes(
-        self, actions: Tensor, of_log_prob: Tensor, of_entropy: Tensor, old: Self | None, of_kl: Tensor | None
+        self,
+        actions: Tensor,
+        of_log_prob: Tensor,
+        of_entropy: Tensor,
+        old: Self | None = None,
+        of_kl: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1), with
         coefficients (P, B) of the log-densities of actions (P, B, A), of entropies and of divergences."""

@@ -12,6 +12,7 @@ from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.experience import Layout
 from headway_algos.optimiser import StackedAdam
+from headway_algos.passes import forward_pass
 from headway_algos.policy_rows import PolicyRows
 from headway_algos.whole_batch import WholeBatch
 
@@ -35,12 +36,14 @@ class A2C:
         mean_entropy = torch.zeros(len(advantages), device=advantages.device, dtype=advantages.dtype)
         self.optimiser.begin()
         for piece in batch.pieces(self.config.piece_samples):
-            distribution = self.actor(piece.observations, piece.masks, piece.timeline)
-            entropy = distribution.entropy()
-            objective = distribution.log_prob(piece.actions) * piece.advantages
-            objective = objective + self.config.entropy_coeff * entropy
-            (-(objective * piece.weight).sum()).backward()
-            mean_entropy += (entropy.detach() * piece.weight).sum(1)
+            passed = forward_pass(self.actor.network, piece.observations, piece.timeline)
+            with torch.no_grad():
+                distribution = self.actor.distribution(passed.outputs, piece.masks)
+                of_log_prob = -piece.weight * piece.advantages
+                of_entropy = -self.config.entropy_coeff * piece.weight
+                slopes = distribution.slopes(piece.actions, of_log_prob, of_entropy)
+                self.actor.send_back(passed, slopes)
+                mean_entropy += (distribution.entropy() * piece.weight).sum(1)
         norm = self.optimiser.step(batch.has_rows.cpu().numpy())
         return {"entropy": mean_entropy, "gradient_norm": norm}
 

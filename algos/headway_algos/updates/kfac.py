@@ -63,17 +63,13 @@ class KFAC:
         for piece in batch.pieces(self.config.piece_samples):
             end = start + piece.weight.shape[1]
             linear = LinearisedMLP.of(self.optimiser.network, piece.observations)
-            outputs = linear.outputs.detach().requires_grad_()
-            distribution = self.actor.distribution(outputs, piece.masks)
-            entropy = distribution.entropy()
-            objective = distribution.log_prob(piece.actions) * piece.advantages
-            objective = objective + self.config.entropy_coeff * entropy
-            own = [] if self.actor.log_std is None else [self.actor.log_std]
-            signal, *of_own = torch.autograd.grad((objective * piece.weight).sum(), [outputs, *own])
+            old = self.actor.distribution(linear.outputs, piece.masks).detach()
+            of_entropy = self.config.entropy_coeff * piece.weight
+            signal, of_log_std = old.slopes(piece.actions, piece.weight * piece.advantages, of_entropy)
+            of_own = [] if of_log_std is None else [of_log_std]
             for total, part in zip(gradient, [*of_own, *linear.pull(signal)], strict=True):
                 total += part
-            mean_entropy += (entropy.detach() * piece.weight).sum(1)
-            old = distribution.detach()
+            mean_entropy += (old.entropy() * piece.weight).sum(1)
             score = old.drawn_score(noise[:, start:end])
             self.optimiser.include(linear, score, old.fisher_of_outputs, piece.weight)
             before.append((piece, old))

@@ -12,7 +12,7 @@ from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.experience import Layout, Piece, even_slices
-from headway_algos.optimiser import StackedAdam, add_gradients
+from headway_algos.optimiser import StackedAdam
 from headway_algos.passes import forward_pass
 from headway_algos.policy_rows import PolicyRows
 from headway_algos.sequences import learning_batches, over_rows
@@ -105,16 +105,14 @@ class PPO:
             if old_outputs is not None:
                 old = _old(distribution, piece.of(old_outputs), masks, old_log_std)
                 of_kl = self.kl_coeff[:, None] * weight
-            slope, of_log_std = distribution.slopes(
+            slopes = distribution.slopes(
                 actions,
                 -weight * slope_of_surrogate(ratio, advantage, config.clip),
                 -config.entropy_coeff * weight,
                 old,
                 of_kl,
             )
-            passed.send_back(slope)
-            if actor.log_std is not None and of_log_std is not None:
-                add_gradients([actor.log_std], [of_log_std])
+            actor.send_back(passed, slopes)
             # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
             kl = ratio - 1 - log_ratio
             clipped = ((ratio - 1).abs() > config.clip).to(weight)
