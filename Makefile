@@ -11,6 +11,8 @@ PIP_ARGS ?=
 STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
 SOURCES := platform envs algos launch tests
+# Side by side, one file of tests in one process; ARGS="-n 0" tests in this one, where a debugger works.
+PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiment sweep test check lint format types benchmarks browse clean
@@ -38,7 +40,7 @@ sweep: $(STAMP) ## train one experiment over many seeds: CONFIG=bus_mappo SEEDS=
 	@$(BIN)/headway sweep experiment=$(CONFIG) seed=$(SEEDS) $(ARGS)
 
 test: $(STAMP) ## run the tests
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(PYTEST) $(ARGS)
 
 check: $(STAMP) ## formatting, lint, types and tests, as CI does; with apt and root, installs Chromium and Slurm for them
 	$(BIN)/ruff format --check $(SOURCES)
@@ -46,7 +48,7 @@ check: $(STAMP) ## formatting, lint, types and tests, as CI does; with apt and r
 	$(BIN)/mypy
 	@.ci/install_browser
 	@.ci/install_cluster
-	$(BIN)/python -m pytest -q $(ARGS)
+	$(PYTEST) -q $(ARGS)
 
 lint: $(STAMP) ## look for mistakes and bad style
 	@$(BIN)/ruff check $(SOURCES)
