@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from headway.contracts import Box, EnvSpec, HeadwayError, Observed, Outcome, generator
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
-from headway_envs.intersection.kernel import STATE_SIZE, STRONGEST
+from headway_envs.intersection.layout import ACCOUNT, STATE_SIZE, Slots
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.reporting import METRICS, Ledger
 from headway_envs.intersection.simulation import Simulation
-from headway_envs.intersection.street import Street
+from headway_envs.intersection.street import Changes, Street
 
 
 def paid_share(config: IntersectionConfig) -> bool:
@@ -41,13 +41,14 @@ class IntersectionBatchedEnv:
         self.prepared = prepared
         self._street: Street | None = None
         extended = config.observation == "extended"
-        self._seen = kernel.empty_seen(config.slots, extended)
-        size = self._seen.observations.shape[1]
+        slots = self._slots = Slots.empty(config.slots, extended)
+        self._account = np.zeros(1, ACCOUNT)
+        size = slots.observations.shape[1]
         self._spec = EnvSpec(
             name="intersection",
             agents=tuple(f"av_{slot}" for slot in range(config.slots)),
             observation_size=size,
-            action_space=Box((-STRONGEST,), (STRONGEST,)),
+            action_space=Box((-kernel.STRONGEST,), (kernel.STRONGEST,)),
             state_size=STATE_SIZE,
             shared_reward=paid_share(config),
             agents_come_and_go=True,
@@ -62,15 +63,13 @@ class IntersectionBatchedEnv:
         once a step has ended it."""
         self._seed, self._episode = 0, 0
         self.ledger = Ledger(config)
-        self._observed = Observed(
-            self._seen.observations[None], self._seen.state[None], self._seen.alive[None]
-        )
-        flags = [np.zeros((1, config.slots), np.bool_) for _ in range(3)]
+        self._observed = Observed(slots.observations[None], self._account["state"], slots.alive[None])
+        flags = [np.zeros((1, config.slots), np.bool_) for _ in range(2)]
         self._outcome = Outcome(
-            rewards=np.zeros((1, config.slots), np.float32),
+            rewards=slots.rewards[None],
             terminated=flags[0],
             truncated=flags[1],
-            acting=flags[2],
+            acting=slots.acting[None],
             episode_ended=np.zeros(1, np.bool_),
             final_observations=np.zeros((1, config.slots, size), np.float32),
             final_states=np.zeros((1, STATE_SIZE), np.float32),
@@ -123,20 +122,18 @@ class IntersectionBatchedEnv:
         leaves. Raises ValueError for another shape."""
         if actions.shape != self._asked:
             raise ValueError(f"actions must have shape {self._asked}, not {actions.shape}")
-        outcome = self._outcome
+        outcome, slots = self._outcome, self._slots
         self.crash_places = []
         if self.events or outcome.episode_ended[0]:
             outcome.terminated.fill(False)
             outcome.truncated.fill(False)
             outcome.episode_ended[0] = False
             self.events = {}
-        acted = outcome.acting[0]
-        acted[:] = self._seen.alive
-        outcome.rewards.fill(0)
-        # Who enters in between drives on as it came until it is asked.
-        accelerations = np.where(acted, actions[0, :, 0], 0)
+        accelerations = np.ascontiguousarray(actions, np.float32)
+        slots.acting[:] = slots.alive
+        slots.rewards.fill(0)
         for _ in range(self.config.action_repeat):
-            crashed = self._advance(accelerations, acted)
+            crashed = self._advance(accelerations)
             over = crashed and self.config.on_collision == "end_episode"
             if over or self.ledger.steps >= self.config.horizon:
                 outcome.episode_ended[0] = True
@@ -144,37 +141,29 @@ class IntersectionBatchedEnv:
                 break
         return outcome, self._observed
 
-    def _advance(self, accelerations: NDArray[Any], acted: NDArray[np.bool_]) -> bool:
-        """One step of 0.1 s, for which those who `acted` (N,) are paid; whether anybody crashed."""
-        outcome, ledger, street = self._outcome, self.ledger, self.street
-        street.command(accelerations)
+    def _advance(self, accelerations: NDArray[np.float32]) -> bool:
+        """One step of 0.1 s; whether anybody crashed."""
+        ledger, street = self.ledger, self.street
+        # Who has entered since actions were asked for drives on as it came.
+        street.command(accelerations, self._slots.acting)
         changes = street.advance(ledger.steps + 1, self.events)
-        self._let_go(changes.left, "arrived", outcome.truncated if self._cut_at_exit else outcome.terminated)
-        self._let_go(changes.crashed, "collided", outcome.terminated)
-        ledger.count(changes.entered, changes.arrived)
-        ledger.crashes += changes.crashes
-        self.crash_places += changes.places
-        ledger.avs += changes.avs
-        ledger.without_slot += changes.without_slot
-        ledger.pending += changes.pending
-        for approach, seconds in changes.travels:
-            ledger.through[approach] += 1
-            ledger.travel_s.append(seconds)
+        ledger.count(changes)
+        if changes.arrived or changes.crashes:
+            self._let_go(changes)
         kernel.take_in(
             street.crossing,
-            street.roster.traffic,
+            street.roster.memory,
+            self._account,
+            *self._slots,
             len(street.roster),
-            kernel.Happened(
-                changes.arrived,
-                changes.crashes,
-                changes.lane_changes,
-                ledger.outflow_vph,
-                changes.pending,
-                ledger.steps / self.config.horizon,
-            ),
-            self._seen,
+            street.answers,
+            changes.arrived,
+            changes.crashes,
+            changes.lane_changes,
+            ledger.outflow_vph,
+            changes.pending,
+            ledger.steps / self.config.horizon,
         )
-        self._pay(acted, changes.crashed)
         return changes.crashes > 0
 
     def hand_over(self, speed_mode: int) -> None:
@@ -195,58 +184,40 @@ class IntersectionBatchedEnv:
         if self._street is not None:
             self._street.close()
 
-    @property
-    def _cut_at_exit(self) -> bool:
-        return self.config.at_exit == "truncated"
-
     def _begin(self) -> None:
         self.ledger, self.crash_places = Ledger(self.config), []
-        self._seen.sums.fill(0)
-        self._seen.present.fill(0)
+        self._account.fill(0)
         draw = generator(self._seed, "intersection", self._episode)
         self.street.begin(int(draw.integers(2**31 - 1)), draw)
-        self._seen.observations.fill(0)
-        self._seen.alive.fill(False)
-        self._seen.state.fill(0)
+        self._slots.observations.fill(0)
+        self._slots.alive.fill(False)
 
-    def _let_go(self, slots: Sequence[int], event: str, flags: NDArray[np.bool_]) -> None:
-        """Streams that ended, with what they observed last; who has never been asked had none."""
+    def _let_go(self, changes: Changes) -> None:
+        """The streams of those who left or crashed end; own rewards charge a crash."""
+        outcome = self._outcome
+        cut = self.config.at_exit == "truncated"
+        self._end_streams(changes.left, "arrived", outcome.truncated if cut else outcome.terminated)
+        self._end_streams(changes.crashed, "collided", outcome.terminated)
+        self.crash_places += changes.places
+        if self.config.reward.scope == "own":
+            crashed = [slot for slot in changes.crashed if outcome.acting[0, slot]]
+            outcome.rewards[0, crashed] -= self.config.reward.collision
+
+    def _end_streams(self, slots: Sequence[int], event: str, flags: NDArray[np.bool_]) -> None:
+        """Streams end with what they observed last; who has never been asked had none."""
         for slot in slots:
             self.events[slot] = event
             if self._outcome.acting[0, slot]:
                 flags[0, slot] = True
-                self._outcome.final_observations[0, slot] = self._seen.observations[slot]
-
-    def _pay(self, acted: NDArray[np.bool_], crashed: Sequence[int]) -> None:
-        """Pay for a step of 0.1 s. The paper pays whoever `acted` (N,) and still is on the road; so does the
-        scope `own`, which charges those that `crashed`, too."""
-        seen, ledger, rewards = self._seen, self.ledger, self._outcome.rewards[0]
-        scaled, paper = seen.rewards.tolist()
-        # Slots that were left since actions were asked for are empty still.
-        there = acted & seen.alive
-        ledger.paper_return += paper * np.count_nonzero(there)
-        if self.config.reward.kind == "paper":
-            rewards += there * np.float32(paper)
-            ledger.terms += seen.paper
-            ledger.team_return += paper
-            return
-        ledger.terms += seen.scaled
-        ledger.team_return += scaled
-        if self._spec.shared_reward:
-            rewards += np.float32(scaled)
-            return
-        rewards += np.where(there, seen.own, 0).astype(np.float32)
-        for slot in crashed:
-            if acted[slot]:
-                rewards[slot] -= self.config.reward.collision
+                self._outcome.final_observations[0, slot] = self._slots.observations[slot]
 
     def _end(self, crashed: bool) -> None:
         """Every slot's stream ends, and the next episode begins."""
-        outcome, seen = self._outcome, self._seen
+        outcome = self._outcome
         rest = ~(outcome.terminated[0] | outcome.truncated[0])
         (outcome.terminated if crashed else outcome.truncated)[0, rest] = True
-        outcome.final_observations[0, rest] = seen.observations[rest]
-        outcome.final_states[0] = seen.state
-        outcome.metrics[0] = self.ledger.metrics(seen.sums, seen.present)
+        outcome.final_observations[0, rest] = self._slots.observations[rest]
+        outcome.final_states[:] = self._account["state"]
+        outcome.metrics[0] = self.ledger.metrics(self._account[0])
         self._episode += 1
         self._begin()

@@ -4,7 +4,7 @@ arXiv:cond-mat/0002177) with the parameters and the noise of Flow's controller."
 import numpy as np
 
 from headway_envs.intersection.config import STEP_S
-from headway_envs.intersection.kernel import Floats
+from headway_envs.intersection.layout import Floats
 
 WISHED, HEADWAY_S, ACCELERATION, BRAKING, EXPONENT, GAP_M = 30.0, 1.0, 1.0, 1.5, 4, 2.0
 

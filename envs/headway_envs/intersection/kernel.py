@@ -1,41 +1,40 @@
 """What follows from where all vehicles are: observations, reward terms and sums for the metrics; compiled.
 
-Axes: V vehicles, N slots, L = 16 links (ways through the junction), D, S.
+Axes: those of `layout`.
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.compiling import compiled, compiled_apart, drop_stale_cache
-from headway_envs.intersection.config import STEP_S, TERMS
+from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.demand import MIN_GAP_M
+from headway_envs.intersection.layout import (
+    ACCOUNT,
+    CELLS,
+    CROSSING,
+    LANES,
+    NEAR_SIZE,
+    NEIGHBOUR_SIZE,
+    PAPER_SIZE,
+    PAYS_OWN,
+    PAYS_PAPER,
+    PAYS_TEAM,
+    TRAFFIC,
+    WAY_SIZE,
+    Floats,
+    Happened,
+    Record,
+    Slots,
+    Traffic,
+    Whole,
+)
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
 
 drop_stale_cache(Path(__file__).parent)  # constants of other files are compiled in, too
 
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
-
-SUMS = (
-    "steps_all", "steps_av", "steps_hdv", "vehicles", "speed", "speed_av", "speed_hdv", "acceleration_av",
-    "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel", "standing",
-)  # fmt: skip
-"""What is added up for the metrics: steps with vehicles of a kind, and means over these."""
-PAPER_SIZE = 6
-WAY_SIZE = 8
-NEAR_SIZE = 4
-NEIGHBOURS = 4
-"""Vehicles on crossing ways that an extended observation shows."""
-NEIGHBOUR_SIZE = 6
-EXTENDED_SIZE = PAPER_SIZE + WAY_SIZE + NEAR_SIZE + NEIGHBOURS * NEIGHBOUR_SIZE
-LANES = 8
-"""On which vehicles come; a link is of lane link // 2."""
-CELLS = 4
-"""Of 50 m on each approach, in the state."""
-STATE_SIZE = 4 * (3 * CELLS + 2 + 2) + 2
 STRONGEST = 3.0
 """Bound of a commanded acceleration, m/s^2."""
 TARGET_SPEED = 20.0
@@ -51,90 +50,6 @@ _PAPER_GAINS = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.0)
 _EPSILON = 1e-5
 
 
-class Crossing(NamedTuple):
-    """What does not change."""
-
-    link_length: Floats
-    """(L,)"""
-    foes: NDArray[np.bool_]
-    """(L, L)"""
-    yields: NDArray[np.bool_]
-    """(L, L)"""
-    weights: Floats
-    """(8,): of the scaled terms."""
-    total_length: float
-    extended: bool
-
-
-class Traffic(NamedTuple):
-    """All vehicles, in rows 0 to V - 1 of arrays that are longer."""
-
-    position: Floats
-    """Front along the whole way: the stop line is at ROAD_M."""
-    speed: Floats
-    before: Floats
-    """Speed one step before."""
-    fuel: Floats
-    """ml/s"""
-    link: Whole
-    slot: Whole
-    """-1: driven by SUMO."""
-    around: Floats
-    """(V, 4): row of the vehicle ahead (-1: none) and its distance, the same of the one behind; valid where
-    there is a slot."""
-
-
-class Happened(NamedTuple):
-    """What the step brought, beside places and speeds."""
-
-    arrived: int
-    crashes: int
-    """Pairs of vehicles."""
-    lane_changes: int
-    """Of AVs."""
-    outflow_vph: float
-    """Since the episode's beginning."""
-    pending: int
-    """Vehicles that wait to enter."""
-    passed: float
-    """Share of the episode."""
-
-
-class Seen(NamedTuple):
-    """What is written."""
-
-    observations: NDArray[np.float32]
-    """(N, D)"""
-    alive: NDArray[np.bool_]
-    """(N,)"""
-    state: NDArray[np.float32]
-    """(S,)"""
-    scaled: Floats
-    """(8,): terms in [-1, 1], in the order of TERMS."""
-    paper: Floats
-    """(8,): the paper's terms with their gains."""
-    rewards: Floats
-    """(2,): scaled, and the paper's."""
-    own: Floats
-    """(N,): scaled, of each AV's own speed, standstill and headway; valid where `alive`."""
-    sums: Floats
-    """(len(SUMS),)"""
-    present: Floats
-    """(4,): steps that AVs have spent here, by approach."""
-    first: Whole
-    """(8,): the row of the first on each lane; -1: none. Room for the kernel to work in, as the next two."""
-    soonest: Floats
-    """(4,): when those arrive who come next on ways that cross one's own, s."""
-    ranked: Whole
-    """(4,): their rows; -1: nobody."""
-
-
-_TRAFFIC = len(Crossing._fields)
-_HAPPENED = _TRAFFIC + len(Traffic._fields)
-_SEEN = _HAPPENED + len(Happened._fields)
-"""Where each record begins among all of a step, one after another."""
-
-
 @compiled
 def _until_line(traffic: Traffic, row: int) -> float:
     """Time to the stop line at the speed of now, s, cut; 0 for who has passed it."""
@@ -144,7 +59,7 @@ def _until_line(traffic: Traffic, row: int) -> float:
 
 
 @compiled
-def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[np.float32]) -> None:
+def _observe_paper(crossing: Record, traffic: Traffic, row: int, out: NDArray[np.float32]) -> None:
     """Section 5.2 of the paper: own place on its edge, speed, leader and follower; the fifth is taken over
     the speed limit, as in Flow, where the paper prints the length. The way through the junction is one
     edge."""
@@ -171,7 +86,7 @@ def _observe_paper(crossing: Crossing, traffic: Traffic, row: int, out: NDArray[
 
 @compiled
 def _observe_extended(
-    crossing: Crossing, traffic: Traffic, count: int, row: int, seen: Seen, out: NDArray[np.float32]
+    crossing: Record, traffic: Traffic, row: int, account: Record, out: NDArray[np.float32]
 ) -> None:
     """Which part of the way (3), distance and time to the stop line, the turn (3); what is near (4): the stop
     line, the leader as distance and as time headway, the follower; then those who come next on ways that
@@ -194,36 +109,62 @@ def _observe_extended(
     if around[2] >= 0:
         out[near + 3] = min((around[3] + MIN_GAP_M) / _NEAR_M, 1.0)
     if part < 2:
-        _show_crossing(crossing, traffic, count, row, seen, out[near + NEAR_SIZE :])
+        _show_crossing(crossing, traffic, row, account, out[near + NEAR_SIZE :])
+
+
+@compiled
+def _find_next(crossing: Record, traffic: Traffic, count: int, account: Record) -> None:
+    """Who can come next on a way: the first on each link before the stop line, all inside the junction."""
+    first, inside, found = account.first, account.inside, 0
+    first[:] = -1
+    for row in range(count):
+        link = traffic.link[row]
+        left = ROAD_M - traffic.position[row]
+        if left > 0.0:
+            if first[link] < 0 or left < ROAD_M - traffic.position[first[link]]:
+                first[link] = row
+        elif left > -crossing.link_length[link]:
+            inside[found] = row
+            found += 1
+    inside[found] = -1
+
+
+@compiled
+def _head(crossing: Record, traffic: Traffic, link: int, lane: int, first: Whole) -> int:
+    """The row of the first on a lane among those whose ways cross a link; -1: none."""
+    head, least = -1, np.inf
+    for way in range(2 * lane, 2 * lane + 2):
+        row = int(first[way])
+        if row < 0 or not crossing.foes[link, way]:
+            continue
+        left = ROAD_M - traffic.position[row]
+        if left < least or (left == least and row < head):
+            head, least = row, left
+    return head
 
 
 @compiled
 def _show_crossing(
-    crossing: Crossing, traffic: Traffic, count: int, row: int, seen: Seen, out: NDArray[np.float32]
+    crossing: Record, traffic: Traffic, row: int, account: Record, out: NDArray[np.float32]
 ) -> None:
     """Of all whose ways cross the own, those inside the junction and the first on each lane, four at most,
     the soonest first: 1, distance to their stop line (negative past it), speed, how much later they arrive,
     whether automated, whether they go first."""
     link = traffic.link[row]
-    first, soonest, rows = seen.first, seen.soonest, seen.ranked
-    first[:] = -1
+    soonest, rows = account.soonest, account.ranked
     soonest[:] = np.inf
     rows[:] = -1
-    for other in range(count):
-        other_link = traffic.link[other]
-        if not crossing.foes[link, other_link]:
-            continue
-        left = ROAD_M - traffic.position[other]
-        if left > 0.0:
-            lane = other_link // 2
-            if first[lane] < 0 or left < ROAD_M - traffic.position[first[lane]]:
-                first[lane] = other
-        elif left > -crossing.link_length[other_link]:
-            _insert(soonest, rows, left / max(traffic.speed[other], _LIKELY_SPEED), other)
-    for head in first:
+    for other in account.inside:
+        if other < 0:
+            break
+        if crossing.foes[link, traffic.link[other]]:
+            left = ROAD_M - traffic.position[other]
+            _insert(soonest, rows, left / max(traffic.speed[other], _LIKELY_SPEED), int(other))
+    for lane in range(LANES):
+        head = _head(crossing, traffic, link, lane, account.first)
         if head >= 0:
             left = ROAD_M - traffic.position[head]
-            _insert(soonest, rows, left / max(traffic.speed[head], _LIKELY_SPEED), int(head))
+            _insert(soonest, rows, left / max(traffic.speed[head], _LIKELY_SPEED), head)
     mine, place = _until_line(traffic, row), 0
     for shown in rows:
         if shown < 0:
@@ -250,10 +191,10 @@ def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
 
 
 @compiled
-def _describe(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
+def _describe(crossing: Record, traffic: Traffic, count: int, happened: Happened, account: Record) -> None:
     """The state: for each approach, AVs, HDVs and mean speed in each cell of the road, then vehicles inside
     the junction and beyond it with their mean speeds; the share of the episode passed, vehicles waiting."""
-    state = seen.state
+    state = account.state
     state[:] = 0.0
     width = 3 * CELLS + 4
     for row in range(count):
@@ -291,22 +232,25 @@ def _late(traffic: Traffic, row: int) -> float:
 
 
 @compiled
-def _own(crossing: Crossing, speed: float, late: float) -> float:
+def _own(crossing: Record, traffic: Traffic, row: int) -> float:
     """What one AV earns by how it drives: the weighted scaled terms of speed, standstill and headway
     (`_late`), as if it were all that drives."""
-    weights = crossing.weights
+    weights, speed = crossing.weights, traffic.speed[row]
     nearness = max(1.0 - abs(speed - TARGET_SPEED) / TARGET_SPEED, 0.0)
     quickness = min(speed / SPEED_LIMIT, 1.0)
     standing = 1.0 if speed < 0.1 else 0.0
     paid: float = weights[0] * nearness - weights[1] * standing + (weights[2] + weights[3]) * quickness
-    paid += weights[6] * late
+    paid += weights[6] * _late(traffic, row)
     return paid
 
 
 @compiled
-def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
-    """Terms of the reward; the paper's are equations 7 to 12 of its appendix, with the gains it lists. By
-    its equation 4 it pays 0.2 x the sum of the first six + the velocity's + 0.5 x the headway's."""
+def _judge(
+    crossing: Record, traffic: Traffic, count: int, happened: Happened, account: Record
+) -> tuple[float, float]:
+    """Terms of the reward, and what they come to: (scaled, the paper's). The paper's terms are equations 7
+    to 12 of its appendix, with the gains it lists. By its equation 4 it pays 0.2 x the sum of the first six +
+    the velocity's + 0.5 x the headway's."""
     automated, standing, stopped = 0, 0, 0
     squares, speeds, automated_speeds, headways = 0.0, 0.0, 0.0, 0.0
     for row in range(count):
@@ -318,15 +262,13 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
         if traffic.slot[row] >= 0:
             automated += 1
             automated_speeds += speed
-            late = _late(traffic, row)
-            headways += late
-            seen.own[traffic.slot[row]] = _own(crossing, speed, late)
+            headways += _late(traffic, row)
     aim = TARGET_SPEED * np.sqrt(count)
     nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
     fullest = STEP_S * count
     cost = STEP_S * (count - speeds / SPEED_LIMIT)
     quickness = max((fullest - cost) / (fullest + _EPSILON), 0.0)
-    paper, scaled = seen.paper, seen.scaled
+    paper, scaled = account.paper, account.scaled
     paper[0] = 0.0 if happened.crashes else nearness
     paper[1] = -stopped
     paper[2] = automated_speeds
@@ -349,14 +291,46 @@ def _pay(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, s
     for term in range(8):
         total += crossing.weights[term] * scaled[term]
         combined += paper[term] if term < 6 else 0.0
-    seen.rewards[0] = total
-    seen.rewards[1] = 0.2 * combined + paper[0] + 0.5 * paper[6]
+    return total, 0.2 * combined + paper[0] + 0.5 * paper[6]
 
 
 @compiled
-def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
-    """Means over the vehicles of this step, in the order of SUMS."""
-    sums = seen.sums
+def _pay(
+    crossing: Record,
+    traffic: Traffic,
+    count: int,
+    account: Record,
+    slots: Slots,
+    scaled_reward: float,
+    paper_reward: float,
+) -> None:
+    """Pay for a step. The paper pays whoever was asked and still is on the road; so do own rewards, and the
+    team's all slots."""
+    rewards, paid = slots.rewards, 0
+    for row in range(count):
+        slot = traffic.slot[row]
+        # Slots that were left since actions were asked for are empty still.
+        if slot < 0 or not slots.acting[slot]:
+            continue
+        paid += 1
+        if crossing.pays == PAYS_PAPER:
+            rewards[slot] += np.float32(paper_reward)
+        elif crossing.pays == PAYS_OWN:
+            rewards[slot] += np.float32(_own(crossing, traffic, row))
+    if crossing.pays == PAYS_TEAM:
+        for slot in range(len(rewards)):
+            rewards[slot] += np.float32(scaled_reward)
+    published = crossing.pays == PAYS_PAPER
+    account.paper_return += paper_reward * paid
+    account.team_return += paper_reward if published else scaled_reward
+    terms = account.paper if published else account.scaled
+    for term in range(len(terms)):
+        account.terms[term] += terms[term]
+
+
+@compiled
+def _add_up(traffic: Traffic, count: int, account: Record) -> None:
+    """Means over the vehicles of this step."""
     automated, standing, fuel = 0, 0, 0.0
     speed_av, speed_hdv, change_av, change_hdv = 0.0, 0.0, 0.0, 0.0
     for row in range(count):
@@ -368,142 +342,127 @@ def _add_up(traffic: Traffic, count: int, seen: Seen) -> None:
             automated += 1
             speed_av += speed
             change_av += abs(change)
-            sums[9] = max(sums[9], -change)
-            seen.present[traffic.link[row] // 4] += 1.0
+            account.hardest_braking_av = max(account.hardest_braking_av, -change)
+            account.present[traffic.link[row] // 4] += 1.0
         else:
             speed_hdv += speed
             change_hdv += abs(change)
-            sums[10] = max(sums[10], -change)
+            account.hardest_braking_hdv = max(account.hardest_braking_hdv, -change)
     human = count - automated
-    sums[3] += count
+    account.vehicles += count
     if count:
-        sums[0] += 1
-        sums[4] += (speed_av + speed_hdv) / count
-        sums[11] += fuel / count
-        sums[12] += standing / count
+        account.steps_all += 1
+        account.speed += (speed_av + speed_hdv) / count
+        account.fuel += fuel / count
+        account.standing += standing / count
     if automated:
-        sums[1] += 1
-        sums[5] += speed_av / automated
-        sums[7] += change_av / automated
+        account.steps_av += 1
+        account.speed_av += speed_av / automated
+        account.acceleration_av += change_av / automated
     if human:
-        sums[2] += 1
-        sums[6] += speed_hdv / human
-        sums[8] += change_hdv / human
+        account.steps_hdv += 1
+        account.speed_hdv += speed_hdv / human
+        account.acceleration_hdv += change_hdv / human
 
 
 @compiled
-def look(crossing: Crossing, traffic: Traffic, count: int, seen: Seen) -> None:
-    """Observations of all AVs among V vehicles; rows of empty slots are 0."""
-    seen.observations[:] = 0.0
-    seen.alive[:] = False
+def _look(crossing: Record, traffic: Traffic, count: int, account: Record, slots: Slots) -> None:
+    """Observations of all AVs among V vehicles."""
+    for slot in range(len(slots.alive)):
+        if slots.alive[slot]:
+            slots.observations[slot] = 0.0
+            slots.alive[slot] = False
+    if crossing.extended:
+        _find_next(crossing, traffic, count, account)
     for row in range(count):
         slot = traffic.slot[row]
         if slot < 0:
             continue
-        seen.alive[slot] = True
-        _observe_paper(crossing, traffic, row, seen.observations[slot])
+        slots.alive[slot] = True
+        _observe_paper(crossing, traffic, row, slots.observations[slot])
         if crossing.extended:
-            _observe_extended(crossing, traffic, count, row, seen, seen.observations[slot])
+            _observe_extended(crossing, traffic, row, account, slots.observations[slot])
 
 
-def take_in(crossing: Crossing, traffic: Traffic, count: int, happened: Happened, seen: Seen) -> None:
-    """All that follows from a step."""
-    # One by one: handing records over takes longer than all that is done with them.
-    _take_in(count, *crossing, *traffic, *happened, *seen)
-
-
-@compiled_apart
-def _take_in(count: int, *parts: Any) -> None:  # noqa: ANN401 - of the records, in order
-    crossing, traffic = Crossing(*parts[:_TRAFFIC]), Traffic(*parts[_TRAFFIC:_HAPPENED])
-    happened, seen = Happened(*parts[_HAPPENED:_SEEN]), Seen(*parts[_SEEN:])
-    look(crossing, traffic, count, seen)
-    _describe(crossing, traffic, count, happened, seen)
-    _pay(crossing, traffic, count, happened, seen)
-    _add_up(traffic, count, seen)
-
-
-@compiled_apart
-def read_in(
-    answers: Floats,
-    offset: Floats,
-    automated: Whole,
-    count: int,
-    position: Floats,
-    speed: Floats,
-    before: Floats,
-    fuel: Floats,
-    around: Floats,
-) -> None:
-    """Fill the columns of `Traffic` with what SUMO answered: of each of V vehicles its speed, then of each
-    the distance it has been driven, to which its `offset` (V,) is added, then of each its fuel; then what
-    is `around` each row (M,) of an automated vehicle."""
-    for row in range(count):
-        before[row] = speed[row]
-        speed[row] = answers[row]
-        position[row] = answers[count + row] + offset[row]
-        fuel[row] = answers[2 * count + row]
+@compiled
+def _read_in(traffic: Traffic, count: int, answers: Floats) -> None:
+    """Fill the columns of `Traffic` with what SUMO answered."""
     place = 3 * count
-    for row in automated:
-        for column in range(4):
-            around[row, column] = answers[place + column]
-        place += 4
+    for row in range(count):
+        traffic.before[row] = traffic.speed[row]
+        traffic.speed[row] = answers[row]
+        traffic.position[row] = answers[count + row] + traffic.offset[row]
+        traffic.fuel[row] = answers[2 * count + row]
+        if traffic.slot[row] >= 0:
+            for column in range(4):
+                traffic.around[row, column] = answers[place + column]
+            place += 4
+
+
+@compiled_apart
+def take_in(
+    crossing_memory: NDArray[np.void],
+    traffic_memory: NDArray[np.void],
+    account_memory: NDArray[np.void],
+    observations: NDArray[np.float32],
+    alive: NDArray[np.bool_],
+    acting: NDArray[np.bool_],
+    rewards: NDArray[np.float32],
+    count: int,
+    answers: Floats,
+    arrived: int,
+    crashes: int,
+    lane_changes: int,
+    outflow_vph: float,
+    pending: int,
+    passed: float,
+) -> None:
+    """All that follows from a step of V = `count` vehicles: from memory (1,) of CROSSING, TRAFFIC and
+    ACCOUNT, the parts of `Slots` and, in the end, those of `Happened`, since handing tuples over takes longer
+    than all that is done with them.
+
+    `answers` are SUMO's: of each vehicle its speed, then of each the distance it has been driven, then of
+    each its fuel; then of each AV its part of `Traffic.around`."""
+    crossing, traffic, account = crossing_memory[0], traffic_memory[0], account_memory[0]
+    slots = Slots(observations, alive, acting, rewards)
+    happened = Happened(arrived, crashes, lane_changes, outflow_vph, pending, passed)
+    _read_in(traffic, count, answers)
+    _look(crossing, traffic, count, account, slots)
+    _describe(crossing, traffic, count, happened, account)
+    scaled_reward, paper_reward = _judge(crossing, traffic, count, happened, account)
+    _pay(crossing, traffic, count, account, slots, scaled_reward, paper_reward)
+    _add_up(traffic, count, account)
 
 
 @compiled_apart
 def wish(
-    accelerations: NDArray[np.float32], slots: Whole, rows: Whole, speed: Floats, wished: Floats
+    actions: NDArray[np.float32],
+    acting: NDArray[np.bool_],
+    traffic_memory: NDArray[np.void],
+    count: int,
+    wished: Floats,
 ) -> None:
-    """Speeds (M,) that accelerations (N,) ask for, cut at STRONGEST, of AVs in these slots (M,) and rows of
-    the vehicles' speeds (M,). Backwards nobody drives."""
-    for i in range(len(slots)):
-        acceleration = accelerations[slots[i]]
+    """Speeds (M,) that actions (1, N, 1) ask for: accelerations, cut at STRONGEST, of the AVs among V =
+    `count` vehicles, in their order. Who is not `acting` (N,) drives on as it does; backwards nobody."""
+    traffic, place = traffic_memory[0], 0
+    for row in range(count):
+        slot = traffic.slot[row]
+        if slot < 0:
+            continue
+        acceleration = actions[0, slot, 0] if acting[slot] else np.float32(0.0)
         if acceleration > STRONGEST:
             acceleration = np.float32(STRONGEST)
         elif acceleration < -STRONGEST:
             acceleration = np.float32(-STRONGEST)
-        wished[i] = speed[rows[i]] + acceleration * np.float32(STEP_S)
-        if wished[i] < 0.0:
-            wished[i] = 0.0
-
-
-def empty_traffic(rows: int) -> Traffic:
-    """Room for so many vehicles."""
-    position, speed, before, fuel = (np.zeros(rows) for _ in range(4))
-    link, slot = (np.full(rows, -1, np.int64) for _ in range(2))
-    return Traffic(position, speed, before, fuel, link, slot, np.full((rows, 4), -1.0))
-
-
-def empty_seen(slots: int, extended: bool) -> Seen:
-    """Room for so many slots."""
-    return Seen(
-        observations=np.zeros((slots, EXTENDED_SIZE if extended else PAPER_SIZE), np.float32),
-        alive=np.zeros(slots, np.bool_),
-        state=np.zeros(STATE_SIZE, np.float32),
-        scaled=np.zeros(len(TERMS)),
-        paper=np.zeros(len(TERMS)),
-        rewards=np.zeros(2),
-        own=np.zeros(slots),
-        sums=np.zeros(len(SUMS)),
-        present=np.zeros(4),
-        first=np.zeros(LANES, np.int64),
-        soonest=np.zeros(NEIGHBOURS),
-        ranked=np.zeros(NEIGHBOURS, np.int64),
-    )
-
-
-def nothing_happened(passed: float = 0.0) -> Happened:
-    """A step without events."""
-    return Happened(0, 0, 0, 0.0, 0, passed)
+        wished[place] = traffic.speed[row] + acceleration * np.float32(STEP_S)
+        if wished[place] < 0.0:
+            wished[place] = 0.0
+        place += 1
 
 
 def warm() -> None:
     """Compile, or load from the cache, by a step of an empty crossing."""
-    none = np.zeros((16, 16), np.bool_)
-    crossing = Crossing(np.ones(16), none, none, np.ones(len(TERMS)), 1600.0, True)
-    traffic, seen, nobody = empty_traffic(1), empty_seen(1, True), np.zeros(0, np.int64)
-    take_in(crossing, traffic, 0, nothing_happened(), seen)
-    wish(np.zeros(1, np.float32), nobody, nobody, traffic.speed, np.zeros(0))
-    read_in(
-        np.zeros(0), np.zeros(1), nobody, 0,
-        traffic.position, traffic.speed, traffic.before, traffic.fuel, traffic.around,
-    )  # fmt: skip
+    crossing, traffic, account = (np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT))
+    slots, nothing = Slots.empty(1, True), np.zeros(0)
+    take_in(crossing, traffic, account, *slots, 0, nothing, 0, 0, 0, 0.0, 0, 0.0)
+    wish(np.zeros((1, 1, 1), np.float32), slots.acting, traffic, 0, nothing)

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.intersection.config import STEP_S, TERMS, IntersectionConfig
-from headway_envs.intersection.kernel import SUMS
+from headway_envs.intersection.layout import SUMS
+from headway_envs.intersection.street import Changes
 
 GALLONS_PER_ML = 0.000264172
 METRICS = (
@@ -35,39 +36,45 @@ class Ledger:
     avs: int = 0
     without_slot: int = 0
     pending: int = 0
-    team_return: float = 0.0
-    paper_return: float = 0.0
     travel_s: list[float] = field(default_factory=list)
     through: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
     """AVs that went through, by approach."""
-    terms: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(TERMS)))
 
     @property
     def outflow_vph(self) -> float:
         """Vehicles that left, an hour, since the beginning."""
         return self.arrived * 3600 / (max(self.steps, 1) * STEP_S)
 
-    def count(self, entered: int, arrived: int) -> None:
-        """Vehicles that came and left in a step."""
+    def count(self, changes: Changes) -> None:
+        """A step."""
         self.steps += 1
-        self.entered += entered
-        self.arrived += arrived
+        self.pending += changes.pending
+        if not (changes.entered or changes.arrived or changes.crashes):
+            return
+        self.entered += changes.entered
+        self.arrived += changes.arrived
         if self.steps * STEP_S <= self.config.warm_up_s:
-            self.entered_early += entered
-            self.arrived_early += arrived
+            self.entered_early += changes.entered
+            self.arrived_early += changes.arrived
+        self.crashes += changes.crashes
+        self.avs += changes.avs
+        self.without_slot += changes.without_slot
+        for approach, seconds in changes.travels:
+            self.through[approach] += 1
+            self.travel_s.append(seconds)
 
-    def metrics(self, sums: NDArray[np.float64], present: NDArray[np.float64]) -> list[float]:
-        """In the order of METRICS, from the kernel's sums and the steps AVs spent here by approach (4,)."""
-        total, steps = dict(zip(SUMS, sums.tolist(), strict=True)), max(self.steps, 1)
+    def metrics(self, account: np.void) -> list[float]:
+        """In the order of METRICS, with what the kernel has added up in an element of ACCOUNT."""
+        total, steps = {name: float(account[name]) for name in SUMS}, max(self.steps, 1)
         seconds = steps * STEP_S
         late = seconds - self.config.warm_up_s
         early_in, early_out = (self.entered_early, self.arrived_early) if late > 0 else (0, 0)
         per_hour = 3600 / (late if late > 0 else seconds)
-        spent = _spent_for_each(present * STEP_S, self.through)
+        spent = _spent_for_each(account["present"] * STEP_S, self.through)
         with_any, with_av, with_hdv = (max(total[f"steps_{kind}"], 1) for kind in ("all", "av", "hdv"))
         return [
-            self.team_return,
-            self.paper_return,
+            total["team_return"],
+            total["paper_return"],
             self.crashes,
             self.entered * 3600 / seconds,
             self.outflow_vph,
@@ -92,7 +99,7 @@ class Ledger:
             max(spent, default=0.0),
             jain(spent),
             self.steps,
-            *(self.terms / steps).tolist(),
+            *(account["terms"] / steps).tolist(),
         ]
 
 

@@ -3,33 +3,28 @@
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from headway_envs.intersection.kernel import Floats, Traffic, Whole, empty_traffic
-
-MOST_VEHICLES = 512
-"""More than have room on the crossing's roads: lanes of 16 x 200 m, 7.5 m a vehicle that stands."""
+from headway_envs.intersection.layout import MOST_VEHICLES, TRAFFIC, Traffic, Whole
 
 
 class Roster:
     """Vehicles in the order in which they came: rows of `traffic`. Slots are taken lowest first."""
 
     def __init__(self, slots: int) -> None:
-        self.traffic: Traffic = empty_traffic(MOST_VEHICLES)
+        self.memory: NDArray[np.void] = np.zeros(1, TRAFFIC)
+        self.traffic = Traffic.of(self.memory)
         self.ids: list[str] = []
         self.row: dict[str, int] = {}
         self.entered: Whole = np.zeros(MOST_VEHICLES, np.int64)
         """Step of the episode; in V rows, as the next."""
-        self.offset: Floats = np.zeros(MOST_VEHICLES)
-        """Place at which a vehicle entered, m."""
         self.lane: Whole = np.zeros(MOST_VEHICLES, np.int64)
         self.serial: Whole = np.full(slots, -1, np.int64)
         """(N,): how many AVs had had a slot before the one that has this one, or had it last."""
         self._served = 0
         self.holder: list[str | None] = [None] * slots
         self.automated: list[tuple[int, int, str]] = []
-        """(row, slot, id) of who has a slot; the same as arrays and a list follows."""
-        self.automated_rows: Whole = np.zeros(0, np.int64)
-        self.automated_slots: Whole = np.zeros(0, np.int64)
+        """(row, slot, id) of who has a slot."""
         self.automated_ids: list[str] = []
 
     def __len__(self) -> int:
@@ -60,7 +55,7 @@ class Roster:
         self.row[vehicle] = row
         traffic = self.traffic
         traffic.link[row], traffic.slot[row] = link, slot
-        traffic.position[row], self.offset[row] = place[0], place[0] - place[1]
+        traffic.position[row], traffic.offset[row] = place[0], place[0] - place[1]
         traffic.speed[row] = traffic.before[row] = speed
         traffic.around[row] = -1
         self.entered[row], self.lane[row] = step, -1
@@ -73,7 +68,7 @@ class Roster:
         """A vehicle that has gone. Those after it move up."""
         row, last = self.row.pop(vehicle), len(self.ids) - 1
         slot = int(self.traffic.slot[row])
-        for array in (*self.traffic, self.entered, self.offset, self.lane):
+        for array in (*self.traffic, self.entered, self.lane):
             array[row:last] = array[row + 1 : last + 1]
         del self.ids[row]
         for later in range(row, last):
@@ -89,6 +84,4 @@ class Roster:
             for row, (slot, vehicle) in enumerate(zip(slots, self.ids, strict=True))
             if slot >= 0
         ]
-        self.automated_rows = np.array([row for row, _, _ in self.automated], np.int64)
-        self.automated_slots = np.array([slot for _, slot, _ in self.automated], np.int64)
         self.automated_ids = [vehicle for _, _, vehicle in self.automated]

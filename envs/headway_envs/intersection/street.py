@@ -1,7 +1,8 @@
 """The vehicles of one simulation: commanded, advanced by a step, and read."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from struct import pack_into
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,17 @@ from numpy.typing import NDArray
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.demand import AV, HDV, MIN_GAP_M
 from headway_envs.intersection.humans import next_speeds
-from headway_envs.intersection.kernel import Crossing, read_in, wish
+from headway_envs.intersection.kernel import wish
+from headway_envs.intersection.layout import (
+    CROSSING,
+    MOST_VEHICLES,
+    PAYS_OWN,
+    PAYS_PAPER,
+    PAYS_TEAM,
+    Floats,
+)
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
-from headway_envs.intersection.roster import MOST_VEHICLES, Roster
+from headway_envs.intersection.roster import Roster
 from headway_envs.intersection.simulation import Simulation
 
 NO_LANE_CHANGES = 512
@@ -36,14 +45,25 @@ class Changes:
     without_slot: int = 0
     pending: int = 0
     lane_changes: int = 0
-    left: list[int] = field(default_factory=list)
+    left: tuple[int, ...] = ()
     """Slots of AVs that arrived."""
-    crashed: list[int] = field(default_factory=list)
+    crashed: tuple[int, ...] = ()
     """Slots of AVs that crashed."""
-    travels: list[tuple[int, float]] = field(default_factory=list)
+    travels: tuple[tuple[int, float], ...] = ()
     """(approach, s) of AVs that arrived."""
-    places: list[tuple[float, float]] = field(default_factory=list)
+    places: tuple[tuple[float, float], ...] = ()
     """Where vehicles crashed, (x, y) in m, for pictures."""
+
+
+def _crossing(config: IntersectionConfig, network: Network) -> NDArray[np.void]:
+    """(1,) CROSSING"""
+    reward, crossing = config.reward, np.zeros(1, CROSSING)
+    crossing["link_length"], crossing["total_length"] = network.link_length, network.total_length
+    crossing["foes"], crossing["yields"] = network.foes, network.yields
+    crossing["weights"], crossing["extended"] = reward.weights, config.observation == "extended"
+    scaled = PAYS_OWN if reward.scope == "own" else PAYS_TEAM
+    crossing["pays"] = PAYS_PAPER if reward.kind == "paper" else scaled
+    return crossing
 
 
 class Street:
@@ -52,21 +72,15 @@ class Street:
     def __init__(self, config: IntersectionConfig, network: Network, simulation: Simulation) -> None:
         self.config, self.network, self.simulation = config, network, simulation
         self.roster = Roster(config.slots)
-        self.crossing = Crossing(
-            network.link_length,
-            network.foes,
-            network.yields,
-            np.array(config.reward.weights),
-            network.total_length,
-            config.observation == "extended",
-        )
+        self.crossing = _crossing(config, network)
+        self.answers: Floats = np.zeros(3 * MOST_VEHICLES + 4 * config.slots)
+        """SUMO's of the last step, as `kernel.take_in` reads them."""
         self._vehicle: Any = simulation.sumo.vehicle
         self._world: Any = simulation.sumo.simulation
         self._handed_over: int | None = None
         self._waiting = 0
         self._draw = np.random.default_rng(0)
         self._wished = np.zeros(config.slots)
-        self._answers = np.zeros(3 * MOST_VEHICLES + 4 * config.slots)
 
     def begin(self, seed: int, draw: np.random.Generator) -> None:
         """An empty crossing; `draw` is for the noise of human drivers."""
@@ -88,13 +102,12 @@ class Street:
             self._instruct(vehicle, automated=vehicle.startswith(AV))
             self._vehicle.setSpeed(vehicle, _SUMOS_OWN)
 
-    def command(self, accelerations: NDArray[np.float32]) -> None:
-        """Speeds of the next step: AVs' from accelerations (N,), cut at 3 m/s^2, noisy humans' from their
-        model."""
+    def command(self, actions: NDArray[np.float32], acting: NDArray[np.bool_]) -> None:
+        """Speeds of the next step: AVs' from accelerations (1, N, 1), cut at 3 m/s^2, of those `acting` (N,),
+        noisy humans' from their model."""
         roster, wished = self.roster, self._wished
         if self._handed_over is None and roster.automated:
-            asked = np.ascontiguousarray(accelerations, np.float32)
-            wish(asked, roster.automated_slots, roster.automated_rows, roster.traffic.speed, wished)
+            wish(actions, acting, roster.memory, len(roster), wished)
             set_speed, targets = self._vehicle.setSpeed, wished[: len(roster.automated)].tolist()
             for vehicle, target in zip(roster.automated_ids, targets, strict=True):
                 set_speed(vehicle, target)
@@ -102,7 +115,8 @@ class Street:
             self._drive_humans()
 
     def advance(self, step: int, kept: Collection[int] = ()) -> Changes:
-        """One step of SUMO, the `step`-th, and all vehicles read again. Slots in `kept` stay empty."""
+        """One step of SUMO, the `step`-th, and its `answers` about all vehicles for the kernel to take in.
+        Slots in `kept` stay empty."""
         world, changes = self._world, Changes()
         world.step()
         crashed: frozenset[str] = frozenset()
@@ -132,12 +146,12 @@ class Street:
                 continue
             slot, link = int(roster.traffic.slot[row]), int(roster.traffic.link[row])
             if vehicle in crashed:
-                changes.places.append(self.place(row))
+                changes.places += (self.place(row),)
             if slot >= 0 and vehicle in crashed:
-                changes.crashed.append(slot)
+                changes.crashed += (slot,)
             elif slot >= 0:
-                changes.left.append(slot)
-                changes.travels.append((link // 4, (step - int(roster.entered[row])) * STEP_S))
+                changes.left += (slot,)
+                changes.travels += ((link // 4, (step - int(roster.entered[row])) * STEP_S),)
             roster.remove(vehicle)
 
     def _let_in(self, vehicle: str, freed: Sequence[int], step: int, changes: Changes) -> None:
@@ -168,21 +182,18 @@ class Street:
             self._vehicle.setSpeedMode(vehicle, self.config.hdv_speed_mode)
 
     def _read(self, changes: Changes) -> None:
-        roster, vehicle, ids = self.roster, self._vehicle, self.roster.ids
-        answers = [
+        vehicle, ids = self._vehicle, self.roster.ids
+        pack_into(
+            f"{3 * len(ids) + 4 * len(self.roster.automated)}d",
+            self.answers.data,
+            0,
             *map(vehicle.getSpeed, ids),
             *map(vehicle.getDistance, ids),
             *map(vehicle.getFuelConsumption, ids),
             *self._neighbours(),
-        ]
-        self._answers[: len(answers)] = answers
-        columns, rows = roster.traffic, roster.automated_rows
-        read_in(
-            self._answers, roster.offset, rows, len(ids),
-            columns.position, columns.speed, columns.before, columns.fuel, columns.around,
-        )  # fmt: skip
+        )
         if self.config.av_lane_change_mode != NO_LANE_CHANGES and self._handed_over is None:
-            changes.lane_changes = self._count_lane_changes()
+            changes.lane_changes = self._count_lane_changes(self.answers[len(ids) :])
 
     def _neighbours(self) -> list[float]:
         """Of each AV, the row of its leader and the gap, the row of its follower and the gap."""
@@ -195,11 +206,12 @@ class Street:
             around += (row_of(leader, -1), lead_gap, row_of(follower, -1), follow_gap)
         return around
 
-    def _count_lane_changes(self) -> int:
-        """AVs that are on another lane of the same road than a step before."""
+    def _count_lane_changes(self, driven: Floats) -> int:
+        """AVs that are on another lane of the same road than a step before, from how far all (V,) have been
+        driven, m."""
         roster, changes = self.roster, 0
         for row, _, vehicle in roster.automated:
-            position, link = roster.traffic.position[row], roster.traffic.link[row]
+            position, link = driven[row] + roster.traffic.offset[row], roster.traffic.link[row]
             beyond = position >= ROAD_M + self.network.link_length[link]
             lane = self._vehicle.getLaneIndex(vehicle) + 2 * beyond if beyond or position < ROAD_M else -1
             known = int(roster.lane[row])

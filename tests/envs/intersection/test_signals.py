@@ -9,7 +9,18 @@ import pytest
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import TERMS, IntersectionConfig
 from headway_envs.intersection.humans import acceleration
-from headway_envs.intersection.kernel import Happened
+from headway_envs.intersection.layout import (
+    ACCOUNT,
+    CROSSING,
+    PAYS_OWN,
+    PAYS_PAPER,
+    PAYS_TEAM,
+    SUMS,
+    TRAFFIC,
+    Happened,
+    Slots,
+    Traffic,
+)
 from headway_envs.intersection.reporting import METRICS, Ledger, jain
 from headway_envs.intersection.simulation import libsumo
 
@@ -44,8 +55,8 @@ def test_the_papers_observation_is_what_sumo_says(crossing: Callable[..., Any]) 
     assert followed > 50
 
 
-def _random_traffic(seed: int, count: int) -> kernel.Traffic:
-    draw, traffic = np.random.default_rng(seed), kernel.empty_traffic(64)
+def _random_traffic(seed: int, count: int) -> Traffic:
+    draw, traffic = np.random.default_rng(seed), Traffic.of(np.zeros(1, TRAFFIC))
     traffic.position[:count] = draw.uniform(0, 420, count)
     traffic.speed[:count] = np.where(draw.random(count) < 0.2, 0.0, draw.uniform(0, 25, count))
     traffic.before[:count] = draw.uniform(0, 25, count)
@@ -57,23 +68,38 @@ def _random_traffic(seed: int, count: int) -> kernel.Traffic:
     return traffic
 
 
-def _seen(traffic: kernel.Traffic, count: int, happened: Happened) -> kernel.Seen:
-    seen, draw = kernel.empty_seen(96, True), np.random.default_rng(9)
+def _seen(traffic: Traffic, count: int, happened: Happened, pays: int = PAYS_TEAM) -> tuple[np.void, Slots]:
+    """The account, and what concerns each AV, after a step that brought this traffic; every other slot had
+    been asked."""
+    crossing, memory, account = (np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT))
+    slots, draw = Slots.empty(96, True), np.random.default_rng(9)
+    slots.acting[::2] = True
     foes = draw.random((16, 16)) < 0.5
-    crossing = kernel.Crossing(np.full(16, 20.8), foes | foes.T, foes, np.ones(8), LENGTH, True)
-    kernel.take_in(crossing, traffic, count, happened, seen)
-    return seen
+    crossing["link_length"], crossing["total_length"], crossing["weights"] = 20.8, LENGTH, 1
+    crossing["foes"], crossing["yields"] = foes | foes.T, foes
+    crossing["extended"], crossing["pays"] = True, pays
+    memory["speed"], memory["slot"], memory["link"] = traffic.before, traffic.slot, traffic.link
+    around = traffic.around[:count][traffic.slot[:count] >= 0]
+    answers = [column[:count] for column in (traffic.speed, traffic.position, traffic.fuel)]
+    kernel.take_in(
+        crossing, memory, account, *slots, count, np.concatenate([*answers, around.ravel()]), *happened
+    )
+    for read, given in zip(Traffic.of(memory)[:4], traffic[:4], strict=True):
+        assert (read == given).all()
+    return account[0], slots
 
 
 def test_speeds_asked_for_follow_from_accelerations_within_their_bounds() -> None:
-    """Slot 4 belongs to row 2, and so on; nobody drives backwards."""
-    accelerations = np.array([9.0, 0.7, -0.3, -8.0, -2.0], np.float32)
-    slots, rows, wished = np.array([4, 0, 3, 1]), np.array([2, 0, 3, 1]), np.full(6, 7.0)
-    kernel.wish(accelerations, slots, rows, np.array([10.0, 11.0, 0.1, 12.0]), wished)
+    """Of AVs in their order: slot 4 belongs to row 0, and so on; nobody drives backwards."""
+    memory = np.zeros(1, TRAFFIC)
+    memory["slot"][0, :6], memory["speed"][0, :6] = [4, -1, 0, 3, 1, 2], [0.1, 9.0, 10.0, 12.0, 11.0, 13.0]
+    actions = np.array([9.0, 0.7, 8.0, -8.0, -2.0], np.float32).reshape(1, 5, 1)
+    acting, wished = np.array([True, True, False, True, True]), np.full(6, 7.0)
+    kernel.wish(actions, acting, memory, 6, wished)
     tenth = np.float32(0.1)
     change = [np.float32(3) * tenth, np.float32(-3) * tenth, np.float32(0.7) * tenth]
-    expected = [0.0, 10.0 + float(change[0]), 12.0 + float(change[1]), 11.0 + float(change[2])]
-    assert wished.tolist() == [*expected, 7.0, 7.0]
+    expected = [0.0, 10.0 + float(change[0]), 12.0 + float(change[1]), 11.0 + float(change[2]), 13.0]
+    assert wished.tolist() == [*expected, 7.0]
 
 
 def test_actions_of_another_shape_are_refused(crossing: Callable[..., Any]) -> None:
@@ -88,7 +114,7 @@ def test_actions_of_another_shape_are_refused(crossing: Callable[..., Any]) -> N
 def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
     """Equations 7 to 12, with vectors as the paper writes them."""
     count, traffic = 17, _random_traffic(seed, 17)
-    paper = _seen(traffic, count, Happened(1, crashes, 3, 420.0, 5, 0.5)).paper
+    paper = _seen(traffic, count, Happened(1, crashes, 3, 420.0, 5, 0.5))[0]["paper"]
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
     wished = np.full(count, 20.0)
     nearness = np.linalg.norm(wished) - np.linalg.norm(v - wished)
@@ -114,7 +140,8 @@ def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
 def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     count, traffic = 17, _random_traffic(seed, 17)
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
-    scaled = dict(zip(TERMS, _seen(traffic, count, Happened(3, 2, 1, 420.0, 5, 0.5)).scaled, strict=True))
+    account, _ = _seen(traffic, count, Happened(3, 2, 1, 420.0, 5, 0.5))
+    scaled = dict(zip(TERMS, account["scaled"], strict=True))
     assert max(map(abs, scaled.values())) <= 1
     assert scaled["standstill"] == pytest.approx(-(v < 0.1).mean())
     assert scaled["progress"] == pytest.approx(v[automated].mean() / 30)
@@ -122,15 +149,36 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     assert scaled["lane_change"] == pytest.approx(-1 / automated.sum())
     assert scaled["throughput"] == 1
     assert scaled["collision"] == -1
-    nobody = _seen(traffic, 0, Happened(0, 0, 0, 0.0, 0, 0.0))
-    assert (nobody.scaled == 0).all()
-    assert (nobody.paper == 0).all()
+    nobody, _ = _seen(_random_traffic(seed, 0), 0, Happened())
+    assert (nobody["scaled"] == 0).all()
+    assert (nobody["paper"] == 0).all()
+
+
+@pytest.mark.parametrize("pays", [PAYS_PAPER, PAYS_TEAM, PAYS_OWN])
+def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(pays: int) -> None:
+    count, traffic = 17, _random_traffic(2, 17)
+    account, slots = _seen(traffic, count, Happened(1, 0, 0, 420.0, 5, 0.5), pays)
+    there = slots.acting & slots.alive
+    assert 0 < there.sum() < slots.alive.sum()
+    paper = account["paper_return"] / there.sum()
+    returned = paper if pays == PAYS_PAPER else account["scaled"].sum()
+    assert account["team_return"] == pytest.approx(returned)
+    terms = account["paper"] if pays == PAYS_PAPER else account["scaled"]
+    assert (account["terms"] == terms).all()
+    if pays == PAYS_TEAM:
+        np.testing.assert_allclose(slots.rewards, returned, rtol=1e-6)
+        return
+    assert (slots.rewards[~there] == 0).all()
+    if pays == PAYS_PAPER:
+        np.testing.assert_allclose(slots.rewards[there], paper, rtol=1e-6)
+    else:
+        assert len(set(slots.rewards[there])) == there.sum()
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: int) -> None:
     count, traffic = 25, _random_traffic(seed, 25)
-    seen, draw = _seen(traffic, count, kernel.nothing_happened()), np.random.default_rng(9)
+    (_, slots), draw = _seen(traffic, count, Happened()), np.random.default_rng(9)
     yields = draw.random((16, 16)) < 0.5
     foes = yields | yields.T
     until = np.minimum(np.maximum(200 - traffic.position, 0) / np.maximum(traffic.speed, 0.1), 20)
@@ -139,7 +187,7 @@ def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: i
         slot, link = traffic.slot[row], traffic.link[row]
         if slot < 0:
             continue
-        rows = seen.observations[slot]
+        rows = slots.observations[slot]
         assert rows[6:9].tolist() == [
             float(traffic.position[row] < 200),
             float(200 <= traffic.position[row] < 220.8),
@@ -189,13 +237,13 @@ def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: i
         np.testing.assert_allclose(rows[18:].reshape(4, 6), expected, rtol=0, atol=1e-6)
     assert shown > 5
     assert hidden > 0
-    assert seen.alive.sum() == (traffic.slot[:count] >= 0).sum()
-    assert (seen.observations[~seen.alive] == 0).all()
+    assert slots.alive.sum() == (traffic.slot[:count] >= 0).sum()
+    assert (slots.observations[~slots.alive] == 0).all()
 
 
 def test_the_state_counts_everybody_once() -> None:
     count, traffic = 30, _random_traffic(1, 30)
-    state = _seen(traffic, count, Happened(0, 0, 0, 0.0, 10, 0.25)).state
+    state = _seen(traffic, count, Happened(pending=10, passed=0.25))[0]["state"]
     by_approach = state[:-2].reshape(4, 16)
     cells, beyond = by_approach[:, :12].reshape(4, 4, 3), by_approach[:, 12:].reshape(4, 2, 2)
     assert 10 * (cells[..., :2].sum() + beyond[..., 0].sum()) == pytest.approx(count, abs=1e-4)
@@ -287,8 +335,9 @@ def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None
     assert jain([5.0, 0.0, 0.0, 0.0]) == pytest.approx(0.25)
     assert jain([]) == 1.0
     ledger = Ledger(IntersectionConfig(), steps=1000, through=[2, 1, 0, 0], travel_s=[20.0, 30.0, 40.0])
-    sums, present = np.zeros(len(kernel.SUMS)), np.array([500.0, 400.0, 900.0, 0.0])
-    metrics = dict(zip(METRICS, ledger.metrics(sums, present), strict=True))
+    account = np.zeros(1, ACCOUNT)
+    account["present"] = 500.0, 400.0, 900.0, 0.0
+    metrics = dict(zip(METRICS, ledger.metrics(account[0]), strict=True))
     assert metrics["travel_time_av_s"] == pytest.approx(30)
     assert metrics["worst_approach_s"] == pytest.approx(90)  # nobody from there went through
     assert metrics["fairness_jain"] == pytest.approx(jain([25.0, 40.0, 90.0]))
@@ -296,7 +345,8 @@ def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None
 
 def test_means_are_over_vehicles_of_their_kind() -> None:
     count, traffic = 12, _random_traffic(3, 12)
-    sums = dict(zip(kernel.SUMS, _seen(traffic, count, kernel.nothing_happened()).sums, strict=True))
+    account, _ = _seen(traffic, count, Happened())
+    sums = {name: account[name] for name in SUMS}
     automated = traffic.slot[:count] >= 0
     change = (traffic.speed - traffic.before)[:count] / 0.1
     assert sums["speed_av"] == pytest.approx(traffic.speed[:count][automated].mean())
