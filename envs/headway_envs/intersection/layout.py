@@ -66,11 +66,7 @@ ACCOUNT = np.dtype(
         # Room for the kernel to work in.
         ("first", np.int64, WAYS),  # the row of the first before the stop line; -1: none
         ("inside", np.int64, MOST_VEHICLES + 1),  # rows of those inside the junction, then -1
-        (
-            "soonest",
-            np.float64,
-            NEIGHBOURS,
-        ),  # when who comes next on ways that cross one's own arrives, s
+        ("soonest", np.float64, NEIGHBOURS),  # s until who comes next on crossing ways arrives
         ("ranked", np.int64, NEIGHBOURS),  # their rows; -1: nobody
     ],
     align=True,
