@@ -14,8 +14,7 @@ from headway_algos.config import ModelConfig
 from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks import acting_arrays
 from headway_algos.normalisation import RunningMoments
-from headway_algos.optimiser import add_gradients
-from headway_algos.passes import Pass
+from headway_algos.passes import Pass, add_gradients
 from headway_algos.recurrent import RecurrentNetwork, make_network
 from headway_algos.timeline import Timeline
 
@@ -45,11 +44,14 @@ class Actor(nn.Module):
         """Distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
         return self.distribution(self.network(rows, timeline), masks)
 
-    def distribution(self, outputs: Tensor, masks: Tensor | None) -> MaskedCategorical | DiagonalGaussian:
-        """Distributions that network outputs (P, A, B) stand for, with action masks (P, B, A)."""
+    def distribution(
+        self, outputs: Tensor, masks: Tensor | None, log_std: Tensor | None = None
+    ) -> MaskedCategorical | DiagonalGaussian:
+        """Distributions that network outputs (P, A, B) stand for, with action masks (P, B, A), and those of a
+        Box with the log standard deviation of now unless another is given."""
         if self.log_std is None:
             return MaskedCategorical.of_logits(outputs, masks)
-        return DiagonalGaussian(outputs, self.log_std)
+        return DiagonalGaussian(outputs, self.log_std if log_std is None else log_std)
 
     def send_back(self, passed: Pass, slopes: tuple[Tensor, Tensor | None]) -> None:
         """Add to the gradients of what is `learnable` those of a loss, from what it depends on in the

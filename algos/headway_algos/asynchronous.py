@@ -129,9 +129,7 @@ class AsynchronousA2CLearner(OnPolicyLearner):
         for part, optimiser in self.shared.optimisers.items():
             optimiser.anneal(share)
             for i, parameter in enumerate(optimiser.parameters):
-                # Of the parameter's own strides, which the optimiser takes for granted.
-                parameter.grad = torch.empty_like(parameter, requires_grad=False)
-                parameter.grad.copy_(torch.as_tensor(arrays[f"{part}.gradient_{i}"]))
+                parameter.grad = torch.as_tensor(arrays[f"{part}.gradient_{i}"]).to(parameter.device)
             optimiser.step(arrays[f"{part}.active"])
         for name, moments in self.shared.moments.items():
             if name in arrays:

@@ -52,17 +52,20 @@ class MaskedCategorical:
         actions: Tensor,
         of_log_prob: Tensor,
         of_entropy: Tensor,
-        old: Self | None = None,
-        of_kl: Tensor | None = None,
+        penalty: tuple[Self, Tensor] | None = None,
     ) -> tuple[Tensor, None]:
-        """d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B), with coefficients (P, B) of the
-        log-probabilities of actions (P, B), of entropies and of divergences; nothing depends on more."""
+        """d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B): a, b (P, B) are coefficients of
+        the log-probabilities of actions (P, B) and of entropies, a `penalty` is (old, c). None: there is no
+        log standard deviation."""
         probabilities = self.log_probs.exp()
         surprise = self.log_probs + self.entropy()[:, None]
         slope = -probabilities * (of_log_prob[:, None] + of_entropy[:, None] * surprise)
         slope.scatter_add_(1, actions[:, None], of_log_prob[:, None])
-        if old is not None and of_kl is not None:
+        if penalty is not None:
+            old, of_kl = penalty
             slope += of_kl[:, None] * (probabilities - old.log_probs.exp())
+        if self.allowed is not None:
+            slope.masked_fill_(~self.allowed, 0)
         return slope, None
 
     def detach(self) -> Self:
@@ -115,16 +118,17 @@ class DiagonalGaussian:
         actions: Tensor,
         of_log_prob: Tensor,
         of_entropy: Tensor,
-        old: Self | None = None,
-        of_kl: Tensor | None = None,
+        penalty: tuple[Self, Tensor] | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1), with
-        coefficients (P, B) of the log-densities of actions (P, B, A), of entropies and of divergences."""
+        """d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1): a, b
+        (P, B) are coefficients of the log-densities of actions (P, B, A) and of entropies, a `penalty` is
+        (old, c)."""
         inverse = torch.exp(-self.log_std)
         standard = (actions.transpose(1, 2) - self.mean) * inverse
         pulled = of_log_prob[:, None] * standard
         of_mean, of_log_std = pulled, pulled * standard - of_log_prob[:, None] + of_entropy[:, None]
-        if old is not None and of_kl is not None:
+        if penalty is not None:
+            old, of_kl = penalty
             shift = (self.mean - old.mean) * inverse
             variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
             of_mean = of_mean + of_kl[:, None] * shift

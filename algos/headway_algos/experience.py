@@ -149,8 +149,9 @@ def minibatches(
     sizes = np.diff(edges, axis=0)  # (parts, P)
     widths, active = sizes.max(axis=1).tolist(), sizes > 0
     within = np.arange(max(widths))
-    weight = np.where(within < sizes[..., None], 1 / np.maximum(sizes, 1)[..., None], 0)
-    weights = torch.from_numpy(weight).to(layout.device, layout.dtype)
+    shares = (1 / np.maximum(sizes, 1))[..., None] * (within < sizes[..., None])
+    weights = torch.from_numpy(shares).to(layout.device, layout.dtype)
+    del shares  # as many as there are rows
     # Of each network's shuffled rows; past a minibatch's end is padding.
     places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):

@@ -124,11 +124,8 @@ class StackedMLP(nn.Module):
     def by_layer(self) -> list[tuple[nn.Parameter, nn.Parameter]]:
         """Weight and bias of each layer."""
         # A ParameterList looks each one up by the text of its place, which takes as long as a small product.
-        weights, biases = (
-            [parameter for parameter in kind._parameters.values() if parameter is not None]
-            for kind in (self.weights, self.biases)
-        )
-        return list(zip(weights, biases, strict=True))
+        pairs = zip(self.weights._parameters.values(), self.biases._parameters.values(), strict=True)
+        return [(weight, bias) for weight, bias in pairs if weight is not None and bias is not None]
 
     def forward(self, rows: Tensor, timeline: Timeline | None = None) -> Tensor:
         """(P, B, in) -> (P, out, B), whatever the timeline."""

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 from copy import copy
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, Self
 
 import numpy as np
@@ -21,18 +23,21 @@ class StackedAdam:
 
     `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound. Moments and
     counts of steps belong to a network: no network's steps depend on its stack, or on when others stepped.
-    The parameters become views of one tensor: a step is then a handful of operations, however many there are.
+    The parameters become parts of one tensor: a step is then a handful of operations, however many there are.
     """
 
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
-        self.parameters = list(parameters)
         self.grad_clip = grad_clip
         self.base_lr = self.lr = lr
-        self.values = joined(self.parameters)
-        """(P, V): all parameters of a network, one after another, each filled up with 0 to whole LANES; as in
-        the next two."""
-        self.means, self.squares = torch.zeros_like(self.values), torch.zeros_like(self.values)
-        self.counts = np.zeros(len(self.values), np.int64)
+        self._hold(list(parameters))
+        self.counts = np.zeros(len(self.values.whole), np.int64)
+
+    def _hold(self, parameters: list[nn.Parameter]) -> None:
+        self.parameters = parameters
+        self.values, self.gradient, self.means, self.squares = (Blocks.like(parameters) for _ in range(4))
+        for parameter, part in zip(parameters, self.values.parts, strict=True):
+            part.copy_(parameter.detach())
+            parameter.data = part
 
     def begin(self) -> None:
         """Forget the gradients."""
@@ -47,93 +52,96 @@ class StackedAdam:
         """Clip and apply the gradients; returns each network's norm before the clip, (P,).
 
         Networks that are not `active` (P,) had no data: they stay as they were, instead of moving on by
-        their momentum, and their norm is 0. Raises RuntimeError where the parameters are others by now.
+        their momentum, and their norm is 0. Raises RuntimeError where the parameters are elsewhere by now.
         """
-        if self.parameters[0].data_ptr() != self.values.data_ptr():
-            raise RuntimeError(
-                "the parameters were moved, or given to another optimiser, since this one began"
-            )
-        gradient = self._gradient()
+        self._collect()
+        gradient = self.gradient.whole
         if not active.all():
             gradient[torch.from_numpy(~active).to(gradient.device)] = 0
         norm: Tensor = torch.linalg.vector_norm(gradient, dim=1)
         if self.grad_clip is not None:
             gradient *= (self.grad_clip / (norm + 1e-6)).clamp_(max=1)[:, None]
-        tensors = [self.values, gradient, self.means, self.squares]
+        tensors = [self.values.whole, gradient, self.means.whole, self.squares.whole]
         # Adam's correction of its young moments depends on the count: networks of one count go together.
         for count in sorted(set(self.counts[active].tolist())):
             chosen = active & (self.counts == count)
             if chosen.all():
-                self._apply(tensors, count)
+                _apply(tensors, count, self.lr)
                 continue
             index = torch.from_numpy(np.flatnonzero(chosen)).to(norm.device)
             parts = [tensor[index] for tensor in tensors]
-            self._apply(parts, count)
+            _apply(parts, count, self.lr)
             for tensor, part in zip(tensors, parts, strict=True):
                 tensor.index_copy_(0, index, part)
         self.counts[active] += 1
         return norm
 
-    def _gradient(self) -> Tensor:
-        """(P, V), 0 where there is none."""
-        parts: list[Tensor] = []
-        for parameter in self.parameters:
-            gradient = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
-            parts.append(gradient.flatten(1))
-            if filler := -parts[-1].shape[1] % LANES:
-                parts.append(gradient.new_zeros(len(gradient), filler))
-        return torch.cat(parts, dim=1)
-
-    def _apply(self, tensors: list[Tensor], count: int) -> None:
-        """torch's Adam on (values, gradient, means, squares) that took `count` steps."""
-        values, gradient, mean, square = ([tensor] for tensor in tensors)
-        counts = [torch.full((), float(count), device=gradient[0].device)]
-        with torch.no_grad():
-            adam(
-                values, gradient, mean, square, [], counts, fused=True, amsgrad=False, beta1=BETA_1,
-                beta2=BETA_2, lr=self.lr, weight_decay=0.0, eps=EPSILON, maximize=False,
-            )  # fmt: skip
+    def _collect(self) -> None:
+        """The parameters' gradients, 0 where there is none, side by side."""
+        held = zip(self.parameters, self.values.parts, self.gradient.parts, strict=True)
+        for parameter, value, gradient in held:
+            if parameter.data_ptr() != value.data_ptr():
+                raise RuntimeError(
+                    "a parameter was moved, or given to another optimiser, since this one began"
+                )
+            if parameter.grad is None:
+                gradient.zero_()
+            else:
+                gradient.copy_(parameter.grad)
 
     def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:
         """The same for networks `policies` (n,) alone: `parameters` are copies of theirs."""
         part = copy(self)
-        part.parameters = list(parameters)
-        part.values = joined(part.parameters)
-        part.means, part.squares = self.means[policies], self.squares[policies]
+        part._hold(list(parameters))
+        part.means.whole.copy_(self.means.whole[policies])
+        part.squares.whole.copy_(self.squares.whole[policies])
         part.counts = self.counts[policies.cpu().numpy()]
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
         """Take over what `part`, narrowed to these policies, has become."""
-        self.means.index_copy_(0, policies, part.means)
-        self.squares.index_copy_(0, policies, part.squares)
+        self.means.whole.index_copy_(0, policies, part.means.whole)
+        self.squares.whole.index_copy_(0, policies, part.squares.whole)
         self.counts[policies.cpu().numpy()] = part.counts
 
     def state_dict(self) -> dict[str, Any]:
-        """Adam's moments and step counts, each with leading axis P."""
-        return {"means": self.means, "squares": self.squares, "counts": torch.from_numpy(self.counts)}
+        """Adam's moments, in the shapes of the parameters, and step counts, each with leading axis P."""
+        counts = torch.from_numpy(self.counts)
+        return {"means": self.means.parts, "squares": self.squares.parts, "counts": counts}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
-        self.means.copy_(state["means"])
-        self.squares.copy_(state["squares"])
+        mine = self.means.parts + self.squares.parts
+        for part, stored in zip(mine, [*state["means"], *state["squares"]], strict=True):
+            part.copy_(stored)
         self.counts[:] = state["counts"].cpu().numpy()
 
 
-def joined(parameters: Sequence[nn.Parameter]) -> Tensor:
-    """(P, V): parameters (P, ...) one after another, each filled up with 0 to whole LANES; from now on they
-    are views of it."""
-    sizes = [parameter[0].numel() for parameter in parameters]
-    ends = np.cumsum([-(-size // LANES) * LANES for size in sizes]).tolist()
-    values = parameters[0].new_zeros(len(parameters[0]), ends[-1], requires_grad=False)
-    for parameter, start, size in zip(parameters, [0, *ends], sizes, strict=False):
-        part = values[:, start : start + size]
-        part.copy_(parameter.detach().flatten(1))
-        parameter.data = part.view(parameter.shape)
-    return values
+@dataclass(frozen=True)
+class Blocks:
+    """Tensors (P, ...) side by side in one (P, V)."""
+
+    whole: Tensor
+    """Each part is filled up with 0 to whole LANES."""
+    parts: list[Tensor]
+    """Views of it."""
+
+    @classmethod
+    def like(cls, tensors: Sequence[Tensor]) -> Self:
+        """Room for such tensors, 0."""
+        sizes = [tensor[0].numel() for tensor in tensors]
+        starts = [0, *accumulate(-(-size // LANES) * LANES for size in sizes)]
+        whole = tensors[0].detach().new_zeros(len(tensors[0]), starts[-1])
+        places = zip(tensors, starts, sizes, strict=False)
+        return cls(whole, [whole[:, at : at + size].view(tensor.shape) for tensor, at, size in places])
 
 
-def add_gradients(parameters: Iterable[nn.Parameter], gradients: Iterable[Tensor]) -> None:
-    """Add to the parameters' gradients, as backpropagation does."""
-    for parameter, gradient in zip(parameters, gradients, strict=True):
-        parameter.grad = gradient if parameter.grad is None else parameter.grad.add_(gradient)
+def _apply(tensors: Sequence[Tensor], count: int, lr: float) -> None:
+    """torch's Adam on (values, gradient, means, squares) that took `count` steps."""
+    values, gradient, means, squares = ([tensor] for tensor in tensors)
+    counts = [torch.full((), float(count), device=gradient[0].device)]
+    with torch.no_grad():
+        adam(
+            values, gradient, means, squares, [], counts, fused=True, amsgrad=False, beta1=BETA_1,
+            beta2=BETA_2, lr=lr, weight_decay=0.0, eps=EPSILON, maximize=False,
+        )  # fmt: skip

@@ -4,14 +4,14 @@ For multilayer perceptrons both are written out: recording each operation, as to
 whatever it was, takes longer than the operations do where minibatches are small.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from headway_algos.linearised import LinearisedMLP
 from headway_algos.networks import StackedMLP
-from headway_algos.optimiser import add_gradients
 from headway_algos.recurrent import Network, RecurrentNetwork
 from headway_algos.timeline import Timeline
 
@@ -30,6 +30,12 @@ class Pass(Protocol):
         ...
 
 
+def add_gradients(parameters: Iterable[nn.Parameter], gradients: Iterable[Tensor]) -> None:
+    """Add to the parameters' gradients, as torch's backpropagation does."""
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient if parameter.grad is None else parameter.grad.add_(gradient)
+
+
 @dataclass(frozen=True)
 class PerceptronPass:
     """Through multilayer perceptrons."""
@@ -42,8 +48,8 @@ class PerceptronPass:
         return self.linear.outputs
 
     def send_back(self, slope: Tensor) -> None:
-        parameters = [parameter for kind in zip(*self.network.by_layer(), strict=True) for parameter in kind]
-        add_gradients(parameters, self.linear.pull(slope))
+        weights, biases = zip(*self.network.by_layer(), strict=True)
+        add_gradients(weights + biases, self.linear.pull(slope))
 
 
 @dataclass(frozen=True)

@@ -131,8 +131,8 @@ def test_what_an_update_carries_on_comes_back_from_its_turn() -> None:
     assert (whole.kl_coeff != 0.3).any()
     assert parts.optimiser.counts.tolist() == whole.optimiser.counts.tolist() == [12] * (R * N)
     pairs = zip(
-        [*parts.actor.parameters(), *parts.optimiser.means, *parts.optimiser.squares],
-        [*whole.actor.parameters(), *whole.optimiser.means, *whole.optimiser.squares],
+        [*parts.actor.parameters(), *parts.optimiser.means.parts, *parts.optimiser.squares.parts],
+        [*whole.actor.parameters(), *whole.optimiser.means.parts, *whole.optimiser.squares.parts],
         strict=True,
     )
     for mine, theirs in pairs:

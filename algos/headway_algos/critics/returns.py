@@ -156,7 +156,8 @@ class Regression:
             else:
                 of_outputs = torch.zeros_like(outputs).scatter_(1, taken[:, None], slope[:, None])
             passed.send_back(of_outputs)
-            if isinstance(self.optimiser, NaturalRegression) and isinstance(passed, PerceptronPass):
+            if isinstance(self.optimiser, NaturalRegression):
+                assert isinstance(passed, PerceptronPass)
                 self.optimiser.include(passed.linear, taken, piece.weight)
             return (error * piece.weight).sum(1)
 

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from headway_algos.actor import Actor
 from headway_algos.config import AlgoConfig
-from headway_algos.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.experience import Layout, Piece, even_slices
 from headway_algos.optimiser import StackedAdam
 from headway_algos.passes import forward_pass
@@ -33,20 +32,6 @@ def _network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tens
         pieces = even_slices(rows.observations.shape[1], len(rows.observations), config.piece_samples)
         outputs = torch.cat([actor.network(rows.observations[:, piece]) for piece in pieces], dim=2)
         return outputs.transpose(1, 2).contiguous()
-
-
-def _old(
-    new: MaskedCategorical | DiagonalGaussian,
-    old_outputs: Tensor,
-    masks: Tensor | None,
-    old_log_std: Tensor | None,
-) -> Any:  # noqa: ANN401 - of the same kind as `new`, which the type checker cannot say
-    """The distributions that old network outputs (P, B, A) stand for."""
-    outputs = old_outputs.transpose(1, 2)
-    if isinstance(new, MaskedCategorical):
-        return MaskedCategorical.of_logits(outputs, masks)
-    assert old_log_std is not None
-    return DiagonalGaussian(outputs, old_log_std)
 
 
 class PPO:
@@ -92,7 +77,8 @@ class PPO:
         old_outputs: Tensor | None,
         old_log_std: Tensor | None,
     ) -> Tensor:
-        """Add a piece's gradients; returns its shares of the mean KL, entropy and clip fraction, (3, P)."""
+        """Add a piece's gradients; returns its shares of the mean KL divergence (an estimate, which a penalty
+        does without), entropy and clip fraction, (3, P)."""
         actor, config, weight = self.actor, self.config, piece.weight
         masks = piece.of(rows.masks) if rows.masks is not None else None
         actions, advantage = piece.of(rows.actions), piece.of(advantages)
@@ -101,19 +87,18 @@ class PPO:
             distribution = actor.distribution(passed.outputs, masks)
             log_ratio = distribution.log_prob(actions) - piece.of(rows.log_probs)
             ratio = log_ratio.exp()
-            old, of_kl = None, None
+            penalty = None
             if old_outputs is not None:
-                old = _old(distribution, piece.of(old_outputs), masks, old_log_std)
-                of_kl = self.kl_coeff[:, None] * weight
+                old = actor.distribution(piece.of(old_outputs).transpose(1, 2), masks, old_log_std)
+                penalty = (old, self.kl_coeff[:, None] * weight)
             slopes = distribution.slopes(
                 actions,
                 -weight * slope_of_surrogate(ratio, advantage, config.clip),
                 -config.entropy_coeff * weight,
-                old,
-                of_kl,
+                penalty,  # type: ignore[arg-type]  # both of one kind
             )
             actor.send_back(passed, slopes)
-            # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html: only reported.
+            # Schulman's estimate of low variance, http://joschu.net/blog/kl-approx.html.
             kl = ratio - 1 - log_ratio
             clipped = ((ratio - 1).abs() > config.clip).to(weight)
             return (torch.stack([kl, distribution.entropy(), clipped]) * weight).sum(2)
@@ -168,6 +153,7 @@ def _mean_kl(
         for part in parts:
             masks = rows.masks[:, part] if rows.masks is not None else None
             new = actor.distribution(new_outputs[:, :, part], masks)
-            kl = new.kl_from(_old(new, old_outputs[:, part], masks, old_log_std))
+            old = actor.distribution(old_outputs[:, part].transpose(1, 2), masks, old_log_std)
+            kl = new.kl_from(old)  # type: ignore[arg-type]  # both of one kind
             total += torch.where(selected[:, part], kl, 0).sum(1)
     return total / selected.sum(1).clamp(min=1)
