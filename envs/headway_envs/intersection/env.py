@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from headway.contracts import Box, EnvSpec, HeadwayError, Observed, Outcome, generator
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
-from headway_envs.intersection.layout import ACCOUNT, STATE_SIZE, Slots
+from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.reporting import METRICS, Ledger
 from headway_envs.intersection.simulation import Simulation
@@ -42,7 +42,7 @@ class IntersectionBatchedEnv:
         self._street: Street | None = None
         extended = config.observation == "extended"
         slots = self._slots = Slots.empty(config.slots, extended)
-        self._account = np.zeros(1, ACCOUNT)
+        self._account, self._scratch = np.zeros(1, ACCOUNT), np.zeros(1, SCRATCH)
         size = slots.observations.shape[1]
         self._spec = EnvSpec(
             name="intersection",
@@ -129,7 +129,7 @@ class IntersectionBatchedEnv:
             outcome.truncated.fill(False)
             outcome.episode_ended[0] = False
             self.events = {}
-        accelerations = np.ascontiguousarray(actions, np.float32)
+        accelerations = np.ascontiguousarray(actions[0, :, 0], np.float32)
         slots.acting[:] = slots.alive
         slots.rewards.fill(0)
         for _ in range(self.config.action_repeat):
@@ -154,6 +154,7 @@ class IntersectionBatchedEnv:
             street.crossing,
             street.roster.memory,
             self._account,
+            self._scratch,
             *self._slots,
             len(street.roster),
             street.answers,

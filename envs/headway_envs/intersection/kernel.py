@@ -19,9 +19,10 @@ from headway_envs.intersection.layout import (
     NEAR_SIZE,
     NEIGHBOUR_SIZE,
     PAPER_SIZE,
-    PAYS_OWN,
-    PAYS_PAPER,
-    PAYS_TEAM,
+    PAY_OWN,
+    PAY_PAPER,
+    PAY_TEAM,
+    SCRATCH,
     TRAFFIC,
     WAY_SIZE,
     Floats,
@@ -86,7 +87,7 @@ def _observe_paper(crossing: Record, traffic: Traffic, row: int, out: NDArray[np
 
 @compiled
 def _observe_extended(
-    crossing: Record, traffic: Traffic, row: int, account: Record, out: NDArray[np.float32]
+    crossing: Record, traffic: Traffic, row: int, scratch: Record, out: NDArray[np.float32]
 ) -> None:
     """Which part of the way (3), distance and time to the stop line, the turn (3); what is near (4): the stop
     line, the leader as distance and as time headway, the follower; then those who come next on ways that
@@ -109,13 +110,13 @@ def _observe_extended(
     if around[2] >= 0:
         out[near + 3] = min((around[3] + MIN_GAP_M) / _NEAR_M, 1.0)
     if part < 2:
-        _show_crossing(crossing, traffic, row, account, out[near + NEAR_SIZE :])
+        _show_crossing(crossing, traffic, row, scratch, out[near + NEAR_SIZE :])
 
 
 @compiled
-def _find_next(crossing: Record, traffic: Traffic, count: int, account: Record) -> None:
+def _find_next(crossing: Record, traffic: Traffic, count: int, scratch: Record) -> None:
     """Who can come next on a way: the first on each link before the stop line, all inside the junction."""
-    first, inside, found = account.first, account.inside, 0
+    first, inside, found = scratch.first, scratch.inside, 0
     first[:] = -1
     for row in range(count):
         link = traffic.link[row]
@@ -145,23 +146,23 @@ def _head(crossing: Record, traffic: Traffic, link: int, lane: int, first: Whole
 
 @compiled
 def _show_crossing(
-    crossing: Record, traffic: Traffic, row: int, account: Record, out: NDArray[np.float32]
+    crossing: Record, traffic: Traffic, row: int, scratch: Record, out: NDArray[np.float32]
 ) -> None:
     """Of all whose ways cross the own, those inside the junction and the first on each lane, four at most,
     the soonest first: 1, distance to their stop line (negative past it), speed, how much later they arrive,
     whether automated, whether they go first."""
     link = traffic.link[row]
-    soonest, rows = account.soonest, account.ranked
+    soonest, rows = scratch.soonest, scratch.ranked
     soonest[:] = np.inf
     rows[:] = -1
-    for other in account.inside:
+    for other in scratch.inside:
         if other < 0:
             break
         if crossing.foes[link, traffic.link[other]]:
             left = ROAD_M - traffic.position[other]
             _insert(soonest, rows, left / max(traffic.speed[other], _LIKELY_SPEED), int(other))
     for lane in range(LANES):
-        head = _head(crossing, traffic, link, lane, account.first)
+        head = _head(crossing, traffic, link, lane, scratch.first)
         if head >= 0:
             left = ROAD_M - traffic.position[head]
             _insert(soonest, rows, left / max(traffic.speed[head], _LIKELY_SPEED), head)
@@ -313,14 +314,14 @@ def _pay(
         if slot < 0 or not slots.acting[slot]:
             continue
         paid += 1
-        if crossing.pays == PAYS_PAPER:
+        if crossing.pays == PAY_PAPER:
             rewards[slot] += np.float32(paper_reward)
-        elif crossing.pays == PAYS_OWN:
+        elif crossing.pays == PAY_OWN:
             rewards[slot] += np.float32(_own(crossing, traffic, row))
-    if crossing.pays == PAYS_TEAM:
+    if crossing.pays == PAY_TEAM:
         for slot in range(len(rewards)):
             rewards[slot] += np.float32(scaled_reward)
-    published = crossing.pays == PAYS_PAPER
+    published = crossing.pays == PAY_PAPER
     account.paper_return += paper_reward * paid
     account.team_return += paper_reward if published else scaled_reward
     terms = account.paper if published else account.scaled
@@ -366,14 +367,14 @@ def _add_up(traffic: Traffic, count: int, account: Record) -> None:
 
 
 @compiled
-def _look(crossing: Record, traffic: Traffic, count: int, account: Record, slots: Slots) -> None:
+def _look(crossing: Record, traffic: Traffic, count: int, scratch: Record, slots: Slots) -> None:
     """Observations of all AVs among V vehicles."""
     for slot in range(len(slots.alive)):
         if slots.alive[slot]:
             slots.observations[slot] = 0.0
             slots.alive[slot] = False
     if crossing.extended:
-        _find_next(crossing, traffic, count, account)
+        _find_next(crossing, traffic, count, scratch)
     for row in range(count):
         slot = traffic.slot[row]
         if slot < 0:
@@ -381,7 +382,7 @@ def _look(crossing: Record, traffic: Traffic, count: int, account: Record, slots
         slots.alive[slot] = True
         _observe_paper(crossing, traffic, row, slots.observations[slot])
         if crossing.extended:
-            _observe_extended(crossing, traffic, row, account, slots.observations[slot])
+            _observe_extended(crossing, traffic, row, scratch, slots.observations[slot])
 
 
 @compiled
@@ -404,6 +405,7 @@ def take_in(
     crossing_memory: NDArray[np.void],
     traffic_memory: NDArray[np.void],
     account_memory: NDArray[np.void],
+    scratch_memory: NDArray[np.void],
     observations: NDArray[np.float32],
     alive: NDArray[np.bool_],
     acting: NDArray[np.bool_],
@@ -417,9 +419,9 @@ def take_in(
     pending: int,
     passed: float,
 ) -> None:
-    """All that follows from a step of V = `count` vehicles: from memory (1,) of CROSSING, TRAFFIC and
-    ACCOUNT, the parts of `Slots` and, in the end, those of `Happened`, since handing tuples over takes longer
-    than all that is done with them.
+    """All that follows from a step of V = `count` vehicles: from memory (1,) of CROSSING, TRAFFIC, ACCOUNT
+    and SCRATCH, the parts of `Slots` and, in the end, those of `Happened`, since handing tuples over takes
+    longer than all that is done with them.
 
     `answers` are SUMO's: of each vehicle its speed, then of each the distance it has been driven, then of
     each its fuel; then of each AV its part of `Traffic.around`."""
@@ -427,7 +429,7 @@ def take_in(
     slots = Slots(observations, alive, acting, rewards)
     happened = Happened(arrived, crashes, lane_changes, outflow_vph, pending, passed)
     _read_in(traffic, count, answers)
-    _look(crossing, traffic, count, account, slots)
+    _look(crossing, traffic, count, scratch_memory[0], slots)
     _describe(crossing, traffic, count, happened, account)
     scaled_reward, paper_reward = _judge(crossing, traffic, count, happened, account)
     _pay(crossing, traffic, count, account, slots, scaled_reward, paper_reward)
@@ -436,20 +438,20 @@ def take_in(
 
 @compiled_apart
 def wish(
-    actions: NDArray[np.float32],
+    accelerations: NDArray[np.float32],
     acting: NDArray[np.bool_],
     traffic_memory: NDArray[np.void],
     count: int,
     wished: Floats,
 ) -> None:
-    """Speeds (M,) that actions (1, N, 1) ask for: accelerations, cut at STRONGEST, of the AVs among V =
-    `count` vehicles, in their order. Who is not `acting` (N,) drives on as it does; backwards nobody."""
+    """Speeds (M,) that accelerations (N,) ask for, cut at STRONGEST, of the AVs among V = `count` vehicles,
+    in their order. Who is not `acting` (N,) drives on as it does; backwards nobody."""
     traffic, place = traffic_memory[0], 0
     for row in range(count):
         slot = traffic.slot[row]
         if slot < 0:
             continue
-        acceleration = actions[0, slot, 0] if acting[slot] else np.float32(0.0)
+        acceleration = accelerations[slot] if acting[slot] else np.float32(0.0)
         if acceleration > STRONGEST:
             acceleration = np.float32(STRONGEST)
         elif acceleration < -STRONGEST:
@@ -462,7 +464,9 @@ def wish(
 
 def warm() -> None:
     """Compile, or load from the cache, by a step of an empty crossing."""
-    crossing, traffic, account = (np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT))
+    crossing, traffic, account, scratch = (
+        np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT, SCRATCH)
+    )
     slots, nothing = Slots.empty(1, True), np.zeros(0)
-    take_in(crossing, traffic, account, *slots, 0, nothing, 0, 0, 0, 0.0, 0, 0.0)
-    wish(np.zeros((1, 1, 1), np.float32), slots.acting, traffic, 0, nothing)
+    take_in(crossing, traffic, account, scratch, *slots, 0, nothing, 0, 0, 0, 0.0, 0, 0.0)
+    wish(np.zeros(1, np.float32), slots.acting, traffic, 0, nothing)

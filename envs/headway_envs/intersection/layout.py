@@ -13,10 +13,10 @@ from headway_envs.intersection.config import TERMS
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Record = Any
-"""The element of an array (1,) of CROSSING or ACCOUNT; fields are attributes in compiled code."""
+"""The element of an array (1,) of one of the dtypes below; fields are attributes in compiled code."""
 
 WAYS = 16
-"""Links."""
+"""Through the junction: L, SUMO's links."""
 LANES = 8
 """On which vehicles come; a link is of lane link // 2."""
 MOST_VEHICLES = 512
@@ -31,7 +31,7 @@ EXTENDED_SIZE = PAPER_SIZE + WAY_SIZE + NEAR_SIZE + NEIGHBOURS * NEIGHBOUR_SIZE
 CELLS = 4
 """Of 50 m on each approach, in the state."""
 STATE_SIZE = 4 * (3 * CELLS + 2 + 2) + 2
-PAYS_PAPER, PAYS_TEAM, PAYS_OWN = range(3)
+PAY_PAPER, PAY_TEAM, PAY_OWN = range(3)
 """Which reward: the paper's, or the scaled one, the team's or each AV's own."""
 
 CROSSING = np.dtype(
@@ -53,7 +53,8 @@ SUMS = (
     "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel", "standing", "team_return",
     "paper_return",
 )  # fmt: skip
-"""What is added up for the metrics: steps with vehicles of a kind, means over these, and what was paid."""
+"""What adds up to the metrics: steps with vehicles of a kind, means over these in a step (of `vehicles` their
+number), what was paid; but `hardest_braking` is the most of all steps."""
 
 ACCOUNT = np.dtype(
     [
@@ -63,7 +64,13 @@ ACCOUNT = np.dtype(
         *((name, np.float64) for name in SUMS),  # of the episode, as the next two
         ("terms", np.float64, len(TERMS)),  # of the reward that is paid
         ("present", np.float64, 4),  # steps that AVs have spent here, by approach
-        # Room for the kernel to work in.
+    ],
+    align=True,
+)
+"""What follows for all together, and what has been added up in the episode."""
+
+SCRATCH = np.dtype(
+    [
         ("first", np.int64, WAYS),  # the row of the first before the stop line; -1: none
         ("inside", np.int64, MOST_VEHICLES + 1),  # rows of those inside the junction, then -1
         ("soonest", np.float64, NEIGHBOURS),  # s until who comes next on crossing ways arrives
@@ -71,11 +78,12 @@ ACCOUNT = np.dtype(
     ],
     align=True,
 )
-"""What follows for all together, and what has been added up in the episode."""
+"""Room for the kernel to find out who comes next."""
 
 
 class Traffic(NamedTuple):
-    """All vehicles, in rows 0 to V - 1 of arrays that are longer: the fields of TRAFFIC, in its memory."""
+    """All vehicles, in rows 0 to V - 1 of arrays that are longer: the fields of TRAFFIC, in its memory.
+    Compiled code has its record, whose fields read alike."""
 
     position: Floats
     """Front along the whole way: the stop line is at ROAD_M."""

@@ -15,9 +15,9 @@ from headway_envs.intersection.kernel import wish
 from headway_envs.intersection.layout import (
     CROSSING,
     MOST_VEHICLES,
-    PAYS_OWN,
-    PAYS_PAPER,
-    PAYS_TEAM,
+    PAY_OWN,
+    PAY_PAPER,
+    PAY_TEAM,
     Floats,
 )
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
@@ -61,13 +61,16 @@ def _crossing(config: IntersectionConfig, network: Network) -> NDArray[np.void]:
     crossing["link_length"], crossing["total_length"] = network.link_length, network.total_length
     crossing["foes"], crossing["yields"] = network.foes, network.yields
     crossing["weights"], crossing["extended"] = reward.weights, config.observation == "extended"
-    scaled = PAYS_OWN if reward.scope == "own" else PAYS_TEAM
-    crossing["pays"] = PAYS_PAPER if reward.kind == "paper" else scaled
+    scaled = PAY_OWN if reward.scope == "own" else PAY_TEAM
+    crossing["pays"] = PAY_PAPER if reward.kind == "paper" else scaled
     return crossing
 
 
 class Street:
-    """Keeps a roster in step with SUMO. Vehicles are read and commanded in the order in which they came."""
+    """Keeps a roster in step with SUMO. Vehicles are read and commanded in the order in which they came.
+
+    After `advance` speeds and places are still those before: the kernel has yet to take the `answers` in.
+    """
 
     def __init__(self, config: IntersectionConfig, network: Network, simulation: Simulation) -> None:
         self.config, self.network, self.simulation = config, network, simulation
@@ -102,12 +105,12 @@ class Street:
             self._instruct(vehicle, automated=vehicle.startswith(AV))
             self._vehicle.setSpeed(vehicle, _SUMOS_OWN)
 
-    def command(self, actions: NDArray[np.float32], acting: NDArray[np.bool_]) -> None:
-        """Speeds of the next step: AVs' from accelerations (1, N, 1), cut at 3 m/s^2, of those `acting` (N,),
+    def command(self, accelerations: NDArray[np.float32], acting: NDArray[np.bool_]) -> None:
+        """Speeds of the next step: AVs' from accelerations (N,), cut at 3 m/s^2, of those `acting` (N,),
         noisy humans' from their model."""
         roster, wished = self.roster, self._wished
         if self._handed_over is None and roster.automated:
-            wish(actions, acting, roster.memory, len(roster), wished)
+            wish(accelerations, acting, roster.memory, len(roster), wished)
             set_speed, targets = self._vehicle.setSpeed, wished[: len(roster.automated)].tolist()
             for vehicle, target in zip(roster.automated_ids, targets, strict=True):
                 set_speed(vehicle, target)

@@ -12,9 +12,10 @@ from headway_envs.intersection.humans import acceleration
 from headway_envs.intersection.layout import (
     ACCOUNT,
     CROSSING,
-    PAYS_OWN,
-    PAYS_PAPER,
-    PAYS_TEAM,
+    PAY_OWN,
+    PAY_PAPER,
+    PAY_TEAM,
+    SCRATCH,
     SUMS,
     TRAFFIC,
     Happened,
@@ -68,10 +69,12 @@ def _random_traffic(seed: int, count: int) -> Traffic:
     return traffic
 
 
-def _seen(traffic: Traffic, count: int, happened: Happened, pays: int = PAYS_TEAM) -> tuple[np.void, Slots]:
+def _seen(traffic: Traffic, count: int, happened: Happened, pays: int = PAY_TEAM) -> tuple[np.void, Slots]:
     """The account, and what concerns each AV, after a step that brought this traffic; every other slot had
     been asked."""
-    crossing, memory, account = (np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT))
+    crossing, memory, account, scratch = (
+        np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT, SCRATCH)
+    )
     slots, draw = Slots.empty(96, True), np.random.default_rng(9)
     slots.acting[::2] = True
     foes = draw.random((16, 16)) < 0.5
@@ -81,9 +84,8 @@ def _seen(traffic: Traffic, count: int, happened: Happened, pays: int = PAYS_TEA
     memory["speed"], memory["slot"], memory["link"] = traffic.before, traffic.slot, traffic.link
     around = traffic.around[:count][traffic.slot[:count] >= 0]
     answers = [column[:count] for column in (traffic.speed, traffic.position, traffic.fuel)]
-    kernel.take_in(
-        crossing, memory, account, *slots, count, np.concatenate([*answers, around.ravel()]), *happened
-    )
+    told = np.concatenate([*answers, around.ravel()])
+    kernel.take_in(crossing, memory, account, scratch, *slots, count, told, *happened)
     for read, given in zip(Traffic.of(memory)[:4], traffic[:4], strict=True):
         assert (read == given).all()
     return account[0], slots
@@ -93,9 +95,9 @@ def test_speeds_asked_for_follow_from_accelerations_within_their_bounds() -> Non
     """Of AVs in their order: slot 4 belongs to row 0, and so on; nobody drives backwards."""
     memory = np.zeros(1, TRAFFIC)
     memory["slot"][0, :6], memory["speed"][0, :6] = [4, -1, 0, 3, 1, 2], [0.1, 9.0, 10.0, 12.0, 11.0, 13.0]
-    actions = np.array([9.0, 0.7, 8.0, -8.0, -2.0], np.float32).reshape(1, 5, 1)
+    accelerations = np.array([9.0, 0.7, 8.0, -8.0, -2.0], np.float32)
     acting, wished = np.array([True, True, False, True, True]), np.full(6, 7.0)
-    kernel.wish(actions, acting, memory, 6, wished)
+    kernel.wish(accelerations, acting, memory, 6, wished)
     tenth = np.float32(0.1)
     change = [np.float32(3) * tenth, np.float32(-3) * tenth, np.float32(0.7) * tenth]
     expected = [0.0, 10.0 + float(change[0]), 12.0 + float(change[1]), 11.0 + float(change[2]), 13.0]
@@ -154,22 +156,22 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     assert (nobody["paper"] == 0).all()
 
 
-@pytest.mark.parametrize("pays", [PAYS_PAPER, PAYS_TEAM, PAYS_OWN])
+@pytest.mark.parametrize("pays", [PAY_PAPER, PAY_TEAM, PAY_OWN])
 def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(pays: int) -> None:
     count, traffic = 17, _random_traffic(2, 17)
     account, slots = _seen(traffic, count, Happened(1, 0, 0, 420.0, 5, 0.5), pays)
     there = slots.acting & slots.alive
     assert 0 < there.sum() < slots.alive.sum()
     paper = account["paper_return"] / there.sum()
-    returned = paper if pays == PAYS_PAPER else account["scaled"].sum()
+    returned = paper if pays == PAY_PAPER else account["scaled"].sum()
     assert account["team_return"] == pytest.approx(returned)
-    terms = account["paper"] if pays == PAYS_PAPER else account["scaled"]
+    terms = account["paper"] if pays == PAY_PAPER else account["scaled"]
     assert (account["terms"] == terms).all()
-    if pays == PAYS_TEAM:
+    if pays == PAY_TEAM:
         np.testing.assert_allclose(slots.rewards, returned, rtol=1e-6)
         return
     assert (slots.rewards[~there] == 0).all()
-    if pays == PAYS_PAPER:
+    if pays == PAY_PAPER:
         np.testing.assert_allclose(slots.rewards[there], paper, rtol=1e-6)
     else:
         assert len(set(slots.rewards[there])) == there.sum()
