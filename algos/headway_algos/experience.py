@@ -1,7 +1,7 @@
 """A trajectory laid out by network: rows (P, B, ...) with B = G agents x T steps x E copies."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -110,20 +110,48 @@ def even_slices(rows: int, stack: int, piece_samples: int) -> list[slice]:
     return [slice(start, end) for start, end in pairwise(edges)]
 
 
+TAKEN_AHEAD = 16_384
+"""Samples, over all policies of a stack, that small minibatches take at once: one after another they would
+wait for memory, wherever each row lies, again and again."""
+
+
+class Ahead:
+    """Rows of the next k minibatches, taken at once, the first time that somebody asks for them."""
+
+    def __init__(self, index: Tensor) -> None:
+        """`index` (k, P, W): places in the flattened (P x B) rows."""
+        self.index = index
+        self._taken: dict[int, tuple[Tensor, Tensor]] = {}
+
+    def of(self, rows: Tensor) -> Tensor:
+        """Of rows (P, B, ...): (k, P, W, ...)."""
+        # With the rows themselves, so that nothing else comes to stand where they do.
+        known = self._taken.get(id(rows))
+        if known is None:
+            taken = rows.reshape(-1, *rows.shape[2:]).index_select(0, self.index.flatten())
+            known = self._taken[id(rows)] = rows, taken.view(*self.index.shape, *rows.shape[2:])
+        return known[1]
+
+
 @dataclass(frozen=True)
 class Piece:
     """Rows to work on at once, for every network of a stack."""
 
     index: Tensor
-    """(P x rows,): places in the flattened (P x B) rows."""
+    """(P, rows): places in the flattened (P x B) rows."""
     weight: Tensor
     """(P, rows): 1 / (rows of this network's minibatch), 0 in padding."""
     timeline: Timeline | None = None
     """Their order, for networks that remember."""
+    ahead: tuple[Ahead, int] | None = None
+    """What holds them, and where among its k."""
 
     def of(self, rows: Tensor) -> Tensor:
         """This piece of rows (P, B, ...): (P, rows, ...)."""
-        taken = rows.reshape(-1, *rows.shape[2:]).index_select(0, self.index)
+        if self.ahead is not None:
+            held, place = self.ahead
+            return held.of(rows)[place, :, : self.index.shape[1]]
+        taken = rows.reshape(-1, *rows.shape[2:]).index_select(0, self.index.flatten())
         return taken.reshape(self.weight.shape + rows.shape[2:])
 
 
@@ -153,6 +181,7 @@ def minibatches(
     weights = torch.from_numpy(shares).to(layout.device, layout.dtype)
     del shares  # as many as there are rows
     # Of each network's shuffled rows; past a minibatch's end is padding.
+    together = TAKEN_AHEAD // max(stack * len(within), 1)
     places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
         index = np.empty(places.shape, np.int64)
@@ -160,11 +189,13 @@ def minibatches(
             shuffled = random.permutation(rows)
             index[:, p] = p * batch + (shuffled[places[:, p]] if len(rows) else 0)
         indices = torch.from_numpy(index).to(layout.device)
+        ahead, block = None, -1
         for part, width in enumerate(widths):
-            yield (
-                [
-                    Piece(indices[part, :, rows].flatten(), weights[part, :, rows])
-                    for rows in even_slices(width, stack, piece_samples)
-                ],
-                active[part],
-            )
+            cuts = even_slices(width, stack, piece_samples)
+            pieces = [Piece(indices[part, :, rows], weights[part, :, rows]) for rows in cuts]
+            if together > 1 and len(pieces) == 1:
+                if ahead is None or block != part // together:
+                    block = part // together
+                    ahead = Ahead(indices[block * together : (block + 1) * together])
+                pieces = [replace(pieces[0], ahead=(ahead, part % together))]
+            yield pieces, active[part]

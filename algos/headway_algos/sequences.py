@@ -95,17 +95,17 @@ class Sequences:
         network = torch.arange(stack, device=self.places.device)[:, None]
         found: list[Piece] = []
         for piece in of_sequences:
-            sequence = piece.index.view(stack, -1) - network * len(self)
+            sequence = piece.index - network * len(self)
             index = self.places[:, sequence].transpose(0, 1) + (network * rows)[..., None]
             counts = self.filled[:, sequence].transpose(0, 1) & (piece.weight > 0)[:, None]
             flat = index.flatten()
             weight = (counts.flatten(1) & selected.flatten()[flat].view(stack, -1)).to(self.continues)
             timeline = Timeline(
-                self.memory.flatten(0, 1)[piece.index].view(*sequence.shape, -1).transpose(1, 2),
+                self.memory.flatten(0, 1)[piece.index].transpose(1, 2),
                 self.continues.flatten()[flat].view(stack, 1, -1),
                 None if self.keeps is None else self.keeps.flatten()[flat].view(stack, 1, -1),
             )
-            found.append(Piece(flat, weight, timeline))
+            found.append(Piece(flat.view(stack, -1), weight, timeline))
         total = sum((piece.weight.sum(1, keepdim=True) for piece in found), torch.zeros(()))
         return [replace(piece, weight=piece.weight / total.clamp(min=1)) for piece in found]
 
@@ -117,7 +117,7 @@ class Sequences:
         for part in even_slices(len(self), stack, max(piece_samples // self.length, 1)):
             sequence = torch.arange(part.start, part.stop, device=self.places.device)
             index = sequence + network * len(self)
-            yield self.pieces([Piece(index.flatten(), torch.ones_like(index))], everything)[0]
+            yield self.pieces([Piece(index, torch.ones_like(index))], everything)[0]
 
 
 def over_rows(
@@ -132,8 +132,8 @@ def over_rows(
             values = function(piece.of(rows), piece.timeline).transpose(1, 2).flatten(0, 1)
             if found is None:
                 found = values.new_empty(rows.shape[0] * rows.shape[1], values.shape[1])
-            there = (piece.weight > 0).flatten()
-            found[piece.index[there]] = values[there]
+            there = piece.weight > 0
+            found[piece.index[there]] = values[there.flatten()]
     assert found is not None
     return found.view(*rows.shape[:2], -1)
 

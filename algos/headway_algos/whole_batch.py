@@ -67,7 +67,7 @@ class WholeBatch:
         order, weight = _in_front(rows.sequences.holding(rows.selected))
         network = np.arange(len(order))[:, None]
         chosen = Piece(
-            torch.from_numpy((order + network * len(rows.sequences)).ravel()).to(advantages.device),
+            torch.from_numpy(order + network * len(rows.sequences)).to(advantages.device),
             torch.from_numpy(weight).to(advantages),
         )
         selected = torch.from_numpy(rows.selected).to(advantages.device)
@@ -80,7 +80,7 @@ class WholeBatch:
             piece.of(rows.log_probs),
             piece.of(advantages),
             piece.weight,
-            piece.index.view(piece.weight.shape) - offset,
+            piece.index - offset,
             piece.timeline,
             rows.sequences.length,
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout, generator
+from headway_algos import experience
 from headway_algos.experience import Endings, Layout, Piece, minibatches, zero_where_absent
 from headway_algos.grouping import Grouping
 
@@ -154,8 +155,8 @@ def test_a_networks_minibatches_do_not_depend_on_its_stack() -> None:
 
     for p in range(3):
         for ((alone,), _), ((stacked,), _) in zip(shuffled([p]), shuffled([0, 1, 2]), strict=True):
-            of_p = stacked.index.reshape(3, -1)[p][stacked.weight[p] > 0] - p * 40
-            assert torch.equal(of_p, alone.index[alone.weight[0] > 0])
+            of_p = stacked.index[p][stacked.weight[p] > 0] - p * 40
+            assert torch.equal(of_p, alone.index[alone.weight > 0])
 
 
 def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) -> None:
@@ -208,3 +209,21 @@ def test_rows_become_zero_where_absent_and_what_they_are_of_stays(policies: str,
 def test_an_unknown_word_for_policies_is_refused() -> None:
     with pytest.raises(ValueError, match="independent, shared or groups, not 'group'"):
         Grouping.of("group", SPEC)
+
+
+@pytest.mark.parametrize("piece_rows", [5, 1000])
+def test_rows_taken_ahead_are_those_of_each_minibatch(
+    monkeypatch: pytest.MonkeyPatch, piece_rows: int
+) -> None:
+    """Of whichever tensor is asked for, in blocks that divide the minibatches or not."""
+    selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
+    rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]
+    generators = [generator(p, "test") for p in range(3)]
+    monkeypatch.setattr(experience, "TAKEN_AHEAD", 3 * 9 * 3)
+    ahead = 0
+    for pieces, _ in minibatches(selected, generators, 2, 4, 3 * piece_rows, _layout("shared")):
+        for piece in pieces:
+            ahead += piece.ahead is not None
+            for tensor in rows:
+                assert torch.equal(piece.of(tensor), tensor.flatten(0, 1)[piece.index])
+    assert ahead == (8 if piece_rows == 1000 else 0)
