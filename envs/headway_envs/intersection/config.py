@@ -6,6 +6,8 @@ from typing import Literal
 
 from headway.contracts.checks import require, require_at_least
 
+MOST_VPH = 3_600
+"""On a lane, of a kind; about twice what a lane can take in."""
 STEP_S = 0.1
 """Length of a step, s."""
 TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
@@ -122,6 +124,10 @@ class IntersectionConfig:
         require_at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)
         require(0 <= self.impatience <= 1, f"impatience must lie between 0 and 1, not {self.impatience:g}")
         require(self.vph_per_lane_av > 0, f"vph_per_lane_av must be above 0, not {self.vph_per_lane_av:g}")
+        for name in ("vph_per_lane_hdv", "vph_per_lane_av"):
+            vph = getattr(self, name)
+            # SUMO makes all that are asked for, and those for whom there is no room wait in its memory.
+            require(vph <= MOST_VPH, f"{name} must be at most {MOST_VPH:,}, a vehicle a second, not {vph:g}")
         require_at_least(1, horizon=self.horizon, action_repeat=self.action_repeat, slots=self.slots)
         require(
             self.action_repeat <= self.horizon,

@@ -60,6 +60,14 @@ def runs_section(data: StudyData) -> Section:
     return Section("runs", "Runs", body)
 
 
+def _but_for_arrival(data: StudyData) -> str:
+    """How the sentence ends that says what repeats exactly."""
+    cells = [configuration(members[0].directory) for members in data.cells.values()]
+    if any(cell["algo"].get("application") == "arrival" for cell in cells):
+        return ", but for algorithms whose gradients are applied as they arrive (`algo.application`)."
+    return "."
+
+
 def making_section(data: StudyData) -> Section:
     """Configurations, a command line a cell, versions, hardware."""
     import yaml
@@ -70,7 +78,8 @@ def making_section(data: StudyData) -> Section:
         "how machines are filled (`backend`, but for `backend.stack`). "
         "`evaluation.rules` stands there only where not all rules of the environment were played. The whole "
         "configuration, in which every default is spelt out, is folded below it. On a CPU the same "
-        "configuration and seed give the same curve bit for bit with the versions named here."
+        "configuration and seed give the same curve bit for bit with the versions named here"
+        + _but_for_arrival(data)
     ]
     for (task, controller), members in data.cells.items():
         first = configuration(members[0].directory)

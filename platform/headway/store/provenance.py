@@ -10,7 +10,19 @@ import psutil
 
 from headway.rollout.usage import usable_cores
 
-_PACKAGES = ("headway", "numpy", "torch", "gymnasium", "pettingzoo", "supersuit", "mlflow", "codecarbon")
+# What simulates, too: its version may change every curve.
+_PACKAGES = (
+    "headway",
+    "numpy",
+    "torch",
+    "gymnasium",
+    "pettingzoo",
+    "supersuit",
+    "mlflow",
+    "codecarbon",
+    "libsumo",
+    "highway-env",
+)
 _GIT_SECONDS = 5.0
 
 

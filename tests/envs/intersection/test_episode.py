@@ -282,6 +282,8 @@ def test_resets_do_not_grow(crossing: Callable[..., Any]) -> None:
         ({"action_repeat": 61, "horizon": 60}, "action_repeat must be at most horizon, 60, not 61"),
         ({"vph_per_lane_av": 0}, "vph_per_lane_av must be above 0"),
         ({"vph_per_lane_hdv": -1}, "vph_per_lane_hdv must be at least 0"),
+        ({"vph_per_lane_hdv": 1e6}, "vph_per_lane_hdv must be at most 3,600"),
+        ({"vph_per_lane_av": float("inf")}, "vph_per_lane_av must be at most 3,600"),
         ({"impatience": 2.0}, "impatience must lie between 0 and 1, not 2"),
         ({"horizon": 0}, "horizon must be at least 1"),
         ({"av_speed_mode": 128}, "av_speed_mode must lie between 0 and 127"),
