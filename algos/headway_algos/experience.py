@@ -180,8 +180,8 @@ def minibatches(
     shares = (1 / np.maximum(sizes, 1))[..., None] * (within < sizes[..., None])
     weights = torch.from_numpy(shares).to(layout.device, layout.dtype)
     del shares  # as many as there are rows
-    # Of each network's shuffled rows; past a minibatch's end is padding.
     together = TAKEN_AHEAD // max(stack * len(within), 1)
+    # Of each network's shuffled rows; past a minibatch's end is padding.
     places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
         index = np.empty(places.shape, np.int64)
