@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
+import torch
 from torch import Tensor, nn
 
 from headway_algos.linearised import LinearisedMLP
@@ -61,7 +62,7 @@ class _RecordedPass:
         return self.recorded.detach()
 
     def send_back(self, slope: Tensor) -> None:
-        self.recorded.backward(slope)  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        torch.autograd.backward(self.recorded, slope)
 
 
 def forward_pass(network: Network, rows: Tensor, timeline: Timeline | None) -> Pass:

@@ -7,7 +7,7 @@ from typing import Literal
 from headway.contracts.checks import require, require_at_least
 
 MOST_VPH = 3_600
-"""On a lane, of a kind; about twice what a lane can take in."""
+"""On a lane, of a kind: a vehicle a second."""
 STEP_S = 0.1
 """Length of a step, s."""
 TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
