@@ -90,7 +90,8 @@ class A2CContributor:
             arrays[f"{part}.active"] = optimiser.counts > counts[part]
             for i, parameter in enumerate(optimiser.parameters):
                 gradient = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
-                arrays[f"{part}.gradient_{i}"] = gradient.numpy()
+                # A copy: the optimiser's own is begun anew by the next contribution.
+                arrays[f"{part}.gradient_{i}"] = gradient.numpy().copy()
         for name, moments in self.shared.moments.items():
             if moments.latest is not None:
                 arrays[name] = np.stack(

@@ -14,7 +14,7 @@ from headway.contracts import (
 )
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import missing_groups
-from headway_algos.offpolicy.entries import OFF_POLICY
+from headway_algos.offpolicy.entries import KERNELS, OFF_POLICY
 from headway_algos.recipes import (
     a3c,
     coma,
@@ -98,7 +98,16 @@ def _never_parts(config: AlgoConfig, iterations: int) -> str | None:
 
 
 def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
-    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses, refuses_budget=_never_parts)
+    return AlgoEntry(
+        summary,
+        source,
+        config,
+        acting_policy,
+        _learner,
+        _refuses,
+        refuses_budget=_never_parts,
+        kernels=KERNELS,
+    )
 
 
 ENTRIES = {
@@ -111,6 +120,7 @@ ENTRIES = {
         _refuses,
         contributor=_contributor,
         preload=("headway_algos.asynchronous",),
+        kernels=KERNELS,
     ),
     "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
     "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate
+from math import inf
 from typing import Any, Self
 
 import numpy as np
@@ -40,9 +41,10 @@ class StackedAdam:
             parameter.data = part
 
     def begin(self) -> None:
-        """Forget the gradients."""
-        for parameter in self.parameters:
-            parameter.grad = None
+        """Forget the gradients; from now on they add up where `step` takes them from."""
+        self.gradient.whole.zero_()
+        for parameter, part in zip(self.parameters, self.gradient.parts, strict=True):
+            parameter.grad = part
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""
@@ -55,6 +57,9 @@ class StackedAdam:
         their momentum, and their norm is 0. Raises RuntimeError where the parameters are elsewhere by now.
         """
         self._collect()
+        return (self._step_by_torch if self.values.whole.is_cuda else self._step_compiled)(active)
+
+    def _step_by_torch(self, active: NDArray[np.bool_]) -> Tensor:
         gradient = self.gradient.whole
         if not active.all():
             gradient[torch.from_numpy(~active).to(gradient.device)] = 0
@@ -76,6 +81,17 @@ class StackedAdam:
         self.counts[active] += 1
         return norm
 
+    def _step_compiled(self, active: NDArray[np.bool_]) -> Tensor:
+        from headway_algos import kernel
+
+        norms = torch.empty(len(active), dtype=self.values.whole.dtype)
+        kernel.adam(
+            self.values.whole.numpy(), self.gradient.whole.numpy(), self.means.whole.numpy(),
+            self.squares.whole.numpy(), self.counts, active, self.lr,
+            inf if self.grad_clip is None else self.grad_clip, (BETA_1, BETA_2), EPSILON, norms.numpy(),
+        )  # fmt: skip
+        return norms
+
     def _collect(self) -> None:
         """The parameters' gradients, 0 where there is none, side by side."""
         held = zip(self.parameters, self.values.parts, self.gradient.parts, strict=True)
@@ -86,7 +102,7 @@ class StackedAdam:
                 )
             if parameter.grad is None:
                 gradient.zero_()
-            else:
+            elif parameter.grad.data_ptr() != gradient.data_ptr():
                 gradient.copy_(parameter.grad)
 
     def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:

@@ -17,7 +17,7 @@ from headway.config import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.energy import EnergyMeter, JobUsage
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
-from headway_launch.kernels import compile_kernels
+from headway_launch.kernels import compile_kernels_of
 from headway_launch.planning import CellPlan, PlannedJob, Shares, uses_gpu, workers_of
 from headway_launch.training_process import Report, ShouldStop, TrainingProcess, train_and_tell
 from headway_launch.watching import Counted
@@ -100,8 +100,7 @@ def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace
 
     Raises HeadwayError if one cannot be trained.
     """
-    for env in {id(cell.experiment.env): cell.experiment.env for cell in cells}.values():
-        compile_kernels(env)
+    compile_kernels_of([cell.experiment for cell in cells])
     rounds = -(-len(cells) // shares.parallel)
     turns = [cells[place % len(cells)] for place in range(rounds * shares.parallel)]
     paces: dict[int, Pace] = {}

@@ -16,7 +16,7 @@ from headway.store.session import SessionStore
 from headway.training import TrainingJob
 from headway_launch.cell_work import CellWork, Rules
 from headway_launch.clusters import SessionCluster
-from headway_launch.kernels import compile_kernels
+from headway_launch.kernels import compile_kernels_of
 from headway_launch.planning import (
     CellPlan,
     PlannedJob,
@@ -74,8 +74,7 @@ class Conductor:
         try:
             self._shares = self._cluster.share_cores(self._config.backend, planned, usable_cores())
             require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
-            for env in {id(cell.experiment.env): cell.experiment.env for cell in cells if cell.jobs}.values():
-                compile_kernels(env)
+            compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
             self._store = SessionStore.open(self._config.store)
             self._cells = [CellWork(self._store, cell) for cell in cells]
             self._jobs = [

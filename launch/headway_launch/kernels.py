@@ -1,7 +1,7 @@
-"""Compiled kernels of environments: compiled once, before anything fans out, and the user is told."""
+"""Compiled kernels: compiled once, before anything fans out, and the user is told."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -10,14 +10,25 @@ from headway_launch.telling import tell
 
 if TYPE_CHECKING:
     from headway.contracts.entries import EnvEntry
+    from headway_launch.composing import Experiment
 
-_LINE = "compiling the environment's kernels, once"
+_LINE = "compiling kernels, once"
 
 
 def compile_kernels(env: "EnvEntry") -> None:
     """Call `warm` of the modules that an environment preloads, where they have it. Left to themselves all
     training processes and workers would compile the same at the same time, and show no progress meanwhile."""
-    modules = [import_module(name) for name in env.preload]
+    _warm(env.preload)
+
+
+def compile_kernels_of(experiments: "Iterable[Experiment]") -> None:
+    """Those of what is to be trained: of environments, and of algorithms."""
+    entries = [(experiment.env.preload, experiment.algo.kernels) for experiment in experiments]
+    _warm(dict.fromkeys(name for of_env, of_algo in entries for name in (*of_env, *of_algo)))
+
+
+def _warm(names: Iterable[str]) -> None:
+    modules = [import_module(name) for name in names]
     for module in modules:
         if hasattr(module, "warm"):
             with _told_of_compiling():

@@ -15,6 +15,20 @@ def _parameters(stack: int, seed: int = 0) -> list[torch.nn.Parameter]:
     return [torch.nn.Parameter(torch.randn(stack, *s, generator=random, dtype=DOUBLE)) for s in SHAPES]
 
 
+@pytest.fixture
+def by_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps as on a GPU."""
+    monkeypatch.setattr(StackedAdam, "_step_compiled", StackedAdam._step_by_torch)
+
+
+@pytest.fixture(params=["compiled", "by torch"])
+def either(request: pytest.FixtureRequest) -> None:
+    """Steps in each way."""
+    if request.param == "by torch":
+        request.getfixturevalue("by_torch")
+
+
+@pytest.mark.usefixtures("either")
 @pytest.mark.parametrize("grad_clip", [None, 0.5])
 def test_networks_that_step_at_different_times_equal_torchs_adam_alone(grad_clip: float | None) -> None:
     """One begins late: its moments are then as young as a new optimiser's."""
@@ -43,7 +57,8 @@ def test_networks_that_step_at_different_times_equal_torchs_adam_alone(grad_clip
             torch.testing.assert_close(tensor[p], single, rtol=1e-12, atol=1e-12)
 
 
-def test_a_stack_steps_bit_for_bit_as_torchs_fused_adam() -> None:
+@pytest.mark.usefixtures("by_torch")
+def test_a_stack_steps_by_torch_bit_for_bit_as_torchs_fused_adam() -> None:
     mine, its = _parameters(3), _parameters(3)
     ours, theirs = StackedAdam(mine, 0.05, None), torch.optim.Adam(its, lr=0.05, eps=1e-5, fused=True)
     for step in range(4):
@@ -112,6 +127,7 @@ def test_parameters_that_become_views_keep_their_values_and_stay_apart() -> None
     assert optimiser.values.whole.count_nonzero() == parameters[0].numel()
 
 
+@pytest.mark.usefixtures("either")
 @pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
 @pytest.mark.parametrize("size", [1, 15, 33, 100, 2401])
 def test_a_network_steps_bit_for_bit_the_same_in_any_stack(size: int, dtype: torch.dtype) -> None:

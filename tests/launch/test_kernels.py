@@ -1,6 +1,7 @@
 """Kernels are compiled before training starts, and the user is told when that happens."""
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -9,10 +10,11 @@ import numba
 import numpy as np
 import pytest
 
-from headway.contracts.entries import EnvEntry
+from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.registry import env_entry
 from headway_launch.command_line import run as run_command
-from headway_launch.kernels import compile_kernels
+from headway_launch.composing import Experiment, compose
+from headway_launch.kernels import compile_kernels, compile_kernels_of
 
 
 def entry(*preload: str) -> EnvEntry:
@@ -27,7 +29,7 @@ def test_compiling_is_told_once_and_only_when_it_happens(
     kernels.warm = lambda: [function(3) for function in functions]  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "kernels_of_a_test", kernels)
     compile_kernels(entry("kernels_of_a_test"))
-    assert capsys.readouterr().err == "compiling the environment's kernels, once\n"
+    assert capsys.readouterr().err == "compiling kernels, once\n"
     compile_kernels(entry("kernels_of_a_test"))
     compile_kernels(entry("json"))
     assert capsys.readouterr().err == ""
@@ -54,13 +56,20 @@ def test_what_was_compiled_before_is_all_that_training_needs(arguments: dict[str
 def test_a_session_compiles_before_anything_is_in_the_store(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiled: list[EnvEntry] = []
+    compiled: list[tuple[EnvEntry, AlgoEntry]] = []
 
-    def stop(env: EnvEntry) -> None:
-        compiled.append(env)
+    def stop(experiments: Iterable[Experiment]) -> None:
+        compiled.extend((experiment.env, experiment.algo) for experiment in experiments)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("headway_launch.conducting.compile_kernels", stop)
+    monkeypatch.setattr("headway_launch.conducting.compile_kernels_of", stop)
     assert run_command(["run", "env=trivial", f"store.root={tmp_path}", "energy=off"]) == 130
-    assert compiled == [env_entry("trivial")]
+    assert [env for env, _ in compiled] == [env_entry("trivial")]
     assert not list(tmp_path.iterdir())
+
+
+def test_what_learners_call_is_compiled_with_what_environments_step_by() -> None:
+    from headway_algos import kernel
+
+    compile_kernels_of([compose(["env=trivial", "algo=ippo"])])
+    assert all(function.signatures for function in (kernel.adam, kernel.learn_gaussian))  # type: ignore[attr-defined]

@@ -1,6 +1,7 @@
 """Networks that learn returns, and how: what all critics have in common."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway.contracts import Trajectory, generator
+from headway_algos.compiled import Learn, regression
 from headway_algos.config import AlgoConfig
 from headway_algos.critics.estimate import Estimate
 from headway_algos.critics.natural import NaturalRegression
@@ -125,10 +127,15 @@ class Regression:
         memories, length = estimate.memories, config.model.sequence_length
         sequences = None if memories is None else memories.sequences(layout, length)
         generators = self._generators(iteration)
+        learn: Learn | None = None
+        if isinstance(self.optimiser, StackedAdam):
+            network, optimiser = self.networks.network, self.optimiser
+            learn = regression(network, optimiser, estimate.inputs, estimate.taken, targets, config)
+        learn = learn or partial(self._learn, estimate=estimate, targets=targets)
         for pieces, active in learning_batches(selected, sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                loss_sum += self._learn(piece, estimate, targets)
+                loss_sum += learn(piece)
             self.optimiser.step(active)
             steps += active
         self.networks.carry(memories)

@@ -78,11 +78,16 @@ def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
     return transitions * (2 * 4 * spec.observation_size + action + mask + 2 * 8)
 
 
+KERNELS = ("headway_algos.kernel",)
+"""What every learner calls: its optimiser does."""
+
 OFF_POLICY = {
     "ddpg": AlgoEntry(
-        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes
+        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes,
+        kernels=KERNELS,
     ),
     "madqn": AlgoEntry(
-        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes
+        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes,
+        kernels=KERNELS,
     ),
-}
+}  # fmt: skip

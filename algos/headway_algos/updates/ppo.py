@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from copy import copy
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from headway_algos.actor import Actor
+from headway_algos.compiled import surrogate
 from headway_algos.config import AlgoConfig
 from headway_algos.experience import Layout, Piece, even_slices
 from headway_algos.optimiser import StackedAdam
@@ -51,12 +53,17 @@ class PPO:
         penalised = config.kl_coeff > 0
         old_outputs = _network_outputs(actor, rows, config) if penalised else None
         old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
+        learn = surrogate(
+            actor, self.optimiser, rows, advantages, (old_outputs, old_log_std), self.kl_coeff, config
+        ) or partial(
+            self._learn, rows=rows, advantages=advantages, old_outputs=old_outputs, old_log_std=old_log_std
+        )
         totals = torch.zeros(4, len(self.kl_coeff), device=layout.device, dtype=layout.dtype)
         steps = np.zeros(len(self.kl_coeff))
         for pieces, active in learning_batches(rows.selected, rows.sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                totals[:3] += self._learn(piece, rows, advantages, old_outputs, old_log_std)
+                totals[:3] += learn(piece)
             totals[3] += self.optimiser.step(active)
             steps += active
         kl, entropy, clipped, norm = totals / torch.from_numpy(steps).to(totals).clamp(min=1)

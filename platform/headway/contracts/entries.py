@@ -121,3 +121,5 @@ class AlgoEntry:
     import torch. None: the learner learns by itself."""
     preload: tuple[str, ...] = ()
     """Modules that processes with contributors import once, before forking."""
+    kernels: tuple[str, ...] = ()
+    """Modules of compiled code that its learner calls: their `warm()` is called before training starts."""
