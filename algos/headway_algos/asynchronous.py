@@ -88,9 +88,7 @@ class A2CContributor:
         arrays: dict[str, NDArray[Any]] = {}
         for part, optimiser in optimisers.items():
             arrays[f"{part}.active"] = optimiser.counts > counts[part]
-            for i, parameter in enumerate(optimiser.parameters):
-                gradient = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
-                # A copy: the optimiser's own is begun anew by the next contribution.
+            for i, gradient in enumerate(optimiser.gradient.parts):
                 arrays[f"{part}.gradient_{i}"] = gradient.numpy().copy()
         for name, moments in self.shared.moments.items():
             if moments.latest is not None:
@@ -129,6 +127,7 @@ class AsynchronousA2CLearner(OnPolicyLearner):
         arrays = contribution.arrays
         for part, optimiser in self.shared.optimisers.items():
             optimiser.anneal(share)
+            optimiser.begin()
             for i, parameter in enumerate(optimiser.parameters):
                 parameter.grad = torch.as_tensor(arrays[f"{part}.gradient_{i}"]).to(parameter.device)
             optimiser.step(arrays[f"{part}.active"])

@@ -41,10 +41,10 @@ class StackedAdam:
             parameter.data = part
 
     def begin(self) -> None:
-        """Forget the gradients; from now on they add up where `step` takes them from."""
+        """Forget the gradients: parameters get new ones from torch, or `gradient` gets them at once."""
         self.gradient.whole.zero_()
-        for parameter, part in zip(self.parameters, self.gradient.parts, strict=True):
-            parameter.grad = part
+        for parameter in self.parameters:
+            parameter.grad = None
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""
@@ -93,16 +93,14 @@ class StackedAdam:
         return norms
 
     def _collect(self) -> None:
-        """The parameters' gradients, 0 where there is none, side by side."""
+        """The parameters' gradients, where they have any, side by side."""
         held = zip(self.parameters, self.values.parts, self.gradient.parts, strict=True)
         for parameter, value, gradient in held:
             if parameter.data_ptr() != value.data_ptr():
                 raise RuntimeError(
                     "a parameter was moved, or given to another optimiser, since this one began"
                 )
-            if parameter.grad is None:
-                gradient.zero_()
-            elif parameter.grad.data_ptr() != gradient.data_ptr():
+            if parameter.grad is not None:
                 gradient.copy_(parameter.grad)
 
     def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:

@@ -168,6 +168,22 @@ def test_a_stale_gradient_is_that_of_its_own_parameters_applied_to_those_of_now(
         _assert_alike(agent, learner.published())
 
 
+def test_compiled_kernels_contribute_what_torch_does_and_leave_contributions_alone(fabricate: Made) -> None:
+    """In float32 workers learn by compiled kernels, in float64 by torch."""
+    found, expected = [], []
+    for precision, contributions in (("float32", found), ("float64", expected)):
+        config = replace(CONFIG, precision=precision, grad_clip=None)
+        worker = A2CContributor(config, BOX, (SEED,))
+        for seed in (1, 2):
+            worker.adopt(AsynchronousA2CLearner(config, BOX, (SEED,), "cpu").published())
+            contributions.append(worker.contribute(fabricate(BOX, 9, 2, seed), 1).arrays)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours.keys() == theirs.keys()
+        for name, array in theirs.items():
+            np.testing.assert_allclose(ours[name], array, rtol=1e-3, atol=1e-5, err_msg=name)
+        assert all(np.any(array) for name, array in ours.items() if "gradient" in name)
+
+
 def test_a_worker_keeps_nothing_of_what_it_learned_before(fabricate: Made) -> None:
     """Its gradient is of what it adopted, whatever it did since it began."""
     learner = AsynchronousA2CLearner(CONFIG, BOX, (SEED,), "cpu")
