@@ -1,7 +1,7 @@
 """A trajectory laid out by network: rows (P, B, ...) with B = G agents x T steps x E copies."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -191,11 +191,13 @@ def minibatches(
         indices = torch.from_numpy(index).to(layout.device)
         ahead, block = None, -1
         for part, width in enumerate(widths):
-            cuts = even_slices(width, stack, piece_samples)
-            pieces = [Piece(indices[part, :, rows], weights[part, :, rows]) for rows in cuts]
-            if together > 1 and len(pieces) == 1:
+            if together > 1 and 0 < width * stack <= piece_samples:
                 if ahead is None or block != part // together:
                     block = part // together
                     ahead = Ahead(indices[block * together : (block + 1) * together])
-                pieces = [replace(pieces[0], ahead=(ahead, part % together))]
+                held = (ahead, part % together)
+                pieces = [Piece(indices[part, :, :width], weights[part, :, :width], ahead=held)]
+            else:
+                cuts = even_slices(width, stack, piece_samples)
+                pieces = [Piece(indices[part, :, rows], weights[part, :, rows]) for rows in cuts]
             yield pieces, active[part]

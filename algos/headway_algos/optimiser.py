@@ -39,6 +39,9 @@ class StackedAdam:
         for parameter, part in zip(parameters, self.values.parts, strict=True):
             part.copy_(parameter.detach())
             parameter.data = part
+        self._begins = [part.data_ptr() for part in self.values.parts]
+        blocks = (self.values, self.gradient, self.means, self.squares)
+        self._arrays = [] if self.values.whole.is_cuda else [block.whole.numpy() for block in blocks]
 
     def begin(self) -> None:
         """Forget the gradients: parameters get new ones from torch, or `gradient` gets them at once."""
@@ -84,19 +87,20 @@ class StackedAdam:
     def _step_compiled(self, active: NDArray[np.bool_]) -> Tensor:
         from headway_algos import kernel
 
-        norms = torch.empty(len(active), dtype=self.values.whole.dtype)
+        values, gradient, means, squares = self._arrays
+        norms = np.empty(len(active), values.dtype)
         kernel.adam(
-            self.values.whole.numpy(), self.gradient.whole.numpy(), self.means.whole.numpy(),
-            self.squares.whole.numpy(), self.counts, active, self.lr,
-            inf if self.grad_clip is None else self.grad_clip, (BETA_1, BETA_2), EPSILON, norms.numpy(),
+            values, gradient, means, squares, self.counts, active, self.lr,
+            inf if self.grad_clip is None else self.grad_clip, (BETA_1, BETA_2), EPSILON, norms,
         )  # fmt: skip
-        return norms
+        return torch.from_numpy(norms)
 
     def _collect(self) -> None:
         """The parameters' gradients, where they have any, side by side."""
-        held = zip(self.parameters, self.values.parts, self.gradient.parts, strict=True)
-        for parameter, value, gradient in held:
-            if parameter.data_ptr() != value.data_ptr():
+        for parameter, begins, gradient in zip(
+            self.parameters, self._begins, self.gradient.parts, strict=True
+        ):
+            if parameter.data_ptr() != begins:
                 raise RuntimeError(
                     "a parameter was moved, or given to another optimiser, since this one began"
                 )
