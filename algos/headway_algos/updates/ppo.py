@@ -59,12 +59,13 @@ class PPO:
             self._learn, rows=rows, advantages=advantages, old_outputs=old_outputs, old_log_std=old_log_std
         )
         totals = torch.zeros(4, len(self.kl_coeff), device=layout.device, dtype=layout.dtype)
+        shares, norms = totals[:3], totals[3]
         steps = np.zeros(len(self.kl_coeff))
         for pieces, active in learning_batches(rows.selected, rows.sequences, generators, config, layout):
             self.optimiser.begin()
             for piece in pieces:
-                totals[:3] += learn(piece)
-            totals[3] += self.optimiser.step(active)
+                shares += learn(piece)
+            norms += self.optimiser.step(active)
             steps += active
         kl, entropy, clipped, norm = totals / torch.from_numpy(steps).to(totals).clamp(min=1)
         info = {"kl": kl, "entropy": entropy, "clip_fraction": clipped, "gradient_norm": norm}

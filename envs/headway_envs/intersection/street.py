@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from math import inf
 from struct import pack_into
 from typing import Any
 
@@ -228,19 +229,24 @@ class Street:
         human = np.ones(count, np.bool_) if self._handed_over is not None else traffic.slot[:count] < 0
         position = traffic.position[:count]
         inside = (position >= ROAD_M) & (position < ROAD_M + self.network.link_length[traffic.link[:count]])
-        rows = np.flatnonzero(human & ~inside)
-        lead_speed, gap = np.zeros(len(rows)), np.full(len(rows), np.inf)
-        for place, row in enumerate(rows.tolist()):
-            ahead = self._vehicle.getLeader(ids[row], _AHEAD_M)
+        rows = (human & ~inside).nonzero()[0]
+        driven = [ids[row] for row in rows.tolist()]
+        set_speed, get_leader, row_of = self._vehicle.setSpeed, self._vehicle.getLeader, self.roster.row.get
+        # Lists: a single number of an array takes several times as long.
+        speeds, lead_speed, gap = traffic.speed[:count].tolist(), [0.0] * len(rows), [inf] * len(rows)
+        for place, vehicle in enumerate(driven):
+            ahead = get_leader(vehicle, _AHEAD_M)
             if ahead is not None:
-                leader = self.roster.row.get(ahead[0])
-                lead_speed[place] = 0.0 if leader is None else traffic.speed[leader]
+                leader = row_of(ahead[0])
+                lead_speed[place] = 0.0 if leader is None else speeds[leader]
                 gap[place] = ahead[1] + MIN_GAP_M
-        wished = next_speeds(traffic.speed[rows], lead_speed, gap, self.config.human_noise, self._draw)
-        for row, target in zip(rows.tolist(), wished.tolist(), strict=True):
-            self._vehicle.setSpeed(ids[row], target)
-        for row in np.flatnonzero(human & inside).tolist():
-            self._vehicle.setSpeed(ids[row], _SUMOS_OWN)
+        wished = next_speeds(
+            traffic.speed[rows], np.array(lead_speed), np.array(gap), self.config.human_noise, self._draw
+        )
+        for vehicle, target in zip(driven, wished.tolist(), strict=True):
+            set_speed(vehicle, target)
+        for row in (human & inside).nonzero()[0].tolist():
+            set_speed(ids[row], _SUMOS_OWN)
 
     def place(self, row: int) -> tuple[float, float]:
         """Where the front of the vehicle in a row was when it was read last: (x, y) in m, centre (0, 0)."""
