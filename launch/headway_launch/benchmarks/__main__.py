@@ -8,6 +8,7 @@ from headway_launch.benchmarks import (
     city,
     crossing,
     kernel,
+    learning,
     lightness,
     merge,
     store,
@@ -18,6 +19,7 @@ from headway_launch.benchmarks import (
 REPORTS = {
     "training": training.report,
     "kernel": kernel.report,
+    "learning": learning.report,
     "city": city.report,
     "merge": merge.report,
     "crossing": crossing.report,

@@ -1,0 +1,106 @@
+"""Minibatch steps of PPO's policies and of critics, by compiled kernels beside torch."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from headway.contracts import Discrete, EnvSpec, generator
+from headway_algos import compiled
+from headway_algos.actor import Actor
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.critics.estimate import Estimate
+from headway_algos.critics.returns import Regression, ReturnNetworks
+from headway_algos.critics.views import VIEWS
+from headway_algos.experience import Layout
+from headway_algos.grouping import Grouping
+from headway_algos.policy_rows import PolicyRows
+from headway_algos.updates.ppo import PPO
+
+ROUNDS, OBSERVED, ROWS_A_ROUND = 5, 20, 25_600
+
+
+@dataclass(frozen=True)
+class Case:
+    """Networks that learn from minibatches of so many rows each."""
+
+    seeds: int
+    hidden: tuple[int, ...]
+    rows: int
+
+    @property
+    def chosen(self) -> str:
+        """Which of the two training takes."""
+        layers = (OBSERVED, *self.hidden, 3)
+        weights = sum(a * b for a, b in pairwise(layers))
+        return "compiled" if self.rows * weights <= compiled.MOST_PRODUCTS else "torch"
+
+
+CASES = [
+    Case(seeds, hidden, rows)
+    for seeds in (1, 5)
+    for hidden, rows in (((32, 32, 32), 128), ((64, 64), 64), ((64, 64), 256), ((64, 64), 1024))
+]
+
+
+def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
+    """What makes all steps of the policies' improvement, and of the critics', and how many these are."""
+    steps = ROWS_A_ROUND // case.rows
+    rows, device = steps * case.rows, torch.device("cpu")
+    spec = EnvSpec("made", ("a",), OBSERVED, Discrete(3))
+    config = AlgoConfig(policies="shared", model=ModelConfig(hidden=case.hidden), epochs=1, minibatches=steps)
+    seeds, grouping = tuple(range(case.seeds)), Grouping.of("shared", spec)
+    layout, random = Layout(grouping, case.seeds, device, torch.float32), np.random.default_rng(0)
+    actor = Actor(config.model, spec, seeds, 1, torch.float32)
+    observations = torch.from_numpy(random.normal(size=(case.seeds, rows, OBSERVED)).astype(np.float32))
+    actions = torch.from_numpy(random.integers(3, size=(case.seeds, rows)))
+    with torch.no_grad():
+        log_probs = actor(observations, None).log_prob(actions)
+    advantages = torch.from_numpy(random.normal(size=(case.seeds, rows)).astype(np.float32))
+    here = np.ones((case.seeds, rows), np.bool_)
+    made, update = PolicyRows(observations, None, actions, log_probs, here), PPO(actor, config, layout)
+    view = VIEWS["local"](config, spec, grouping)
+    regression = Regression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
+    returns = random.normal(size=(rows, case.seeds, 1))
+    estimate = Estimate(returns, returns, returns, here.T[..., None], observations, memories=None)
+    return [
+        lambda: update.improve(made, advantages, [generator(seed, "benchmark") for seed in seeds]),
+        lambda: regression.fit(estimate, 0),
+    ], steps
+
+
+def measured(case: Case) -> list[tuple[float, float]]:
+    """Microseconds of a step by torch and compiled, of policies and of critics: the least of interleaved
+    rounds."""
+    chosen, least = compiled.MOST_PRODUCTS, np.full((2, 2), np.inf)
+    learn, steps = learners(case)
+    try:
+        for place in range(ROUNDS + 1):
+            for way, most in enumerate((-1, 10**12)):
+                compiled.MOST_PRODUCTS = most
+                for part, act in enumerate(learn):
+                    began = time.process_time()
+                    act()
+                    if place > 0:
+                        least[part, way] = min(least[part, way], time.process_time() - began)
+    finally:
+        compiled.MOST_PRODUCTS = chosen
+    return [(by_torch, ours) for by_torch, ours in (least / steps * 1e6).tolist()]
+
+
+def report() -> None:
+    """Print the figures."""
+    print("\n## Learning from minibatches\n")
+    print("| networks | hidden layers | rows | policies: torch, us | compiled, us | critics: torch, us "
+          "| compiled, us | chosen |")  # fmt: skip
+    print("|---:|---|---:|---:|---:|---:|---:|---|")
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    for case in CASES:
+        cells = [f"{us:.0f}" for pair in measured(case) for us in pair]
+        hidden = "-".join(map(str, case.hidden))
+        print(f"| {case.seeds} | {hidden} | {case.rows} | {' | '.join(cells)} | {case.chosen} |", flush=True)
+    torch.set_num_threads(threads)
