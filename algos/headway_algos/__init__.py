@@ -1,1 +1,1 @@
-"""Headway's algorithms. They import only torch, numpy and the contracts; this module imports no torch."""
+"""Headway's algorithms. They import only torch, numpy, numba and the contracts; this module no torch."""

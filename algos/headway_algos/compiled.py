@@ -2,7 +2,7 @@
 float32 on a processor."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -19,12 +19,16 @@ from headway_algos.policy_rows import PolicyRows
 from headway_algos.recurrent import Network
 
 MOST_PRODUCTS = 1_500_000
-"""Rows of a minibatch times weights of a network, up to which the kernels are chosen: with more, what torch
-loses in calls counts less than what its library of matrix products gains. It is of one network, so that
-others in its stack have no say."""
+"""Rows of a minibatch times weights, both of one network, up to which the kernels are chosen: with more, what
+torch loses in calls counts less than what its library of matrix products gains."""
 
 Learn = Callable[[Piece], Tensor]
 """Adds a piece's gradients; returns its shares of what is reported."""
+
+
+def uncut(config: AlgoConfig) -> AlgoConfig:
+    """The same with minibatches in one piece: kernels cut each network's by themselves, as of one alone."""
+    return replace(config, piece_samples=2**62)
 
 
 @dataclass(frozen=True)
@@ -53,9 +57,7 @@ class Perceptrons:
             return None
         from headway_algos.kernel import ROWS
 
-        form = np.array(
-            [(w.shape[2], w.shape[1], _place(w, values), _place(b, values)) for w, b in network.by_layer()]
-        )
+        form = np.array([(w.shape[2], w.shape[1], *optimiser.starts((w, b))) for w, b in network.by_layer()])
         held = np.empty((form[0, 0] + form[:, 1].sum(), ROWS), np.float32)
         signals = np.empty((2, form[:, 1].max(), ROWS), np.float32)
         return cls(values.numpy(), gradient.numpy(), form, network.activation == "relu", held, signals)
@@ -66,11 +68,6 @@ class Perceptrons:
         kernel(
             self.values, self.gradient, self.form, self.relu, self.held, self.signals, index, weight, *others
         )
-
-
-def _place(parameter: Tensor, values: Tensor) -> int:
-    """Where a parameter begins in the values (V,) of its network."""
-    return (parameter.data_ptr() - values.data_ptr()) // values.element_size()
 
 
 def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
@@ -102,7 +99,7 @@ def surrogate(
     table = numbers.reshape(0, outputs)
     common = (
         _flat(rows.observations, table), _flat(rows.log_probs, numbers), _flat(advantages, numbers),
-        _flat(old_outputs, table), kl_coeff.numpy(), config.clip, config.entropy_coeff,
+        _flat(old_outputs, table), kl_coeff.numpy(), float(config.clip), float(config.entropy_coeff),
     )  # fmt: skip
     learn: Callable[..., None]
     its_own: tuple[Any, ...]
@@ -110,7 +107,7 @@ def surrogate(
         masks = _flat(rows.masks, np.empty((0, outputs), np.bool_))
         learn, its_own = kernel.learn_categorical, (_flat(rows.actions, np.empty(0, np.int64)), masks)
     else:
-        begins = _place(actor.log_std, optimiser.values.whole)
+        (begins,) = optimiser.starts([actor.log_std])
         past = np.ascontiguousarray(old_log_std[..., 0].numpy())
         learn, its_own = kernel.learn_gaussian, (_flat(rows.actions, table), begins, past)
 
@@ -137,7 +134,10 @@ def regression(
         return None
     from headway_algos import kernel
 
-    numbers, most = np.empty(0, np.float32), float("inf") if config.value_clip is None else config.value_clip
+    numbers, most = (
+        np.empty(0, np.float32),
+        float("inf") if config.value_clip is None else float(config.value_clip),
+    )
     of_rows = (
         _flat(inputs, numbers), _flat(taken, np.empty(0, np.int64)), _flat(targets, numbers), most,
     )  # fmt: skip

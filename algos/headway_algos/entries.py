@@ -1,6 +1,7 @@
 """The registry of algorithms, name to entry. Importing it imports no torch."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from headway.contracts import (
     AlgoEntry,
@@ -14,7 +15,7 @@ from headway.contracts import (
 )
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import missing_groups
-from headway_algos.offpolicy.entries import KERNELS, OFF_POLICY
+from headway_algos.offpolicy.entries import OFF_POLICY
 from headway_algos.recipes import (
     a3c,
     coma,
@@ -98,19 +99,10 @@ def _never_parts(config: AlgoConfig, iterations: int) -> str | None:
 
 
 def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
-    return AlgoEntry(
-        summary,
-        source,
-        config,
-        acting_policy,
-        _learner,
-        _refuses,
-        refuses_budget=_never_parts,
-        kernels=KERNELS,
-    )
+    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses, refuses_budget=_never_parts)
 
 
-ENTRIES = {
+_ALL = {
     "a3c": AlgoEntry(
         a3c.SUMMARY,
         a3c.SOURCE,
@@ -119,8 +111,7 @@ ENTRIES = {
         _asynchronous_learner,
         _refuses,
         contributor=_contributor,
-        preload=("headway_algos.asynchronous",),
-        kernels=KERNELS,
+        preload=("headway_algos.asynchronous", "headway_algos.kernel"),
     ),
     "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
     "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
@@ -135,3 +126,8 @@ ENTRIES = {
     "matrpo": _entry(matrpo.SUMMARY, matrpo.SOURCE, matrpo.MATRPOConfig),
     **OFF_POLICY,
 }
+
+KERNELS = ("headway_algos.kernel",)
+"""Compiled steps of learning, of which every algorithm takes some: Adam's, if no other."""
+
+ENTRIES = {name: replace(entry, kernels=KERNELS) for name, entry in _ALL.items()}

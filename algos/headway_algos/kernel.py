@@ -1,20 +1,21 @@
 """Compiled steps of learning on a processor: small perceptrons forward and back, losses, Adam.
 
-Networks of a stack come one after another, each through rows that fit the cache, features first: what a
-network becomes depends neither on its stack nor on what others' minibatches hold. torch, which compiles
-nothing here, takes longer to call a product of small matrices than to compute it. What these compute is
-said, and tested, where torch does the same: `passes`, `distributions`, `updates.ppo`, `critics.returns`.
+Networks of a stack come one after another, each through its own rows in parts that fit the cache, features
+first: what a network becomes depends neither on its stack nor on how much the others have to learn from.
+torch takes longer to call a product of small matrices than to compute it. What these compute is said, and
+tested, where torch does the same: `passes`, `distributions`, `updates.ppo`, `critics.returns`.
 
 This is one file since numba notices only changes in the file of the function that is called.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from headway.contracts.compiling import compiled_with
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,12 +28,9 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """By numba, without allocation. Sums may be taken in any order and products rounded together with them;
-    NaN and infinities are what they are."""
-    jit = numba.njit(
-        cache=True, nogil=True, error_model="numpy", _nrt=False, fastmath={"contract", "reassoc", "nsz"}
-    )
-    return cast("Callable[P, R]", jit(function))
+    """Without allocation. Sums may be taken in any order and products rounded together with them; NaN and
+    infinities are what they are."""
+    return compiled_with(function, _nrt=False, fastmath={"contract", "reassoc", "nsz"})
 
 
 # tanh(x) / x = P(x^2) / Q(x^2), fitted for the least relative error (1.2e-8) below where tanh is 1 in
@@ -58,7 +56,9 @@ def _tanh(row: Floats, n: int) -> None:
         s = x * x
         p = (((_P[4] * s + _P[3]) * s + _P[2]) * s + _P[1]) * s + _P[0]
         q = (((_Q[4] * s + _Q[3]) * s + _Q[2]) * s + _Q[1]) * s + _Q[0]
-        row[t] = x * p / q
+        y = x * p / q
+        y = _ONE if y > _ONE else y
+        row[t] = -_ONE if y < -_ONE else y
 
 
 @_compiled
@@ -463,7 +463,7 @@ def adam(
     norms: Floats,
 ) -> None:
     """A step of the networks (P, V) that are active (P,), each after `counts` (P,) of its own, along
-    gradients whose `norms` (P,) are bounded; those of others are 0."""
+    gradients whose `norms` (P,) are bounded; of others the norms are 0."""
     one = values.dtype.type(1)
     first, second = values.dtype.type(decays[0]), values.dtype.type(decays[1])
     least = values.dtype.type(epsilon)
@@ -477,7 +477,9 @@ def adam(
             total += g[i] * g[i]
         norm = math.sqrt(total)
         norms[p] = norm
-        share = values.dtype.type(bound / (norm + 1e-6) if norm + 1e-6 > bound else 1.0)
+        # Written so that the share of a norm that is not a number is none either, as torch has it.
+        limit = bound / (norm + 1e-6) if bound < math.inf else 1.0
+        share = values.dtype.type(1.0 if limit >= 1 else limit)
         count = counts[p] + 1
         step = values.dtype.type(lr / (1 - decays[0] ** count))
         scale = values.dtype.type(math.sqrt(1 - decays[1] ** count))

@@ -14,9 +14,6 @@ from torch import Tensor, nn
 from torch.optim.adam import adam
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-5
-LANES = 16
-"""Numbers that a processor works on at once, at most. torch's Adam rounds what is left over otherwise: with
-whole lanes alone a network steps the same in any stack, bit for bit."""
 
 
 class StackedAdam:
@@ -56,8 +53,9 @@ class StackedAdam:
     def step(self, active: NDArray[np.bool_]) -> Tensor:
         """Clip and apply the gradients; returns each network's norm before the clip, (P,).
 
-        Networks that are not `active` (P,) had no data: they stay as they were, instead of moving on by
-        their momentum, and their norm is 0. Raises RuntimeError where the parameters are elsewhere by now.
+        The gradients are those since `begin`, 0 where there is none. Networks that are not `active` (P,) had
+        no data: they stay as they were, instead of moving on by their momentum, and their norm is 0. Raises
+        RuntimeError where the parameters are elsewhere by now.
         """
         self._collect()
         return (self._step_by_torch if self.values.whole.is_cuda else self._step_compiled)(active)
@@ -90,22 +88,34 @@ class StackedAdam:
         values, gradient, means, squares = self._arrays
         norms = np.empty(len(active), values.dtype)
         kernel.adam(
-            values, gradient, means, squares, self.counts, active, self.lr,
-            inf if self.grad_clip is None else self.grad_clip, (BETA_1, BETA_2), EPSILON, norms,
+            values, gradient, means, squares, self.counts, active, float(self.lr),
+            inf if self.grad_clip is None else float(self.grad_clip), (BETA_1, BETA_2), EPSILON, norms,
         )  # fmt: skip
         return torch.from_numpy(norms)
 
+    def starts(self, parameters: Iterable[nn.Parameter]) -> list[int]:
+        """Where the values of each of these parameters begin among those of their network. Raises
+        RuntimeError where they are elsewhere by now."""
+        known = {id(parameter): place for place, parameter in enumerate(self.parameters)}
+        whole = self.values.whole
+        return [
+            (self._found(known[id(parameter)]) - whole.data_ptr()) // whole.element_size()
+            for parameter in parameters
+        ]
+
+    def _found(self, place: int) -> int:
+        """Where a parameter's values are in memory."""
+        begins = self._begins[place]
+        if self.parameters[place].data_ptr() != begins:
+            raise RuntimeError("a parameter was moved, or given to another optimiser, since this one began")
+        return begins
+
     def _collect(self) -> None:
         """The parameters' gradients, where they have any, side by side."""
-        for parameter, begins, gradient in zip(
-            self.parameters, self._begins, self.gradient.parts, strict=True
-        ):
-            if parameter.data_ptr() != begins:
-                raise RuntimeError(
-                    "a parameter was moved, or given to another optimiser, since this one began"
-                )
-            if parameter.grad is not None:
-                gradient.copy_(parameter.grad)
+        for place, gradient in enumerate(self.gradient.parts):
+            self._found(place)
+            if (found := self.parameters[place].grad) is not None:
+                gradient.copy_(found)
 
     def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:
         """The same for networks `policies` (n,) alone: `parameters` are copies of theirs."""
@@ -140,7 +150,6 @@ class Blocks:
     """Tensors (P, ...) side by side in one (P, V)."""
 
     whole: Tensor
-    """Each part is filled up with 0 to whole LANES."""
     parts: list[Tensor]
     """Views of it."""
 
@@ -148,7 +157,7 @@ class Blocks:
     def like(cls, tensors: Sequence[Tensor]) -> Self:
         """Room for such tensors, 0."""
         sizes = [tensor[0].numel() for tensor in tensors]
-        starts = [0, *accumulate(-(-size // LANES) * LANES for size in sizes)]
+        starts = [0, *accumulate(sizes)]
         whole = tensors[0].detach().new_zeros(len(tensors[0]), starts[-1])
         places = zip(tensors, starts, sizes, strict=False)
         return cls(whole, [whole[:, at : at + size].view(tensor.shape) for tensor, at, size in places])

@@ -1,7 +1,10 @@
 """Compiled steps of learning against torch's, which other tests hold to their definitions."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -101,17 +104,20 @@ def _state(learned: PPO | Regression) -> list[Tensor]:
     return [*optimiser.parameters, *optimiser.means.parts]  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
+@pytest.mark.parametrize(
+    "model",
+    [CONFIG.model, replace(CONFIG.model, activation="relu"), replace(CONFIG.model, hidden=())],
+    ids=["tanh", "relu", "linear"],
+)
 @pytest.mark.parametrize("kl_coeff", [0.0, 0.4])
 @pytest.mark.parametrize(("space", "masked"), [("discrete", False), ("discrete", True), ("box", False)])
 def test_policies_become_what_they_become_by_torch(
     space: str,
     masked: bool,
     kl_coeff: float,
-    activation: Literal["tanh", "relu"],
+    model: ModelConfig,
     by_torch: pytest.MonkeyPatch,
 ) -> None:
-    model = replace(CONFIG.model, activation=activation)
     config = replace(CONFIG, kl_coeff=kl_coeff, model=model)
     theirs, their_info = Case(config, space, masked, (0, 1, 2)).improve()
     by_torch.undo()
@@ -139,26 +145,56 @@ def test_critics_become_what_they_become_by_torch(
 
 @pytest.mark.parametrize(("space", "masked"), [("discrete", True), ("box", False)])
 def test_a_network_learns_bit_for_bit_the_same_in_any_stack(space: str, masked: bool) -> None:
-    """Though others have more rows, so that its own end in padding."""
-    together, info = Case(CONFIG, space, masked, (0, 1, 2)).improve()
-    of_values, losses = Case(CONFIG, space, masked, (0, 1, 2)).fit(1)
-    for seed in range(3):
-        alone, info_alone = Case(CONFIG, space, masked, (seed,)).improve()
-        values_alone, loss_alone = Case(CONFIG, space, masked, (seed,)).fit(1)
+    """Though others have more rows, so that its own end in padding, and there are more than a piece may be
+    of. One network has none at all."""
+    config, seeds = replace(CONFIG, piece_samples=300), (0, 3, 6)
+    together, info = Case(config, space, masked, seeds).improve()
+    of_values, losses = Case(config, space, masked, seeds).fit(1)
+    for place, seed in enumerate(seeds):
+        alone, info_alone = Case(config, space, masked, (seed,)).improve()
+        values_alone, loss_alone = Case(config, space, masked, (seed,)).fit(1)
         for whole, part in ((together, alone), (of_values, values_alone)):
             pairs = zip(_state(whole), _state(part), strict=True)
-            assert all(torch.equal(its[seed], mine[0]) for its, mine in pairs)
-        assert losses["loss"][seed] == loss_alone["loss"][0]
-        assert float(info["entropy"][seed]) == float(info_alone["entropy"][0])
+            assert all(torch.equal(its[place], mine[0]) for its, mine in pairs)
+        assert losses["loss"][place] == loss_alone["loss"][0]
+        assert float(info["entropy"][place]) == float(info_alone["entropy"][0])
+    assert together.optimiser.counts.tolist() == [6, 6, 0]
+
+
+def test_a_part_of_a_stack_learns_what_it_learns_in_the_whole() -> None:
+    """As where one policy is updated after another."""
+    whole, _ = Case(CONFIG, "box", False, (0, 1, 2)).improve()
+    case, policies = Case(CONFIG, "box", False, (0, 1, 2)), torch.tensor([1])
+    update = PPO(case.actor, CONFIG, case.layout)
+    before = [tensor.clone() for tensor in _state(update)]
+    part = update.narrow(policies)
+    part.improve(case.rows.narrow(policies), case.advantages[policies], [generator(1, "t")])
+    update.adopt(policies, part)
+    for mine, its, old in zip(_state(update), _state(whole), before, strict=True):
+        assert torch.equal(mine[1], its[1])
+        assert torch.equal(mine[[0, 2]], old[[0, 2]])
+
+
+def test_parameters_given_to_another_optimiser_are_not_learned_by_the_first() -> None:
+    case = Case(CONFIG, "box", False, (0, 1))
+    update = PPO(case.actor, CONFIG, case.layout)
+    StackedAdam(case.actor.learnable, 1e-3, None)
+    with pytest.raises(RuntimeError, match="given to another optimiser"):
+        update.improve(case.rows, case.advantages, [generator(seed, "t") for seed in case.seeds])
+
+
+_WARMED = """
+from headway_algos import kernel
+kernel.warm()
+for name in ("adam", "learn_gaussian", "learn_categorical", "learn_returns"):
+    print(name, sorted(map(str, getattr(kernel, name).signatures)))
+"""
 
 
 def test_what_was_compiled_before_is_all_that_learning_needs() -> None:
-    kernel.warm()
-    functions: tuple[Any, ...] = (
-        kernel.adam, kernel.learn_gaussian, kernel.learn_categorical, kernel.learn_returns,
-    )  # fmt: skip
-    before = [list(function.signatures) for function in functions]
-    assert all(before)
+    done = subprocess.run(
+        [sys.executable, "-c", _WARMED], check=True, timeout=120, capture_output=True, text=True
+    )
     for kl_coeff, value_clip in ((0.0, None), (0.4, 1.0)):
         config = replace(CONFIG, kl_coeff=kl_coeff, value_clip=value_clip)
         for space, masked in (("discrete", False), ("discrete", True), ("box", False)):
@@ -166,7 +202,25 @@ def test_what_was_compiled_before_is_all_that_learning_needs() -> None:
                 Case(config, space, masked, seeds).improve()
                 for outputs in (1, 4):
                     Case(config, space, masked, seeds).fit(outputs)
-    assert [list(function.signatures) for function in functions] == before
+    warmed = dict(line.split(" ", 1) for line in done.stdout.splitlines())
+    for name in ("learn_gaussian", "learn_categorical", "learn_returns"):
+        assert str(sorted(map(str, getattr(kernel, name).signatures))) == warmed[name]
+    of_adam: Any = kernel.adam
+    assert all(str(signature) in warmed["adam"] for signature in of_adam.signatures)
+
+
+_UNCACHED = """
+from headway_algos import kernel
+import numpy as np
+row = np.array([0.5], np.float32)
+kernel._tanh(row, 1)
+assert abs(row[0] - np.tanh(0.5)) < 1e-6
+"""
+
+
+def test_where_no_cache_can_be_written_kernels_are_compiled_all_the_same() -> None:
+    nowhere = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
+    subprocess.run([sys.executable, "-c", _UNCACHED], check=True, timeout=120, env=nowhere)
 
 
 @pytest.mark.parametrize(

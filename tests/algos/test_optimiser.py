@@ -127,7 +127,6 @@ def test_parameters_that_become_views_keep_their_values_and_stay_apart() -> None
     assert optimiser.values.whole.count_nonzero() == parameters[0].numel()
 
 
-@pytest.mark.usefixtures("either")
 @pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
 @pytest.mark.parametrize("size", [1, 15, 33, 100, 2401])
 def test_a_network_steps_bit_for_bit_the_same_in_any_stack(size: int, dtype: torch.dtype) -> None:
@@ -145,3 +144,34 @@ def test_a_network_steps_bit_for_bit_the_same_in_any_stack(size: int, dtype: tor
     for kind in ("values", "means", "squares"):
         alike = torch.cat([getattr(part, kind).whole for part in parts])
         assert torch.equal(getattr(whole, kind).whole, alike), kind
+
+
+@pytest.mark.usefixtures("either")
+def test_what_has_no_gradient_since_the_last_step_begins_with_none() -> None:
+    parameters, alone = _parameters(2), _parameters(2)
+    ours, theirs = StackedAdam(parameters, 0.05, None), torch.optim.Adam(alone, lr=0.05, eps=1e-5)
+    for step, given in enumerate(((0, 1), (1,))):
+        ours.begin()
+        for place, signal in enumerate(_parameters(2, 30 + step)):
+            alone[place].grad = signal.detach() * (place in given)
+            if place in given:
+                parameters[place].grad = signal.detach().clone()
+        ours.step(np.ones(2, np.bool_))
+        theirs.step()
+    for mine, its in zip(parameters, alone, strict=True):
+        torch.testing.assert_close(mine, its, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.usefixtures("either")
+def test_a_bounded_gradient_that_is_not_a_number_leaves_no_number_in_its_network() -> None:
+    parameters = _parameters(2)
+    optimiser = StackedAdam(parameters, 0.05, 0.5)
+    for parameter, signal in zip(parameters, _parameters(2, 1), strict=True):
+        parameter.grad = signal.detach().clone()
+    assert parameters[0].grad is not None
+    parameters[0].grad[1, 0, 0] = torch.nan
+    norms = optimiser.step(np.ones(2, np.bool_))
+    assert torch.isnan(norms).tolist() == [False, True]
+    for parameter in parameters:
+        assert torch.isnan(parameter[1]).all()
+        assert torch.isfinite(parameter[0]).all()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from headway.contracts.entries import AlgoEntry, EnvEntry
-from headway.registry import env_entry
+from headway.registry import algo_entry, env_entry
 from headway_launch.command_line import run as run_command
 from headway_launch.composing import Experiment, compose
 from headway_launch.kernels import compile_kernels, compile_kernels_of
@@ -63,13 +63,16 @@ def test_a_session_compiles_before_anything_is_in_the_store(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("headway_launch.conducting.compile_kernels_of", stop)
-    assert run_command(["run", "env=trivial", f"store.root={tmp_path}", "energy=off"]) == 130
-    assert [env for env, _ in compiled] == [env_entry("trivial")]
+    assert run_command(["run", "env=trivial", "algo=ippo", f"store.root={tmp_path}", "energy=off"]) == 130
+    assert compiled == [(env_entry("trivial"), algo_entry("ippo"))]
     assert not list(tmp_path.iterdir())
 
 
-def test_what_learners_call_is_compiled_with_what_environments_step_by() -> None:
-    from headway_algos import kernel
-
-    compile_kernels_of([compose(["env=trivial", "algo=ippo"])])
-    assert all(function.signatures for function in (kernel.adam, kernel.learn_gaussian))  # type: ignore[attr-defined]
+def test_what_learners_call_is_compiled_with_what_environments_step_by(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    warmed = []
+    monkeypatch.setattr("headway_algos.kernel.warm", lambda: warmed.append("learning"))
+    monkeypatch.setattr("headway_envs.bus.kernel.warm", lambda: warmed.append("stepping"))
+    compile_kernels_of([compose([f"env={env}", "algo=ippo"]) for env in ("bus", "trivial")])
+    assert sorted(warmed) == ["learning", "stepping"]

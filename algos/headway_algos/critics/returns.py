@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway.contracts import Trajectory, generator
-from headway_algos.compiled import Learn, regression
+from headway_algos.compiled import Learn, regression, uncut
 from headway_algos.config import AlgoConfig
 from headway_algos.critics.estimate import Estimate
 from headway_algos.critics.natural import NaturalRegression
@@ -127,12 +127,13 @@ class Regression:
         memories, length = estimate.memories, config.model.sequence_length
         sequences = None if memories is None else memories.sequences(layout, length)
         generators = self._generators(iteration)
-        learn: Learn | None = None
+        compiled: Learn | None = None
         if isinstance(self.optimiser, StackedAdam):
             network, optimiser = self.networks.network, self.optimiser
-            learn = regression(network, optimiser, estimate.inputs, estimate.taken, targets, config)
-        learn = learn or partial(self._learn, estimate=estimate, targets=targets)
-        for pieces, active in learning_batches(selected, sequences, generators, config, layout):
+            compiled = regression(network, optimiser, estimate.inputs, estimate.taken, targets, config)
+        learn = compiled or partial(self._learn, estimate=estimate, targets=targets)
+        cut = uncut(config) if compiled else config
+        for pieces, active in learning_batches(selected, sequences, generators, cut, layout):
             self.optimiser.begin()
             for piece in pieces:
                 loss_sum += learn(piece)

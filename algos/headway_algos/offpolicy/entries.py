@@ -78,16 +78,11 @@ def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
     return transitions * (2 * 4 * spec.observation_size + action + mask + 2 * 8)
 
 
-KERNELS = ("headway_algos.kernel",)
-"""What every learner calls: its optimiser does."""
-
 OFF_POLICY = {
     "ddpg": AlgoEntry(
-        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes,
-        kernels=KERNELS,
+        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes
     ),
     "madqn": AlgoEntry(
-        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes,
-        kernels=KERNELS,
+        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes
     ),
-}  # fmt: skip
+}

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from headway_algos.actor import Actor
-from headway_algos.compiled import surrogate
+from headway_algos.compiled import surrogate, uncut
 from headway_algos.config import AlgoConfig
 from headway_algos.experience import Layout, Piece, even_slices
 from headway_algos.optimiser import StackedAdam
@@ -53,15 +53,17 @@ class PPO:
         penalised = config.kl_coeff > 0
         old_outputs = _network_outputs(actor, rows, config) if penalised else None
         old_log_std = actor.log_std.detach().clone() if actor.log_std is not None else None
-        learn = surrogate(
+        compiled = surrogate(
             actor, self.optimiser, rows, advantages, (old_outputs, old_log_std), self.kl_coeff, config
-        ) or partial(
+        )
+        learn = compiled or partial(
             self._learn, rows=rows, advantages=advantages, old_outputs=old_outputs, old_log_std=old_log_std
         )
+        cut = uncut(config) if compiled else config
         totals = torch.zeros(4, len(self.kl_coeff), device=layout.device, dtype=layout.dtype)
         shares, norms = totals[:3], totals[3]
         steps = np.zeros(len(self.kl_coeff))
-        for pieces, active in learning_batches(rows.selected, rows.sequences, generators, config, layout):
+        for pieces, active in learning_batches(rows.selected, rows.sequences, generators, cut, layout):
             self.optimiser.begin()
             for piece in pieces:
                 shares += learn(piece)

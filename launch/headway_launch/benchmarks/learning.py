@@ -6,19 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import torch
 
 from headway.contracts import Discrete, EnvSpec, generator
-from headway_algos import compiled
-from headway_algos.actor import Actor
-from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.critics.estimate import Estimate
-from headway_algos.critics.returns import Regression, ReturnNetworks
-from headway_algos.critics.views import VIEWS
-from headway_algos.experience import Layout
-from headway_algos.grouping import Grouping
-from headway_algos.policy_rows import PolicyRows
-from headway_algos.updates.ppo import PPO
 
 ROUNDS, OBSERVED, ROWS_A_ROUND = 5, 20, 25_600
 
@@ -34,6 +23,8 @@ class Case:
     @property
     def chosen(self) -> str:
         """Which of the two training takes."""
+        from headway_algos import compiled
+
         layers = (OBSERVED, *self.hidden, 3)
         weights = sum(a * b for a, b in pairwise(layers))
         return "compiled" if self.rows * weights <= compiled.MOST_PRODUCTS else "torch"
@@ -48,6 +39,18 @@ CASES = [
 
 def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     """What makes all steps of the policies' improvement, and of the critics', and how many these are."""
+    import torch
+
+    from headway_algos.actor import Actor
+    from headway_algos.config import AlgoConfig, ModelConfig
+    from headway_algos.critics.estimate import Estimate
+    from headway_algos.critics.returns import Regression, ReturnNetworks
+    from headway_algos.critics.views import VIEWS
+    from headway_algos.experience import Layout
+    from headway_algos.grouping import Grouping
+    from headway_algos.policy_rows import PolicyRows
+    from headway_algos.updates.ppo import PPO
+
     steps = ROWS_A_ROUND // case.rows
     rows, device = steps * case.rows, torch.device("cpu")
     spec = EnvSpec("made", ("a",), OBSERVED, Discrete(3))
@@ -75,6 +78,8 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
 def measured(case: Case) -> list[tuple[float, float]]:
     """Microseconds of a step by torch and compiled, of policies and of critics: the least of interleaved
     rounds."""
+    from headway_algos import compiled
+
     chosen, least = compiled.MOST_PRODUCTS, np.full((2, 2), np.inf)
     learn, steps = learners(case)
     try:
@@ -93,6 +98,8 @@ def measured(case: Case) -> list[tuple[float, float]]:
 
 def report() -> None:
     """Print the figures."""
+    import torch
+
     print("\n## Learning from minibatches\n")
     print("| networks | hidden layers | rows | policies: torch, us | compiled, us | critics: torch, us "
           "| compiled, us | chosen |")  # fmt: skip
