@@ -63,13 +63,15 @@ class _Shared:
 
 
 class A2CContributor:
-    """Learns on a copy, which the next copy replaces: what is kept of it are the gradients, as they were
-    before any clip, and the moments of its batch (see `headway.contracts.Contributor`)."""
+    """Learns on a copy, which the next copy replaces: what comes of it are the gradients, before any clip,
+    and the moments of its batch (see `headway.contracts.Contributor`)."""
 
     def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
         torch.set_num_threads(1)
         self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
         self.shared = _Shared.of(self.learner)
+        for optimiser in self.shared.optimisers.values():
+            optimiser.only_collects = True
 
     def adopt(self, published: Parameters) -> Parameters:
         """See `headway.contracts.Contributor`."""

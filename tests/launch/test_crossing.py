@@ -33,6 +33,7 @@ def test_bands_tell_scenarios_apart() -> None:
 
 def test_a_whole_step_and_a_bare_one_move_the_same_traffic() -> None:
     """That the two end with as many vehicles is asserted inside."""
-    whole, bare, vehicles = speeds(LIGHT, rounds=1, steps=150)
-    assert 0 < whole < bare
+    whole, bare, added, vehicles = speeds(LIGHT, rounds=1, steps=150)
+    assert min(whole, bare) > 0
+    assert added == pytest.approx(bare / whole - 1)
     assert vehicles > 0
