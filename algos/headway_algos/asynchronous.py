@@ -1,6 +1,7 @@
 """A2C's gradients found in workers, and applied by a learner as they come."""
 
 from collections.abc import Sequence
+from ctypes import CDLL
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -62,12 +63,27 @@ class _Shared:
         }
 
 
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Names of glibc's `mallopt`."""
+
+
+def _give_back_large_blocks() -> None:
+    """Have this process's larger tensors in memory of their own, where glibc says what is where. Else what an
+    environment allocates between a contribution's tensors (SUMO does) keeps the next ones from taking their
+    places: a worker grew by some 20 MB (`headway_launch.benchmarks crossing`)."""
+    mallopt = getattr(CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, 400_000)
+        mallopt(_TRIM_THRESHOLD, 32 << 20)
+
+
 class A2CContributor:
     """Learns on a copy, which the next copy replaces: what comes of it are the gradients, before any clip,
     and the moments of its batch (see `headway.contracts.Contributor`)."""
 
     def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
         torch.set_num_threads(1)
+        _give_back_large_blocks()
         self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
         self.shared = _Shared.of(self.learner)
         for optimiser in self.shared.optimisers.values():

@@ -111,7 +111,7 @@ _ALL = {
         _asynchronous_learner,
         _refuses,
         contributor=_contributor,
-        preload=("headway_algos.asynchronous", "headway_algos.kernel"),
+        preload=("headway_algos.asynchronous",),
     ),
     "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
     "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
