@@ -112,9 +112,9 @@ def surrogate(
         learn, its_own = kernel.learn_gaussian, (_flat(rows.actions, table), begins, past)
 
     def of_piece(piece: Piece) -> Tensor:
-        shares = np.zeros((3, len(networks.values)), np.float32)
+        shares = np.zeros((len(networks.values), 3), np.float32)
         networks.learn(learn, piece, *common, shares, *its_own)
-        return torch.from_numpy(shares)
+        return torch.from_numpy(shares.T)
 
     return of_piece
 

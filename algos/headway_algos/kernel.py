@@ -259,10 +259,17 @@ def _rows_of_its_own(weight: Floats) -> int:
 
 
 @_compiled
-def _slope_of_surrogate(ratio: float, advantage: float, clip: float) -> float:
+def _pull(
+    log_ratio: float, advantage: float, entropy: float, share: float, clip: float, shares: Floats
+) -> float:
+    """The slope of PPO's loss in a row's log-probability, and to `shares` (3,) what `PPO._learn` returns."""
+    ratio = math.exp(log_ratio)
+    shares[0] += share * (ratio - 1 - log_ratio)
+    shares[1] += share * entropy
+    shares[2] += share if abs(ratio - 1) > clip else 0.0
     gained = ratio * advantage
     bounded = 1 - clip if ratio < 1 - clip else (1 + clip if ratio > 1 + clip else ratio)
-    return 0.0 if gained > bounded * advantage else gained
+    return 0.0 if gained > bounded * advantage else -share * gained
 
 
 @_compiled
@@ -287,7 +294,7 @@ def learn_gaussian(
     log_std_at: int,
     old_log_std: Floats,
 ) -> None:
-    """Add PPO's gradients at index and weight (P, n) of rows (P B, ...), and to `shares` (3, P) what
+    """Add PPO's gradients at index and weight (P, n) of rows (P B, ...), and to `shares` (P, 3) what
     `PPO._learn` returns. Log standard deviations begin at `log_std_at` of a network's values; `old_means`
     (P B, A) is empty without a penalty."""
     penalised = len(old_means) > 0
@@ -310,8 +317,7 @@ def learn_gaussian(
                     log_prob += -0.5 * z * z - log_std[a] - 0.5 * math.log(2 * math.pi)
                     entropy += log_std[a] + 0.5 * math.log(2 * math.pi) + 0.5
                 log_ratio = log_prob - log_probs[r]
-                ratio = math.exp(log_ratio)
-                pull = -share * _slope_of_surrogate(ratio, advantages[r], clip)
+                pull = _pull(log_ratio, advantages[r], entropy, share, clip, shares[p])
                 for a in range(size):
                     inverse = math.exp(-log_std[a])
                     z = (actions[r, a] - held[top + a, t]) * inverse
@@ -324,9 +330,6 @@ def learn_gaussian(
                         of_log_std += kl_coeff[p] * share * (1 - variance_ratio - shift * shift)
                     signals[len(form) % 2, a, t] = of_mean * inverse
                     log_std_gradient[a] += of_log_std
-                shares[0, p] += share * (ratio - 1 - log_ratio)
-                shares[1, p] += share * entropy
-                shares[2, p] += share if abs(ratio - 1) > clip else 0.0
             _backward(values[p], form, relu, held, signals, gradient[p], n)
 
 
@@ -387,8 +390,7 @@ def learn_categorical(
                         log_prob = held[top + a, t] - scale
                         entropy -= math.exp(log_prob) * log_prob
                 log_ratio = held[top + actions[r], t] - scale - log_probs[r]
-                ratio = math.exp(log_ratio)
-                pull = -share * _slope_of_surrogate(ratio, advantages[r], clip)
+                pull = _pull(log_ratio, advantages[r], entropy, share, clip, shares[p])
                 for a in range(size):
                     slope = 0.0
                     if not masked or masks[r, a]:
@@ -400,9 +402,6 @@ def learn_categorical(
                         if penalised:
                             slope += kl_coeff[p] * share * (chance - math.exp(old_logits[r, a] - scale_old))
                     signals[len(form) % 2, a, t] = slope
-                shares[0, p] += share * (ratio - 1 - log_ratio)
-                shares[1, p] += share * entropy
-                shares[2, p] += share if abs(ratio - 1) > clip else 0.0
             _backward(values[p], form, relu, held, signals, gradient[p], n)
 
 
@@ -500,7 +499,7 @@ def warm() -> None:
         adam(of, of, of, of, counts, active, 0.0, math.inf, (0.0, 0.0), 1.0, norms)
     table, row, signals = (np.zeros(shape, np.float32) for shape in ((1, 1), 1, (2, 1, 1)))
     begin = (table, table, form, False, table, signals, indices, np.zeros((1, 0), np.float32), table)
-    common = (row, row, table, row, 0.0, 0.0, table)
+    common = (row, row, table, row, 0.0, 0.0, np.zeros((1, 3), np.float32))
     learn_gaussian(*begin, *common, table, 0, table)
     learn_categorical(*begin, *common, counts, np.ones((1, 1), np.bool_))
     learn_returns(*begin, counts, row, 0.0, row)
