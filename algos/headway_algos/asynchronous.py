@@ -86,8 +86,6 @@ class A2CContributor:
         _give_back_large_blocks()
         self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
         self.shared = _Shared.of(self.learner)
-        for optimiser in self.shared.optimisers.values():
-            optimiser.only_collects = True
 
     def adopt(self, published: Parameters) -> Parameters:
         """See `headway.contracts.Contributor`."""

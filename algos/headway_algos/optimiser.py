@@ -27,8 +27,6 @@ class StackedAdam:
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
         self.grad_clip = grad_clip
         self.base_lr = self.lr = lr
-        self.only_collects = False
-        """Steps collect gradients and count: who reads them applies them elsewhere."""
         self._hold(list(parameters))
         self.counts = np.zeros(len(self.values.whole), np.int64)
 
@@ -60,10 +58,6 @@ class StackedAdam:
         RuntimeError where the parameters are elsewhere by now.
         """
         self._collect()
-        if self.only_collects:
-            self.counts[active] += 1
-            norms: Tensor = torch.linalg.vector_norm(self.gradient.whole, dim=1)
-            return norms * torch.from_numpy(active).to(norms)
         return (self._step_by_torch if self.values.whole.is_cuda else self._step_compiled)(active)
 
     def _step_by_torch(self, active: NDArray[np.bool_]) -> Tensor:
