@@ -16,6 +16,7 @@ import signal
 import socket
 import subprocess
 import sys
+import re
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -101,7 +102,8 @@ class Slurm:
         """A line for each file that Ray has left on a node, and each process of it or of Python."""
         files = [path.name for folder in self.folders for path in folder.iterdir()]
         running = [_words(process) for host in self.hosts for process in host.processes()]
-        processes = [words for words in running if "ray" in words or "python" in words]
+        # As a word: a folder's random name may have the letters of ray in it.
+        processes = [words for words in running if re.search(r"\bray\b|python", words)]
         return [f"left on a node: {thing}" for thing in (*files, *processes)]
 
 
