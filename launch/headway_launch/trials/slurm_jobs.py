@@ -10,13 +10,13 @@ if anything is, with 2 where there is no Slurm (Debian: slurmctld slurmd slurm-c
 """
 
 import argparse
+import re
 import secrets
 import shutil
 import signal
 import socket
 import subprocess
 import sys
-import re
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
