@@ -62,7 +62,7 @@ class Perceptrons:
         signals = np.empty((2, form[:, 1].max(), ROWS), np.float32)
         return cls(values.numpy(), gradient.numpy(), form, network.activation == "relu", held, signals)
 
-    def learn(self, kernel: Callable[..., None], piece: Piece, *others: Any) -> None:  # noqa: ANN401 - a kernel's own
+    def learn(self, kernel: Callable[..., None], piece: Piece, *others: object) -> None:
         """Call a kernel with what all take first, and others of its own."""
         index, weight = (np.ascontiguousarray(tensor.numpy()) for tensor in (piece.index, piece.weight))
         kernel(

@@ -101,7 +101,8 @@ class Case:
 
 def _state(learned: PPO | Regression) -> list[Tensor]:
     optimiser = learned.optimiser
-    return [*optimiser.parameters, *optimiser.means.parts]  # type: ignore[union-attr]
+    assert isinstance(optimiser, StackedAdam)
+    return [*optimiser.parameters, *optimiser.means.parts]
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ with _out_of_reach("scipy", "scipy.linalg.cython_blas"):
     import_module("numba.np.arraymath")
 
 
-def compiled_with(function: Callable[P, R], **options: Any) -> Callable[P, R]:  # noqa: ANN401 - numba's own
+def compiled_with(function: Callable[P, R], **options: object) -> Callable[P, R]:
     """`function` compiled by numba, without the interpreter's lock, at its first call, and kept in the cache
     beside its file. Floating-point division follows IEEE rules, as in numpy.
 
