@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from headway.contracts import compiling
 from headway.contracts.compiling import compiled_with
 
 P = ParamSpec("P")
@@ -21,7 +22,8 @@ def drop_stale_cache(folder: Path) -> None:
     Numba looks only at the file of the function that is called, not at those it calls in turn, so after a
     change elsewhere it would go on with the old machine code."""
     state = 0
-    for source in [*sorted(folder.glob("*.py")), *(Path(__file__).with_name(name) for name in SHARED)]:
+    shared = [Path(compiling.__file__), *(Path(__file__).with_name(name) for name in SHARED)]
+    for source in [*sorted(folder.glob("*.py")), *shared]:
         state = zlib.crc32(source.read_bytes(), state)
     cache = folder / "__pycache__"
     stamp = cache / "kernel.stamp"
