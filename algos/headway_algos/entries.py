@@ -36,8 +36,13 @@ from headway_algos.remembering import acting_policy
 def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
     from headway_algos.learner import OnPolicyLearner
     from headway_algos.parting import PartingLearner
+    from headway_algos.per_seed import PerSeedLearner
+    from headway_algos.stack import resolve_device
 
-    return (PartingLearner if config.shared_until > 0 else OnPolicyLearner)(config, spec, seeds, device)
+    make = PartingLearner if config.shared_until > 0 else OnPolicyLearner
+    if len(seeds) == 1 or resolve_device(device).type != "cpu":
+        return make(config, spec, seeds, device)
+    return PerSeedLearner([make(config, spec, (seed,), device) for seed in seeds])
 
 
 def _asynchronous_learner(

@@ -221,7 +221,13 @@ def share_cores(
     fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
     if cluster_cpus is None:
         most = max(
-            [1, *(cores_taken(job.spec, len(job.seeds), workers, node_cpus) for job, workers in fixed)]
+            [
+                1,
+                *(
+                    cores_taken(job.spec, len(job.seeds), job.config.rollout.block, workers, node_cpus)
+                    for job, workers in fixed
+                ),
+            ]
         )
     else:
         most = max([1, *(workers for _, workers in fixed)])
@@ -232,12 +238,12 @@ def share_cores(
     return Shares(parallel, workers if node_cpus is None else min(workers, node_cpus))
 
 
-def cores_taken(spec: EnvSpec, seeds: int, workers: int, node_cpus: int | None = None) -> int:
+def cores_taken(spec: EnvSpec, seeds: int, block: int, workers: int, node_cpus: int | None = None) -> int:
     """Cores that a training process with its workers beside it counts as, at most those of a machine: one a
     worker, as workers take turns with the learner. Of a stack whose parts have workers of their own only one
     part's count: its learner has as many times more to do, and all of them would leave cores idle
     meanwhile."""
-    taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds)))
+    taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds, block)))
     return taken if node_cpus is None else min(taken, node_cpus)
 
 
@@ -265,7 +271,7 @@ def _most_workers(job: PlannedJob) -> int:
 
 
 def _groups(job: PlannedJob) -> list[tuple[int, int]]:
-    return replica_groups(job.spec.max_copies_per_process, len(job.seeds))
+    return replica_groups(job.spec.max_copies_per_process, len(job.seeds), job.config.rollout.block)
 
 
 def gpus_of(device: str, there: float) -> float:

@@ -57,6 +57,6 @@ def policy_episodes(
 ) -> list[Row]:
     """One row an episode on the evaluation seeds that follow from `root`."""
     rows: list[Row] = []
-    for request in EvaluationRequest.split(root, episodes, greedy, evaluation_block(policy.plan.spec, 1)):
+    for request in EvaluationRequest.split(root, episodes, greedy, evaluation_block(policy.plan.spec)):
         rows += evaluate_policy(policy.plan, policy.parameters, request, told)[0]
     return rows

@@ -96,7 +96,9 @@ class Placement:
         """CPUs as `cores_taken` says, at most `node_cpus`, those of the largest node; where that is None, on
         this machine, whose cores are shared out already, none. A GPU where it trains on one, if so many are
         `there`."""
-        taken = 0 if node_cpus is None else cores_taken(job.spec, len(job.seeds), job.workers, node_cpus)
+        taken, block = 0, job.config.rollout.block
+        if node_cpus is not None:
+            taken = cores_taken(job.spec, len(job.seeds), block, job.workers, node_cpus)
         return cls(float(taken), gpus_of(job.config.device, there))
 
 

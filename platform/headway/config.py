@@ -77,9 +77,10 @@ class RolloutConfig:
 
 @dataclass(frozen=True)
 class BackendConfig:
-    """Where rollouts run and how many seeds train at once. On a CPU, with `stack` 1, no result depends on it:
-    curves are the same bit for bit, asynchronous algorithms' excepted. A larger stack, or a GPU, rounds
-    otherwise: the first updates agree in float64, and from there training goes its own way."""
+    """Where rollouts run and how many seeds train at once. On a CPU no result depends on it: curves are the
+    same bit for bit, except those of asynchronous algorithms and, in the last bits of some network sizes, of
+    `madqn` and `ddpg` in a `stack`. A GPU rounds differently: the first updates agree in float64, and from
+    there training goes its own way."""
 
     name: Literal["serial", "process", "ray"] = "process"
     """`serial`: in the training process itself; `process`: in worker processes; `ray`: in actors of a Ray
@@ -92,8 +93,8 @@ class BackendConfig:
     """Training processes at once; null: one per core, at most one per seed, and fewer where each has a fixed
     number of workers."""
     stack: int = 1
-    """Seeds trained in one process as one stack: on a GPU; and on a CPU where minibatches are small, as a
-    stack shares what each of the many calls costs besides its arithmetic. With large ones, on a CPU,
+    """Seeds trained in one process. On a GPU they learn together. On a CPU they share workers and, with
+    `madqn` and `ddpg`, torch's calls, which are most of a small batch; otherwise each learns by itself, and
     processes side by side are faster. Where a process can hold fewer copies of the environment than a stack
     has seeds, each worker has copies of a part of the seeds only, and each part is evaluated apart; `serial`
     refuses such a stack."""

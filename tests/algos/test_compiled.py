@@ -147,8 +147,10 @@ def test_critics_become_what_they_become_by_torch(
 @pytest.mark.parametrize(("space", "masked"), [("discrete", True), ("box", False)])
 def test_a_network_learns_bit_for_bit_the_same_in_any_stack(space: str, masked: bool) -> None:
     """Though others have more rows, so that its own end in padding, and there are more than a piece may be
-    of. One network has none at all."""
-    config, seeds = replace(CONFIG, piece_samples=300), (0, 3, 6)
+    of. One network has none at all. Without a penalty, whose outputs are products by torch: these round
+    differently in another stack on some processors, so that no stack of torch's holds two seeds on a CPU
+    (`headway_algos.per_seed`)."""
+    config, seeds = replace(CONFIG, piece_samples=300, kl_coeff=0.0), (0, 3, 6)
     together, info = Case(config, space, masked, seeds).improve()
     of_values, losses = Case(config, space, masked, seeds).fit(1)
     for place, seed in enumerate(seeds):

@@ -38,14 +38,16 @@ def _config(copies: int, block: int, **backend: object) -> ExperimentConfig:
         (ONE, 1, 1, 1, (1, 1)),
         (SIX, 8, 4, 1, (4, 2)),
         (SIX, 9, 9, 1, (3, 2)),
-        (SIX, 8, 8, 2, (2, 4)),
+        (SIX, 8, 8, 1, (4, 2)),
+        (SIX, 8, 8, 2, (4, 4)),
         (SIX, 8, 2, 3, (2, 4)),
         (ONE, 8, 4, 2, (1, 16)),
         (ONE, 1, 1, 5, (1, 3)),
-        (TWO, 4, 2, 3, (1, 8)),
+        (TWO, 4, 2, 1, (2, 2)),
+        (TWO, 4, 2, 3, (2, 6)),
     ],
 )
-def test_blocks_shrink_and_workers_grow(
+def test_blocks_shrink_alike_for_any_stack_and_workers_grow(
     spec: EnvSpec, copies: int, block: int, stack: int, expected: tuple[int, int]
 ) -> None:
     fitted = within_processes(_config(copies, block, stack=stack), spec)

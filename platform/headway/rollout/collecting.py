@@ -83,7 +83,7 @@ class Contributors(Backend, Protocol):
 
 def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:
     """An evaluation in the blocks in which every backend plays it."""
-    return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec, plan.replicas))
+    return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec))
 
 
 def joined(parts: Iterable[list[list[Row]]]) -> list[list[Row]]:

@@ -148,7 +148,7 @@ def evaluate_rule(
     rows: list[Row] = []
     rule = make_rule(prepared)  # one for all blocks: a rule that draws must not draw the same in each
     with closing(make_env(prepared, 1)) as env:
-        block = evaluation_block(env.spec, replicas=1)
+        block = evaluation_block(env.spec)
     for request in EvaluationRequest.split(root, episodes, True, block):
         env = make_env(prepared, request.count)
         act = _RuleActing(env, rule)

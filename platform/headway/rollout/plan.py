@@ -30,27 +30,28 @@ def process_holds(spec: EnvSpec, limit: int) -> str:
     return f"a process can hold {copies} of {spec.name}"
 
 
-def replica_groups(limit: int | None, replicas: int) -> list[tuple[int, int]]:
-    """(first, number) replicas of which one worker holds copies: all of them together, unless one copy of
+def replica_groups(limit: int | None, replicas: int, block: int) -> list[tuple[int, int]]:
+    """(first, number) replicas of which one worker holds copies: all of them together, unless a block of
     each is more than the `limit` of copies in a process; then as few groups as can be, as equal as can be."""
-    number = 1 if limit is None else -(-replicas // limit)
+    number = 1 if limit is None else -(-replicas // max(limit // block, 1))
     edges = [replicas * i // number for i in range(number + 1)]
     return [(edges[i], edges[i + 1] - edges[i]) for i in range(number)]
 
 
 def within_limit(limit: int, replicas: int, copies: int, block: int) -> tuple[int, int]:
     """(block, workers) with which no process holds more than `limit` copies: the largest block up to `block`
-    that divides `copies`, and the fewest workers."""
-    groups = replica_groups(limit, replicas)
+    that divides `copies`, whatever the number of replicas, and the fewest workers."""
+    block = max(size for size in range(1, min(limit, block) + 1) if copies % size == 0)
+    groups = replica_groups(limit, replicas, block)
     most = limit // max(number for _, number in groups)
-    block = max(size for size in range(1, min(most, block) + 1) if copies % size == 0)
     return block, len(groups) * -(-(copies // block) // (most // block))
 
 
-def evaluation_block(spec: EnvSpec, replicas: int) -> int:
-    """Evaluation episodes of each replica run at once: fewer where a process may hold few copies."""
+def evaluation_block(spec: EnvSpec) -> int:
+    """Evaluation episodes of each replica run at once: fewer where a process may hold few copies. The same
+    for any number of replicas, as the last bits of a policy's outputs depend on how many rows it is given."""
     limit = spec.max_copies_per_process
-    return EVALUATION_BLOCK if limit is None else max(min(EVALUATION_BLOCK, limit // replicas), 1)
+    return EVALUATION_BLOCK if limit is None else min(EVALUATION_BLOCK, limit)
 
 
 @dataclass(frozen=True)
@@ -107,13 +108,13 @@ class RolloutPlan:
     @property
     def evaluating_apart(self) -> "RolloutPlan":
         """The plan of a process that does nothing but evaluate, with hardly a trajectory."""
-        block = evaluation_block(self.spec, self.replicas)
+        block = evaluation_block(self.spec)
         return replace(self, copies=block, block=block, steps=1)
 
     @property
     def groups(self) -> list[tuple[int, int]]:
         """(first, number) replicas that one process holds copies of at once."""
-        return replica_groups(self.spec.max_copies_per_process, self.replicas)
+        return replica_groups(self.spec.max_copies_per_process, self.replicas, self.block)
 
     @property
     def whole(self) -> Shard:
@@ -121,8 +122,7 @@ class RolloutPlan:
         return Shard(0, self.replicas, 0, self.copies)
 
     def of_replicas(self, first: int, number: int) -> "RolloutPlan":
-        """The same plan of fewer seeds: their draws and their blocks in training are those of this one.
-        Its `evaluation_block`, which depends on R, can be larger: requests are split by this one's."""
+        """The same plan of fewer seeds: their draws and their blocks are those of this one."""
         return replace(self, seeds=self.seeds[first : first + number])
 
     def parameters_of(self, parameters: Parameters, first: int, number: int) -> Parameters:
