@@ -19,7 +19,8 @@ from headway.registry import algo_entries, algo_entry, env_entries, is_module_pa
 from headway.rollout.memory import give_back_memory
 from headway_launch.telling import tell
 
-_OVERRIDE = re.compile(r"(?P<prefix>\+{0,2}|~)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
+_OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
+_DELETION = re.compile(r"~[^=+~]+(=.*)?", re.DOTALL)
 _SEVERAL = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
 _SENTENCE = re.compile(r".*?\.(?=\s|$)")
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
@@ -151,20 +152,34 @@ def compose(overrides: Sequence[str]) -> Experiment:
     A preset's values stand below everything else but the defaults. Raises HeadwayError for whatever
     cannot be used.
     """
-    mapping, preset = _compose_mapping([_prepared(override, overrides) for override in overrides])
+    mapping, choices = _compose_mapping([_prepared(override, overrides) for override in overrides])
+    presets = mapping.pop("preset", None) or {}
+    preset = choices.get("preset") or NO_PRESET
+    values = _preset_values(presets, mapping, by_default=preset == choices.get("env"))
     try:
-        return resolve({**_with_preset(mapping), "preset": preset})
+        return resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
     except HeadwayError as error:
         key = str(error).partition(" is not a key of ")[0]
-        if _has(_preset_values(mapping), key) and not _has(mapping, key):
+        if _has(values, key) and not _has(mapping, key):
             raise HeadwayError(f"preset={preset} is not for this: {error}") from error
         raise
 
 
-def _preset_values(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What the preset has for the algorithm."""
-    values = (mapping.get("preset") or {}).get((mapping.get("algo") or {}).get("name"))
-    return values if isinstance(values, Mapping) else {}
+def _preset_values(
+    presets: Mapping[str, Any], mapping: Mapping[str, Any], by_default: bool
+) -> Mapping[str, Any]:
+    """The values that a preset has for the algorithm of an experiment. None where that is not among them and
+    the preset was taken by default, with the environment; raises HeadwayError where it was chosen."""
+    name = str((mapping.get("algo") or {}).get("name"))
+    if not presets or (by_default and name not in presets):
+        return {}
+    if name not in presets:
+        raise HeadwayError(
+            f"the preset has no values for algo={name}; it has them for {', '.join(sorted(presets))} "
+            f"(preset={NO_PRESET} leaves the defaults)"
+        )
+    values: Mapping[str, Any] = presets[name] or {}
+    return values
 
 
 def _has(mapping: object, key: str) -> bool:
@@ -245,10 +260,10 @@ def summary_of(group: str, option: str) -> str:
 
 def _prepared(override: str, overrides: Sequence[str]) -> str:
     """One of the overrides as Hydra must see it: seeds spelt out, values added where no file has them."""
+    if _DELETION.fullmatch(override):
+        return override
     parts = _OVERRIDE.fullmatch(override)
     if parts is None:
-        if override.startswith("~"):
-            return override
         raise HeadwayError(f"{override!r} is not an override; write key=value{_meant_experiment(override)}")
     prefix, key, value = parts["prefix"], parts["key"].strip(), parts["value"]
     if key == "seed":
@@ -316,8 +331,8 @@ def _meant_experiment(word: str) -> str:
     return f"; did you mean experiment={near}?" if near else " (such as experiment=bus_mappo)"
 
 
-def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], str]:
-    """What the files and overrides come to, and the preset that was chosen."""
+def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[str, str]]:
+    """What the files and overrides come to, and the option chosen of each group."""
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
     from hydra.errors import HydraException
@@ -338,11 +353,16 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], str]:
         mapping = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     except MissingMandatoryValue as error:
         key = error.full_key
+        if key == "env.id" and chosen.get("env") == "none":
+            raise HeadwayError(
+                "no experiment is named; write experiment=NAME (`headway list experiments`), such as "
+                "experiment=bus_mappo, or env=NAME and algo=NAME of your own choice"
+            ) from error
         raise HeadwayError(f"{key} is missing and has no default; write {key}=VALUE") from error
-    except (HydraException, OmegaConfBaseException, YAMLError) as error:
+    except (HydraException, OmegaConfBaseException, YAMLError, ValueError) as error:
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
-    return {str(key): value for key, value in mapping.items()}, str(chosen.get("preset") or NO_PRESET)
+    return {str(key): value for key, value in mapping.items()}, chosen
 
 
 def _one_line(error: Exception) -> str:
@@ -353,21 +373,6 @@ def _one_line(error: Exception) -> str:
         values = several["value"]
         return f"{key}={values} is several values; `headway sweep` takes them, a list is {key}=[{values}]"
     return "the configuration cannot be composed: " + "; ".join(kept[:3])
-
-
-def _with_preset(mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay the experiment over the values that its preset has for its algorithm."""
-    values = dict(mapping)
-    preset = values.pop("preset", None) or {}
-    name = (values.get("algo") or {}).get("name")
-    if not preset:
-        return values
-    if name not in preset:
-        raise HeadwayError(
-            f"the preset has no values for algo={name}; it has them for {', '.join(sorted(preset))} "
-            f"(preset={NO_PRESET} leaves the defaults)"
-        )
-    return _merged(preset[name], values)
 
 
 def _merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from headway_launch.calibrating import Expectation, Pace, calibrate
 from headway_launch.planning import CellPlan, share_cores
 from headway_launch.progress import duration
 from headway_launch.study_plan import Standing
-from headway_launch.tables import Cell, print_table
+from headway_launch.tables import Cell, print_table, without_empty
 from headway_launch.telling import tell
 
 
@@ -44,7 +44,8 @@ def print_estimate(standings: Sequence[Standing], cells: Sequence[CellPlan]) -> 
             )
             expected += of_cell
     columns = ("cell", "trainings", "s each", "CPU s in all", "kWh in all", "kg CO2eq in all")
-    print_table(columns, rows, spare=columns[:3:-1])
+    known, cells_known = without_empty(columns, rows, columns[-1:])
+    print_table(known, cells_known, spare=known[:3:-1])
     _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name)
     runs = sum(len(job.seeds) for job in planned)
     if runs != len(planned):
@@ -101,7 +102,8 @@ def _print_totals(
 ) -> None:
     wall = makespan([each.seconds for each in expected], parallel)
     cpu_s, kwh, kg = _used(expected)
-    energy = ", energy not measured" if kwh is None else f", {kwh:.3g} kWh, {kg or 0.0:.3g} kg CO2eq"
+    energy = ", energy not measured" if kwh is None else f", {kwh:.3g} kWh"
+    energy += "" if kg is None else f", {kg:.3g} kg CO2eq"
     print(
         f"\n{counted(len(expected), 'training')}, {parallel} at once: about {duration(wall)}, "
         f"{cpu_s:,.0f} CPU s{energy}"

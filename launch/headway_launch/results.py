@@ -10,7 +10,7 @@ from headway.config import ExperimentConfig
 from headway.events import Row
 from headway.store.folder import RunRecord, read_summary
 from headway_launch.comparison import print_comparison
-from headway_launch.tables import Cell, print_table
+from headway_launch.tables import Cell, print_table, without_empty
 from headway_launch.telling import tell
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from headway_launch.recording import JobRecording
 
 _USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
-AUC_HEADING = "AUC (own range)"
+AUC_HEADING, CO2_HEADING = "AUC (own range)", "kg CO2eq"
 _FINAL, _MEAN_FINAL = "final reward", "mean final reward"
 _COLUMNS = (
     "seed",
@@ -29,7 +29,7 @@ _COLUMNS = (
     "steps/s",
     "CPU s",
     "kWh",
-    "kg CO2eq",
+    CO2_HEADING,
 )
 _CELL_COLUMNS = (
     "cell",
@@ -39,9 +39,9 @@ _CELL_COLUMNS = (
     AUC_HEADING,
     "CPU s",
     "kWh",
-    "kg CO2eq",
+    CO2_HEADING,
 )
-_SPARE = ("steps/s", "kg CO2eq")
+_SPARE = ("steps/s", CO2_HEADING)
 """Left out first on a narrow terminal."""
 
 
@@ -168,7 +168,8 @@ def print_results(
     if len(finished) > 1:
         rows += _over_seeds(finished)
     columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
-    print_table(columns, rows, f"{config.algo.get('name')} on {config.env.id}", ("status",), _SPARE)
+    title = f"{config.algo.get('name')} on {config.env.id}"
+    print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _SPARE)
     _explain(results)
     if rules:
         print()
@@ -190,7 +191,8 @@ def print_cells(
         rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
     estimated = any(_estimated(results) for _, _, results in cells)
     columns = _headings(_CELL_COLUMNS, estimated, days)
-    print_table(columns, rows, f"study {study}", ("finished",), ("kg CO2eq", AUC_HEADING))
+    shown = without_empty(columns, rows, (CO2_HEADING,))
+    print_table(*shown, f"study {study}", ("finished",), (CO2_HEADING, AUC_HEADING))
     _explain([result for _, _, results in cells for result in results])
 
 

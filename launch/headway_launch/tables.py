@@ -53,6 +53,18 @@ def print_table(
         )
 
 
+def without_empty(
+    columns: Sequence[str], rows: Sequence[Sequence[Cell]], names: Collection[str]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Columns and rows without those of the columns named in which every cell is empty."""
+    kept = [
+        index
+        for index, name in enumerate(columns)
+        if name not in names or any(row[index] is not None for row in rows)
+    ]
+    return [columns[index] for index in kept], [[row[index] for index in kept] for row in rows]
+
+
 def shown(cell: Cell) -> str:
     """A cell for reading: four significant digits, thousands separated, `-` for nothing."""
     if cell is None:

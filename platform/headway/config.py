@@ -182,8 +182,9 @@ class EnergyConfig:
 
     enabled: bool = True
     """Measure at all."""
-    country: str = "BRA"
-    """ISO 3166 three-letter code of the grid's country."""
+    country: str | None = None
+    """ISO 3166 three-letter code of the country whose electricity is used, such as DEU, for its CO2 per kWh;
+    null: energy is measured, and no CO2 given."""
     cpu_power_w: float | None = None
     """The CPU's power at full load, W, for machines whose counters cannot be read; null: CodeCarbon's guess
     from the processor's name, which can be far off."""

@@ -278,25 +278,23 @@ def performance_profiles(
 
 
 def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) -> "Figure":
-    """Three panels beside each other, a bar a controller (the index): CO2, energy by part, CPU seconds, each
-    a mean over runs with its standard deviation.
+    """Panels beside each other, a bar a controller (the index): CO2, if `units` has one for it, energy by
+    part, CPU seconds, each a mean over runs with its standard deviation.
 
     `energy` has `kg_co2`, `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds` and, of the first two and the
-    last, `..._std`; `units` the unit and its factor of `kg_co2` and `kwh`.
+    last, `..._std`; `units` the unit and its factor of `kwh` and, where it is known, `kg_co2`.
     """
     places, names = np.arange(len(energy)), [_in_lines(str(name)) for name in energy.index]
     figure = _figure(_WIDTH, 1.4 + _rows_height(names))
-    left, middle, right = figure.subplots(1, 3, sharey=True)
+    *left, middle, right = figure.subplots(1, 3 if "kg_co2" in units else 2, sharey=True)
     errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
-    co2_unit, co2_factor = units["kg_co2"]
     kwh_unit, kwh_factor = units["kwh"]
-    left.barh(
-        places,
-        energy["kg_co2"] * co2_factor,
-        xerr=energy["kg_co2_std"].fillna(0) * co2_factor,
-        color="#228833",
-        **errors,
-    )
+    labels = [f"{kwh_unit} a run", "CPU s a run"]
+    for axes in left:
+        co2_unit, co2_factor = units["kg_co2"]
+        labels.insert(0, f"{co2_unit} CO2eq a run")
+        spread = energy["kg_co2_std"].fillna(0) * co2_factor
+        axes.barh(places, energy["kg_co2"] * co2_factor, xerr=spread, color="#228833", **errors)
     drawn = np.zeros(len(energy))
     for part, name in _PARTS.items():
         share = energy[part].fillna(0).to_numpy() * kwh_factor
@@ -308,13 +306,10 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     right.barh(
         places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
     )
-    _name_rows(left, names)
-    for axes, label in (
-        (left, f"(a) {co2_unit} CO2eq a run"),
-        (middle, f"(b) {kwh_unit} a run"),
-        (right, "(c) CPU s a run"),
-    ):
-        _finish(axes, label, "")
+    panels = [*left, middle, right]
+    _name_rows(panels[0], names)
+    for axes, letter, label in zip(panels, "abc", labels, strict=False):
+        _finish(axes, f"({letter}) {label}", "")
         axes.set_xlim(left=0)
     figure.legend(fontsize="small", loc="outside lower center", ncols=len(_PARTS), frameon=False)
     return figure

@@ -79,6 +79,22 @@ def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
     _whole_and_readable(figure)
 
 
+def test_a_footprint_without_co2_has_no_panel_for_it() -> None:
+    columns = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
+    columns += ["kg_co2_std", "kwh_std", "cpu_seconds_std"]
+    energy = pd.DataFrame(1e-6, index=["a", "b"], columns=columns)
+    unknown = energy.assign(kg_co2=math.nan, kg_co2_std=math.nan)
+    units = {"kwh": ("mWh", 1e6)}
+    labels = ["(a) mWh a run", "(b) CPU s a run"]
+    assert [axes.get_xlabel() for axes in footprint(unknown, units).axes] == labels
+    three = footprint(energy, {**units, "kg_co2": ("mg", 1e6)})
+    assert [axes.get_xlabel() for axes in three.axes] == [
+        "(a) mg CO2eq a run",
+        "(b) mWh a run",
+        "(c) CPU s a run",
+    ]
+
+
 def test_components_that_are_0_for_all_have_no_panel() -> None:
     parts = pd.DataFrame(
         {"speed": [1.0, 2.0], "lanes": [0.0, -2e-17], "crash": [math.nan, -1.0]}, index=["a", "b"]

@@ -114,6 +114,18 @@ def test_a_country_without_data_is_named() -> None:
         EnergyMeter.start(EnergyConfig(country="Portugal"))
 
 
+def test_without_a_country_energy_is_known_and_its_co2_is_not() -> None:
+    assert EnergyConfig().country is None
+    running = EnergyMeter.start(EnergyConfig())
+    running.wait()
+    job = running.finish("job", {}, JobUsage(0.5, 2**30))
+    total = running.stop().total
+    assert (job.kg_co2, total.kg_co2) == (None, None)
+    assert total.kwh is not None
+    assert total.kwh > 0
+    assert "kg_co2" not in total.as_row()
+
+
 def test_a_failure_is_a_notice_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(config: object, readings: object) -> None:
         raise OSError("no sensors")

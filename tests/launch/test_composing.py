@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -73,6 +74,57 @@ def test_a_key_without_its_first_parts_is_named_whole(override: str, meant: str)
     with pytest.raises(HeadwayError) as caught:
         compose(["env=merge", "algo=mappo", override, "seed=1"])
     assert str(caught.value) == f"{key} is not a key of the experiment; did you mean {meant}?"
+
+
+def test_the_bus_network_by_itself_takes_values_that_learn_on_it() -> None:
+    """Of an algorithm that has none there, the defaults; and its task is the same with and without."""
+    by_itself, tuned = compose(["env=bus"]), compose(["env=bus", "preset=bus_tuned"])
+    assert by_itself.config.preset == "bus"
+    assert by_itself.algo_config == tuned.algo_config
+    assert by_itself.training_env_config == tuned.training_env_config
+    assert by_itself.config.rollout == tuned.config.rollout
+    assert compose(["env=bus", "algo.clip=0.07"]).algo_config.clip == 0.07
+    untuned = compose(["env=bus", "algo=madqn"])
+    assert untuned.config.preset == compose(["env=bus", "preset=none"]).config.preset == "none"
+    assert untuned.algo_config == compose(["env=trivial", "algo=madqn"]).algo_config
+    assert replace(untuned.env_config, state="aggregate") == by_itself.env_config
+    with pytest.raises(HeadwayError, match="the preset has no values for algo=madqn"):
+        compose(["env=bus", "algo=madqn", "preset=bus_tuned"])
+    assert compose(["experiment=bus_city"]).config.preset == "bus_lines"
+
+
+@pytest.mark.parametrize("overrides", [(), ("algo=ippo",), ("seed=0..3", "algo.lr=3e-4"), ("env=none",)])
+def test_without_an_experiment_one_is_asked_for(overrides: tuple[str, ...]) -> None:
+    with pytest.raises(HeadwayError, match=r"^no experiment is named; write experiment=NAME") as caught:
+        compose(overrides)
+    assert "env=NAME and algo=NAME" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("~algo.lr=3", "'algo.lr' does not exist"),
+        ("~seed=3", "'seed' does not exist"),
+        ("~nothing", "'nothing' does not exist"),
+        ("~env=3", "value must be a string"),
+        ("~", "'~' is not an override"),
+        ("~=3", "'~=3' is not an override"),
+        ("=3", "'=3' is not an override"),
+        ("+=3", r"'\+=3' is not an override"),
+        ("~~algo.lr=3", "'~~algo.lr=3' is not an override"),
+        ("+++algo.lr=3", r"'\+\+\+algo.lr=3' is not an override"),
+    ],
+)
+def test_what_cannot_be_taken_away_or_set_is_one_line(override: str, line: str) -> None:
+    with pytest.raises(HeadwayError, match=line) as caught:
+        compose(["env=trivial", override])
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_file_sets_can_be_taken_away() -> None:
+    short = compose(["env=trivial", "rollout=short", "~rollout.steps"])
+    assert (short.config.rollout.steps, short.config.rollout.copies) == (512, 8)
+    assert short == compose(["env=trivial", "rollout=short", "~rollout.steps=128"])
 
 
 @pytest.mark.parametrize("seeds", ["0,1,2", "[0,1,2]", "0..2", "range(0,3)"])

@@ -113,6 +113,21 @@ def test_runs_keep_identity_status_and_result_whole(
         assert re.search(r"│ mappo +│", row)
 
 
+def test_runs_have_a_column_of_co2_where_some_is_known(
+    store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["runs", "--store", str(store)]) == 0
+    assert "kg CO2eq" in capsys.readouterr().out.splitlines()[0].split("\t")
+    [summary] = store.rglob("summary.json")
+    summary.write_text(json.dumps({"kwh": 1e-5, "kg_co2": None}))
+    assert run_command(["runs", "--store", str(store)]) == 0
+    header = capsys.readouterr().out.splitlines()[0].split("\t")
+    assert "kWh" in header
+    assert "kg CO2eq" not in header
+    assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
+    assert "kg_co2" in capsys.readouterr().out.splitlines()[0].split(",")
+
+
 def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(
     store: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

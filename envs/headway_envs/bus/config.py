@@ -139,9 +139,10 @@ class UpkeepConfig:
     """A broken bus stands this long before it is towed, s."""
     service_s: float = 900.0
     """Time at the service centre, s."""
-    service_below: float = 1.0
-    """The centre takes buses with fuel or uptime below this share; 1: all. For others SERVICE_CENTER is
-    masked, and is MOVE if chosen all the same."""
+    service_below: float = 0.5
+    """The centre takes buses with fuel or uptime below this share, as a depot would; 1: all. For others
+    SERVICE_CENTER is masked, and is MOVE if chosen all the same. With 1, days on which policies sent buses
+    there again and again, where more waiting passengers cost nothing more, were seen to break trainings."""
     detour_kmh: float = 20.0
     """Speed to the service centre and back, over 1.3 times the crow's distance."""
     detour_fixed_s: float = 120.0

@@ -12,8 +12,8 @@ from headway.configuration import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.folder import STATUSES
 from headway_launch.choosing import in_order, parse_conditions, require_known
-from headway_launch.results import AUC_HEADING
-from headway_launch.tables import Cell, print_table
+from headway_launch.results import AUC_HEADING, CO2_HEADING
+from headway_launch.tables import Cell, print_table, without_empty
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow
@@ -75,7 +75,7 @@ _HEADINGS = {
     "auc": AUC_HEADING,
     "cpu_seconds": "CPU s",
     "kwh": "kWh",
-    "kg_co2": "kg CO2eq",
+    "kg_co2": CO2_HEADING,
     "duration_s": "seconds",
     "run_id": "run",
 }
@@ -164,9 +164,9 @@ def _print(rows: Sequence["RunRow"], style: str) -> None:
         writer.writerows(_cells(row, _FIELDS) for row in rows)
     else:
         fields = _ON_TERMINAL if sys.stdout.isatty() else _FIELDS
+        table = _headings(fields), [_cells(row, fields) for row in rows]
         print_table(
-            _headings(fields),
-            [_cells(row, fields) for row in rows],
+            *without_empty(*table, (CO2_HEADING,)),
             whole=_headings(("run_id", "status")),
             spare=_headings(_SPARE_ON_TERMINAL),
         )

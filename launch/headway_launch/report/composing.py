@@ -118,16 +118,20 @@ def _cost(data: StudyData) -> str:
     if measured.empty:
         cpu = figure(used["cpu_seconds"].sum())
         return f"The finished runs used {cpu} CPU seconds; their energy was not measured."
-    kwh, co2 = float(measured["kwh"].sum()), float(measured["kg_co2"].sum())
+    kwh = float(measured["kwh"].sum())
     kwh_unit, kwh_factor = scale_of(kwh, "kWh")
-    co2_unit, co2_factor = scale_of(co2, "kg")
     whose = "The finished runs"
     if len(measured) < len(used):
         whose = f"Of {counted(len(used), 'finished run')} the {len(measured)} whose energy was measured"
-    return (
-        f"{whose} used {figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU "
-        f"seconds), which is {figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent."
+    used_in_all = (
+        f"{figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU seconds)"
     )
+    if measured["kg_co2"].isna().any():
+        return f"{whose} used {used_in_all}."
+    co2 = float(measured["kg_co2"].sum())
+    co2_unit, co2_factor = scale_of(co2, "kg")
+    emitted = f"{figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent"
+    return f"{whose} used {used_in_all}, which is {emitted}."
 
 
 def _definitions() -> Section:

@@ -23,14 +23,17 @@ NOT_MEASURED = (
 
 
 def energy_section(data: StudyData) -> Section:
-    """kWh, CO2 and CPU seconds a controller, and the picture of them."""
-    title = "Energy and CO2"
+    """kWh, CPU seconds and, where the country is known, CO2 per controller, and the picture of them."""
     used = data.summaries
+    emitted = bool(used["kg_co2"].notna().any())
+    title = "Energy and CO2" if emitted else "Energy"
     known = used["kwh"].notna()
     if not known.any():
         return Section("energy", title, [NOT_MEASURED])
     kwh_unit, kwh_factor = scale_of(float(used["kwh"].max()), "kWh")
-    co2_unit, co2_factor = scale_of(float(used["kg_co2"].max()), "kg")
+    units = {"kwh": (kwh_unit, kwh_factor)}
+    if emitted:
+        units["kg_co2"] = scale_of(float(used["kg_co2"].max()), "kg")
     costs = frames.costs(data.runs.summaries())
     sums = used[known].groupby(["task", "controller"])[["kwh", "cpu_seconds"]].sum()
     rows, labels = [], []
@@ -43,7 +46,11 @@ def energy_section(data: StudyData) -> Section:
                 controller,
                 str(int(of_cell["runs"])),
                 with_deviation(of_cell["kwh"] * kwh_factor, of_cell["kwh_std"] * kwh_factor),
-                with_deviation(of_cell["kg_co2"] * co2_factor, of_cell["kg_co2_std"] * co2_factor),
+                *(
+                    with_deviation(of_cell[name] * factor, of_cell[f"{name}_std"] * factor)
+                    for name, (_, factor) in units.items()
+                    if name == "kg_co2"
+                ),
                 with_deviation(of_cell["cpu_seconds"], of_cell["cpu_seconds_std"]),
                 *(figure(of_cell[part] * kwh_factor) for part in _PARTS),
                 figure(whole["kwh"] * kwh_factor),
@@ -62,13 +69,13 @@ def energy_section(data: StudyData) -> Section:
     body.append(
         Table(
             "energy",
-            "Energy, CO2 and CPU seconds of a run, mean ± standard deviation over seeds, and sums over them.",
+            f"{title} and CPU seconds of a run, mean ± standard deviation over seeds, and sums over them.",
             [
                 *(["environment"] if len(data.tasks) > 1 else []),
                 "controller",
                 "seeds",
                 f"{kwh_unit} a run",
-                f"{co2_unit} CO2eq a run",
+                *(f"{unit} CO2eq a run" for name, (unit, _) in units.items() if name == "kg_co2"),
                 "CPU s a run",
                 f"CPU, {kwh_unit}",
                 f"GPU, {kwh_unit}",
@@ -81,12 +88,12 @@ def energy_section(data: StudyData) -> Section:
             words=frozenset(range(2 if len(data.tasks) > 1 else 1)),
         )
     )
-    units = {"kwh": (kwh_unit, kwh_factor), "kg_co2": (co2_unit, co2_factor)}
+    panels = (["CO2"] if emitted else []) + ["energy by part of the machine", "CPU seconds"]
+    named = ", ".join(f"({letter}) {panel}" for letter, panel in zip("abc", panels, strict=False))
     body.append(
         Picture(
             "footprint",
-            "What a run cost: (a) CO2, (b) energy by part of the machine, (c) CPU seconds; means over seeds, "
-            "whiskers one standard deviation.",
+            f"What a run cost: {named}; means over seeds, whiskers one standard deviation.",
             drawing.footprint(costs.set_axis(labels, axis="index"), units),
         )
     )
@@ -123,9 +130,11 @@ def _how_known(data: StudyData) -> str:
     for column, part in _MODES.items():
         modes = [str(mode) for mode in used[column].dropna().unique()] if column in used else []
         told.append(f"{part} {' or '.join(modes) or 'unknown'}")
-    countries = sorted({str(configuration(row.directory)["energy"]["country"]) for row in data.runs.rows})
+    countries = {configuration(row.directory)["energy"]["country"] for row in data.runs.rows}
+    named = ", ".join(sorted(country for country in countries if country is not None))
+    mix = f"CO2 with the energy mix of {named}" if named else "no CO2, as no energy.country is set"
     return (
-        f"By CodeCarbon, offline, with the energy mix of {', '.join(countries)}. How the power is known: "
+        f"By CodeCarbon, offline; {mix}. How the power is known: "
         f"{'; '.join(told)}. An estimate from the processor's name or load may be far from what a meter "
         "shows; CPU seconds are counted by the system and stand beside it."
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 from headway.config import NO_PRESET
 from headway.contracts.errors import HeadwayError
-from headway_launch.composing import compose
+from headway_launch.composing import compose, groups
 from headway_launch.planning import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
@@ -53,7 +53,7 @@ def _line(words: Sequence[str]) -> str:
 
 def _words(values: Mapping[str, Any], preset: str) -> list[str]:
     chosen = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
-    chosen += [f"preset={preset}"] if preset != NO_PRESET else []
+    chosen += [f"preset={preset}"] if preset != NO_PRESET or values["env.id"] in groups()["preset"] else []
     known = _chosen(*chosen)
     differing = [key for key, value in values.items() if key not in known or known[key] != value]
     return [*chosen, *(f"{key}={_written(values[key])}" for key in differing)]

@@ -36,7 +36,6 @@ class EnergyReport:
     idle: Energy
     total: Energy
     modes: PowerModes
-    country: str
 
 
 class EnergyMeter:
@@ -65,7 +64,8 @@ class EnergyMeter:
         """Begin to measure. Raises HeadwayError for a country that CodeCarbon has no energy mix of."""
         meter = cls(config)
         if config.enabled:
-            check_country(config.country)
+            if config.country is not None:
+                check_country(config.country)
             meter._starting = threading.Thread(target=meter._start, name="headway-energy", daemon=True)
             meter._starting.start()
         return meter
@@ -98,13 +98,13 @@ class EnergyMeter:
         """End the measurement; all jobs have ended."""
         ledger = self._ready(_START_SECONDS)
         if ledger is None:
-            return EnergyReport({}, _UNKNOWN, _UNKNOWN, _UNKNOWN, self.modes, self._config.country)
+            return EnergyReport({}, _UNKNOWN, _UNKNOWN, _UNKNOWN, self.modes)
         ledger.use(time.monotonic(), _own_usage(), {})
         self._tracker.stop()
         self._close_interval(ledger)
         shares = ledger.shares()
         session = shares.pop(_SESSION)
-        return EnergyReport(shares, session, ledger.idle(), ledger.total(), self.modes, self._config.country)
+        return EnergyReport(shares, session, ledger.idle(), ledger.total(), self.modes)
 
     def notices(self) -> tuple[str, ...]:
         """Lines for the user since the last call."""
@@ -163,7 +163,7 @@ class EnergyMeter:
             None if modes.cpu == NOT_MEASURED else cpu,
             None if modes.gpu == NOT_MEASURED else gpu,
             None if modes.ram == NOT_MEASURED else ram,
-            kg,
+            None if self._config.country is None else kg,
         )
         ledger.close_interval(self._readings.time, increment)
 

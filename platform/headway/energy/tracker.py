@@ -13,6 +13,8 @@ from headway.config import EnergyConfig
 from headway.contracts import HeadwayError
 
 _NEVER = 10 * 365 * 86400.0
+_ANY_COUNTRY = "FRA"
+"""CodeCarbon wants one even where only its energy is asked for."""
 _COUNTERS = {"intel_rapl": "RAPL", "windows_emi": "EMI", "intel_power_gadget": "Power Gadget"}
 NOT_MEASURED = "not measured"
 
@@ -89,7 +91,7 @@ def make_tracker(config: EnergyConfig, readings: Readings) -> Any:  # noqa: ANN4
     power = {} if config.cpu_power_w is None else {"force_cpu_power": config.cpu_power_w}
     return OfflineEmissionsTracker(
         **power,
-        country_iso_code=config.country,
+        country_iso_code=config.country or _ANY_COUNTRY,
         region=None,
         cloud_provider=None,
         cloud_region=None,

@@ -166,9 +166,10 @@ def test_dead_slots_are_zeros_and_their_actions_ignored(line: Prepared) -> None:
     assert seen_dead > 100
 
 
-def test_service_is_masked_while_away_and_ends_with_a_full_tank(line: Prepared) -> None:
-    env = _begun(line, 1)
-    slots = len(line.agents)
+def test_service_is_masked_while_away_and_ends_with_a_full_tank() -> None:
+    for_all = prepare(BusConfig(upkeep=UpkeepConfig(service_below=1.0)))
+    env = _begun(for_all, 1)
+    slots = len(for_all.agents)
     for _ in range(120):
         env.step(np.ones((1, slots), np.int64))
     for _ in range(3):

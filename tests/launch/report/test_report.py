@@ -285,6 +285,22 @@ def test_energy_stands_beside_cpu_seconds(keep_run: KeepRun, root: Path) -> None
     assert "CPU estimated (cpu_load, 8 W at full load); GPU not measured" in said(report)
 
 
+@pytest.mark.parametrize("country", ["FRA", None])
+def test_co2_stands_with_its_country_or_not_at_all(
+    keep_run: KeepRun, root: Path, country: str | None
+) -> None:
+    chosen = (*TRACKING, f"energy.country={country or 'null'}")
+    for seed in range(2):
+        energy = {**KNOWN, "kg_co2": 3e-6 if country else None}
+        keep_run(chosen, seed, 1.0, rules=RULES, energy=energy)
+    report = made(root)
+    assert "mWh a run" in said(report)
+    assert ("CO2 with the energy mix of FRA" in said(report)) == (country is not None)
+    assert ("no CO2, as no energy.country is set" in said(report)) == (country is None)
+    assert ("mg CO2eq a run" in said(report)) == (country is not None)
+    assert ("of CO2 equivalent" in said(report)) == (country is not None)
+
+
 def test_energy_that_was_not_measured_is_not_zero(keep_run: KeepRun, root: Path) -> None:
     for seed in range(2):
         keep_run((*TRACKING, "energy=off"), seed, 1.0, rules=RULES)

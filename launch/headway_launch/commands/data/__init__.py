@@ -8,7 +8,7 @@ examples:
   headway data describe towns/mine
   headway data plot towns/mine --output map.png
   headway data realism towns/mine
-  headway run env=bus env.args.scenario=towns/mine algo=mappo preset=bus_tuned
+  headway run env=bus env.args.scenario=towns/mine algo=mappo
 
 headway data COMMAND --help shows more.
 """

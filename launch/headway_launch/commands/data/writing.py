@@ -12,6 +12,9 @@ from headway_launch.watching import Counted
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
 
+_LARGE = 50
+"""Buses at once, above which a network is learned from with the settings of `bus_study_network`."""
+
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     """OUT and --replace."""
@@ -96,4 +99,7 @@ def tell_written(tables: "Tables", out: Path) -> None:
     for name, count in tables.meta.get("counted", {}).items():
         if count:
             print(f"{name}: {count:,}")
-    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} algo=mappo")
+    # Many buses give enough experience in one copy, and IPPO was the best of the nine on networks of lines.
+    large = max(day.peak_buses for day in days) > _LARGE
+    best = "algo=ippo rollout.copies=1 rollout.block=1" if large else "algo=mappo"
+    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {best}")
