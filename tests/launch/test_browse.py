@@ -24,8 +24,10 @@ def address(trained: Path) -> Iterator[str]:
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
         assert server.stdout is not None
-        assert f"http://127.0.0.1:{port}" in server.stdout.readline()
-        yield f"http://127.0.0.1:{port}"
+        assert "studies in MLflow's pages" in server.stdout.readline()
+        study, page = server.stdout.readline().split()
+        assert (study, page.partition("/#/")[0]) == ("pair", f"http://127.0.0.1:{port}")
+        yield page
     finally:
         server.send_signal(signal.SIGINT)
         try:
@@ -39,13 +41,22 @@ def run(trained: Path) -> RunRow:
     return select(trained, study="pair").rows[0]
 
 
+def test_the_address_that_is_told_is_where_the_study_s_runs_are(
+    address: str, run: RunRow, browser_page: Page
+) -> None:
+    browser_page.open(address)
+    browser_page.wait_for(run.cell)
+    browser_page.wait_for("matching runs")
+
+
 def page_of(address: str, run: RunRow, tab: str) -> str:
     tracking = json.loads((Path(run.directory) / "tracking.json").read_text())
-    return f"{address}/#/experiments/{tracking['experiment']}/runs/{tracking['run']}/{tab}"
+    root = address.partition("/#/")[0]
+    return f"{root}/#/experiments/{tracking['experiment']}/runs/{tracking['run']}/{tab}"
 
 
 def test_a_study_and_its_runs_are_found(address: str, run: RunRow, browser_page: Page) -> None:
-    browser_page.open(f"{address}/#/experiments")
+    browser_page.open(f"{address.partition('/#/')[0]}/#/experiments")
     browser_page.wait_for("pair")
     browser_page.open(page_of(address, run, ""))
     for text in (run.run_id, "summary/final_reward", "algo.lr", "version.headway"):

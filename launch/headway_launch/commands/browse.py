@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 from tempfile import TemporaryFile
 
 from headway.contracts.errors import HeadwayError
@@ -23,6 +24,8 @@ examples:
 _HOST = "127.0.0.1"
 _READY_S = 180.0  # a busy machine is slow to import MLflow; a server that dies is seen at once
 _END_S = 5.0
+_MOST_STUDIES = 10
+"""Printed with their addresses."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +52,7 @@ def execute(arguments: argparse.Namespace) -> int:
         try:
             ready = _wait_until_ready(server, arguments.port, requests)
             if ready:
-                print(f"the store is at http://{_HOST}:{arguments.port} (Ctrl-C ends)", flush=True)
+                print("\n".join(_pages(root, f"http://{_HOST}:{arguments.port}")), flush=True)
             while ready and not requests.count and server.poll() is None:
                 time.sleep(0.2)
             silent = not ready and server.poll() is None
@@ -61,6 +64,26 @@ def execute(arguments: argparse.Namespace) -> int:
             how = f"did not answer within {_READY_S:g} s" if silent else "ended by itself"
             raise HeadwayError(f"MLflow's server {how}: {last}")
     return 0
+
+
+def _pages(root: Path, address: str) -> list[str]:
+    """Where the runs of each study are, the newest study first."""
+    from headway.store.following import local_experiment
+    from headway.store.index import RunIndex
+
+    experiments: dict[str, str] = {}
+    for row in reversed(RunIndex(root).rows()):
+        if row.study not in experiments and (found := local_experiment(Path(row.directory))):
+            experiments[row.study] = f"{address}/#/experiments/{found}/runs?workflowType=machine_learning"
+    if not experiments:
+        return [f"{address}/#/experiments (Ctrl-C ends); no run of this store is in its own MLflow database"]
+    shown = dict(list(experiments.items())[:_MOST_STUDIES])
+    width = max(map(len, shown))
+    lines = ["studies in MLflow's pages, the newest first (Ctrl-C ends):"]
+    lines += [f"  {study:<{width}}  {page}" for study, page in shown.items()]
+    if len(experiments) > len(shown):
+        lines.append(f"  and {len(experiments) - len(shown)} more: {address}/#/experiments")
+    return lines
 
 
 def _require_free(port: int) -> None:

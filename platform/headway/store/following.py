@@ -215,6 +215,15 @@ def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
     return runs, lines
 
 
+def local_experiment(folder: Path) -> str | None:
+    """The experiment, in the MLflow database beside the runs, that holds the run in a folder; None where that
+    database does not have it."""
+    try:
+        return str(read_json(folder / _STATE)["experiment"])
+    except (HeadwayError, KeyError, OSError):
+        return None
+
+
 def _state_file(folder: Path, uri: str, local: bool) -> Path:
     """What is known of the run at one MLflow: `tracking.json` for the database in the root."""
     return folder / (_STATE if local else f"tracking-{sha256(uri.encode()).hexdigest()[:8]}.json")
