@@ -15,7 +15,7 @@ SOURCES := platform envs algos launch tests
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup experiment sweep test check lint format types benchmarks browse clean
+.PHONY: help setup experiment sweep test check lint format types benchmarks notebooks browse clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -68,7 +68,10 @@ types: $(STAMP) ## check the types
 benchmarks: $(STAMP) ## measure the speed of this machine's installation
 	@$(BIN)/python -m headway_launch.benchmarks $(ARGS)
 
-browse: $(STAMP) ## open the store of runs in MLflow's pages
+notebooks: $(STAMP) ## open the notebooks in JupyterLab; the first one trains a small study
+	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)
+
+browse: $(STAMP) ## serve the store of runs in MLflow's pages
 	@$(BIN)/headway browse $(ARGS)
 
 clean: ## remove the virtual environment and caches; runs are kept

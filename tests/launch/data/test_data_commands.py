@@ -13,6 +13,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import prepare
 from headway_envs.bus.scenario.fitted import DOI
 from headway_launch.command_line import run
+from headway_launch.composing import compose
 
 PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
@@ -104,6 +105,21 @@ def test_a_written_scenario_is_the_built_in_one(
     there, here = prepare(BusConfig(scenario=str(out))), prepare(BusConfig(scenario_seed=5))
     for mine, theirs in zip(here.network, there.network, strict=True):
         np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize(("size", "algorithm", "copies"), [("line", "mappo", 8), ("corridor", "ippo", 1)])
+def test_the_command_that_is_recommended_trains_with_values_that_learn(
+    size: str, algorithm: str, copies: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    assert run(["data", "synthetic", str(out), "--size", size]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    describe, train = last.removeprefix("next: ").split("; ")
+    assert describe == f"headway data describe {out}"
+    experiment = compose(train.removeprefix("headway run ").split())
+    assert experiment.env_config.scenario == str(out)
+    assert (experiment.algo_name, experiment.config.rollout.copies) == (algorithm, copies)
+    assert experiment.config.preset == "bus"
 
 
 def test_what_lies_there_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
