@@ -90,10 +90,10 @@ def test_only_algorithms_import_torch_before_it_is_needed() -> None:
 @pytest.mark.parametrize(
     "statement",
     [
-        "import sys; from headway_launch.command_line import run; run(['--help'])",
-        "import sys; from headway_launch.command_line import run; run(['run', '--help'])",
-        "import sys; from headway_launch.command_line import run; run(['runs', '--help'])",
-        "import sys; from headway_launch.command_line import run; run(['report', '--help'])",
+        "import sys; from headway_launch.commands.main import run; run(['--help'])",
+        "import sys; from headway_launch.commands.main import run; run(['run', '--help'])",
+        "import sys; from headway_launch.commands.main import run; run(['runs', '--help'])",
+        "import sys; from headway_launch.commands.main import run; run(['report', '--help'])",
     ],
 )
 def test_help_imports_nothing_heavy(statement: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from headway_envs.compiling import compiled, drop_stale_cache
+from headway_envs.numba_setup import compiled, drop_stale_cache
 
 drop_stale_cache(Path(__file__).parent)
 

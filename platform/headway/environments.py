@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from headway.config import EnvConfig
+from headway.config.experiment import EnvConfig
 from headway.contracts import EnvEntry, HeadwayError
 from headway.registry import env_entry, is_module_path
 

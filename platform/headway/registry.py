@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from headway.configuration import suggestion
+from headway.config.schema import suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.errors import HeadwayError
 from headway.contracts.random_rule import RANDOM

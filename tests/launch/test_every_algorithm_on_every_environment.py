@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from headway.configuration import build
+from headway.config.schema import build
 from headway.contracts import (
     AlgoEntry,
     AsynchronousLearner,
@@ -20,13 +20,13 @@ from headway.contracts import (
     Learner,
     Trajectory,
 )
-from headway.iterating import Asynchronous, InStep, Mode
 from headway.registry import algo_entries, algo_entry, env_entries, env_entry
-from headway.rollout.asynchronous import SerialContributors
-from headway.rollout.collecting import Backend
-from headway.rollout.contributing import AsynchronousPlan
+from headway.rollout.async_collector import SerialContributors
+from headway.rollout.collector import Backend
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.serial import SerialCollector
+from headway.rollout.serial_collector import SerialCollector
+from headway.rollout.workers.async_worker import AsynchronousPlan
+from headway.training.modes import Asynchronous, InStep, Mode
 
 ITERATIONS, SEEDS, COPIES = 2, (3, 8), 2
 SMALL: Mapping[str, Any] = {

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.meanings import MEANINGS
+from headway_envs.bus.metrics import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.bus.prepared import Prepared

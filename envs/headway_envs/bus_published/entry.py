@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Rule, RuleEntry
 from headway_envs.bus_published.config import BusPublishedConfig
-from headway_envs.bus_published.meanings import MEANINGS
+from headway_envs.bus_published.metrics import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.bus_published.prepared import Prepared

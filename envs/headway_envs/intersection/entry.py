@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
 from headway_envs.intersection.config import IntersectionConfig
-from headway_envs.intersection.meanings import MEANINGS
+from headway_envs.intersection.metrics import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.intersection.prepared import Prepared

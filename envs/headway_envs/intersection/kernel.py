@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.compiling import compiled, compiled_apart, drop_stale_cache
 from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.demand import MIN_GAP_M
 from headway_envs.intersection.layout import (
@@ -33,6 +32,7 @@ from headway_envs.intersection.layout import (
     Whole,
 )
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
+from headway_envs.numba_setup import compiled, compiled_apart, drop_stale_cache
 
 drop_stale_cache(Path(__file__).parent)  # constants of other files are compiled in, too
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
 from headway_envs.merge.config import MergeConfig
-from headway_envs.merge.meanings import MEANINGS
+from headway_envs.merge.metrics import MEANINGS
 
 if TYPE_CHECKING:
     from headway_envs.merge.prepared import Prepared

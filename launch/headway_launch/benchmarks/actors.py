@@ -12,8 +12,8 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.config import BackendConfig
-from headway.configuration import build
+from headway.config.experiment import BackendConfig
+from headway.config.schema import build
 from headway.registry import algo_entry, env_entry
 from headway.rollout.plan import RolloutPlan
 from headway_launch.benchmarks.measuring import Measurement, Task
@@ -95,8 +95,8 @@ def report() -> None:
 
 def _report_wire() -> dict[str, Wire]:
     """By task, of those whose environment is a batch."""
-    from headway.rollout.actors import Broadcast, actor_collector, experience_of, nbytes_of
-    from headway.rollout.cluster import connect, disconnect
+    from headway.rollout.workers.ray_cluster import connect, disconnect
+    from headway.rollout.workers.ray_workers import Broadcast, actor_collector, experience_of, nbytes_of
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")

@@ -10,7 +10,7 @@ import psutil
 
 from headway_launch.benchmarks import kernel
 from headway_launch.benchmarks.measuring import first_part, measure
-from headway_launch.composing import compose
+from headway_launch.experiments.compose import compose
 
 EXPERIMENT = "bus_city"
 ITERATIONS = 8

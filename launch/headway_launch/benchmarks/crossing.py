@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, Observed, child_seeds
 from headway.registry import env_entry
 from headway_launch.benchmarks.measuring import Task, first_part, measure
-from headway_launch.composing import compose
-from headway_launch.planning import within_processes
+from headway_launch.experiments.compose import compose
+from headway_launch.runner.jobs import within_processes
 
 PAPER: Mapping[str, Any] = {
     "observation": "paper",

@@ -23,11 +23,11 @@ class Case:
     @property
     def chosen(self) -> str:
         """Which of the two training takes."""
-        from headway_algos import compiled
+        from headway_algos.optim import fast_path
 
         layers = (OBSERVED, *self.hidden, 3)
         weights = sum(a * b for a, b in pairwise(layers))
-        return "compiled" if self.rows * weights <= compiled.MOST_PRODUCTS else "torch"
+        return "compiled" if self.rows * weights <= fast_path.MOST_PRODUCTS else "torch"
 
 
 CASES = [
@@ -41,15 +41,15 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     """What makes all steps of the policies' improvement, and of the critics', and how many these are."""
     import torch
 
-    from headway_algos.actor import Actor
+    from headway_algos.batches.grouping import Grouping
+    from headway_algos.batches.layout import Layout
+    from headway_algos.batches.policy_batch import PolicyRows
     from headway_algos.config import AlgoConfig, ModelConfig
-    from headway_algos.critics.estimate import Estimate
-    from headway_algos.critics.returns import Regression, ReturnNetworks
-    from headway_algos.critics.views import VIEWS
-    from headway_algos.experience import Layout
-    from headway_algos.grouping import Grouping
-    from headway_algos.policy_rows import PolicyRows
-    from headway_algos.updates.ppo import PPO
+    from headway_algos.networks.actor import Actor
+    from headway_algos.on_policy.critics.critic_inputs import VIEWS
+    from headway_algos.on_policy.critics.estimate import Estimate
+    from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+    from headway_algos.on_policy.updates.ppo import PPO
 
     steps = ROWS_A_ROUND // case.rows
     rows, device = steps * case.rows, torch.device("cpu")
@@ -78,21 +78,21 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
 def measured(case: Case) -> list[tuple[float, float]]:
     """Microseconds of a step by torch and compiled, of policies and of critics: the least of interleaved
     rounds."""
-    from headway_algos import compiled
+    from headway_algos.optim import fast_path
 
-    chosen, least = compiled.MOST_PRODUCTS, np.full((2, 2), np.inf)
+    chosen, least = fast_path.MOST_PRODUCTS, np.full((2, 2), np.inf)
     learn, steps = learners(case)
     try:
         for place in range(ROUNDS + 1):
             for way, most in enumerate((-1, 10**12)):
-                compiled.MOST_PRODUCTS = most
+                fast_path.MOST_PRODUCTS = most
                 for part, act in enumerate(learn):
                     began = time.process_time()
                     act()
                     if place > 0:
                         least[part, way] = min(least[part, way], time.process_time() - began)
     finally:
-        compiled.MOST_PRODUCTS = chosen
+        fast_path.MOST_PRODUCTS = chosen
     return [(by_torch, ours) for by_torch, ours in (least / steps * 1e6).tolist()]
 
 

@@ -19,12 +19,12 @@ def _resident() -> int:
 
 
 def _worker(connection: Connection) -> None:
-    import headway.rollout.worker
+    import headway.rollout.workers.worker
 
     entry = env_entry("bus")
     prepared = connection.recv()
     env = entry.make(prepared, 4)
-    connection.send((_resident(), "torch" in sys.modules, headway.rollout.worker.__name__))
+    connection.send((_resident(), "torch" in sys.modules, headway.rollout.workers.worker.__name__))
     connection.recv()
     del env
 
@@ -35,7 +35,7 @@ def report() -> None:
     entry = env_entry("bus")
     prepared = entry.prepare(entry.config())
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["headway.rollout.worker", *entry.preload])
+    context.set_forkserver_preload(["headway.rollout.workers.worker", *entry.preload])
     for label in ("the first worker (starts the forkserver)", "a further worker"):
         ours, theirs = context.Pipe()
         began = time.monotonic()

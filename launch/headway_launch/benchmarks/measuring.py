@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.adapters.pettingzoo import ParallelEnvBatch
-from headway.config import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
-from headway.configuration import build, plain
+from headway.config.experiment import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
+from headway.config.schema import build, plain
 from headway.events import Event, IterationFinished, Started
 from headway.registry import algo_entry, env_entry
 
 if TYPE_CHECKING:
-    from headway_launch.composing import Experiment
+    from headway_launch.experiments.compose import Experiment
 
 WARM_UP = 2
 """Iterations not counted: kernels load, memory is touched for the first time."""
@@ -124,7 +124,7 @@ def measure(tasks: Sequence[Task]) -> list[Measurement]:
 
 def measure_here(task: Task) -> Measurement:
     """Run one task in this process."""
-    from headway.training import TrainingJob, train
+    from headway.training.loop import TrainingJob, train
 
     entry, algo = env_entry(task.env), algo_entry(task.algo)
     prepared = entry.prepare(build(entry.config, task.env_args))

@@ -8,7 +8,7 @@ import numpy as np
 from headway.contracts import BatchedEnv, child_seeds
 from headway.registry import env_entry
 from headway_launch.benchmarks.measuring import first_part, measure
-from headway_launch.composing import compose
+from headway_launch.experiments.compose import compose
 
 COPIES = 256
 STEPS = 400

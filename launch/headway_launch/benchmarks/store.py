@@ -10,8 +10,8 @@ from pathlib import Path
 from statistics import median
 
 from headway.store import RunLog, RunRecord, select
-from headway.store.folder import Process, cell_name, create_run_folder, now
-from headway_launch.conducting import STORE_SHARE
+from headway.store.run_folder import Process, cell_name, create_run_folder, now
+from headway_launch.runner.runner import STORE_SHARE
 
 RUNS, POINTS = 450, 400
 """A study of nine algorithms and fifty seeds, and the points of each curve."""

@@ -4,14 +4,14 @@ import time
 from contextlib import closing
 from dataclasses import dataclass
 
-from headway.iterating import InStep
 from headway.registry import algo_entry
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.serial import SerialCollector
-from headway_launch.calibrating import evaluations_left
-from headway_launch.composing import Experiment, compose
-from headway_launch.threads import limit_threads
+from headway.rollout.serial_collector import SerialCollector
+from headway.training.modes import InStep
+from headway_launch.console.threads import limit_threads
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.runner.calibration import evaluations_left
 
 NINE = ("ia2c", "ippo", "itrpo", "maa2c", "coma", "mappo", "matrpo", "happo", "hatrpo")
 CORES = 2

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
 
-from headway_algos.entries import ENTRIES
+from headway_algos.registry import ENTRIES
 from headway_launch.benchmarks.measuring import Measurement, Task, measure
 
 PEERS = (

@@ -13,7 +13,7 @@ from tempfile import TemporaryFile
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.session import StopRequests
+from headway_launch.runner.scheduler import StopRequests
 
 EXAMPLES = """\
 examples:
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
-    from headway.store.following import sync
+    from headway.store.tracking.sync import sync
 
     root = existing_store(arguments.store).resolve()
     _require_free(arguments.port)
@@ -68,8 +68,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _pages(root: Path, address: str) -> list[str]:
     """Where the runs of each study are, the newest study first."""
-    from headway.store.following import local_experiment
     from headway.store.index import RunIndex
+    from headway.store.tracking.sync import local_experiment
 
     experiments: dict[str, str] = {}
     for row in reversed(RunIndex(root).rows()):

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.configuration import suggestion
+from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway.events import Row
     from headway.stats import Interval
-    from headway_launch.composing import Experiment
-    from headway_launch.stored import StoredRun
-    from headway_launch.tables import Cell
+    from headway_launch.console.tables import Cell
+    from headway_launch.experiments.compose import Experiment
+    from headway_launch.experiments.stored_run import StoredRun
 
 EXAMPLES = """\
 examples:
@@ -55,10 +55,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Play and print the table."""
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.comparison import (
+    from headway_launch.console.output import tell
+    from headway_launch.console.progress_display import Counted
+    from headway_launch.console.tables import print_table
+    from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+    from headway_launch.runner.warm_up import compile_kernels
+    from headway_launch.studies.comparison import (
         DAYS_FOR_A_CLAIM,
         SEEDS_FOR_A_CLAIM,
         counting,
@@ -68,11 +73,6 @@ def execute(arguments: argparse.Namespace) -> int:
         rule_episodes,
         rules_to_play,
     )
-    from headway_launch.kernels import compile_kernels
-    from headway_launch.tables import print_table
-    from headway_launch.telling import tell
-    from headway_launch.trained import newest_policy, policy_episodes
-    from headway_launch.watching import Counted
 
     if arguments.episodes < 2:
         raise HeadwayError(f"--episodes {arguments.episodes}: must be at least 2, as days are paired")
@@ -146,7 +146,7 @@ class _Subject:
 
 
 def _subject(arguments: argparse.Namespace) -> _Subject:
-    from headway_launch.composing import compose, groups
+    from headway_launch.experiments.compose import compose, groups
 
     if "=" in arguments.study:
         words = [arguments.study, *arguments.overrides]
@@ -185,9 +185,9 @@ def _require_for_rules(words: Sequence[str]) -> None:
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
     """The finished runs of a study by label. Raises HeadwayError if there are none or if what they are
     reported on differs."""
-    from headway.store.naming import labelled_cells
-    from headway_launch.stored import StoredRun
-    from headway_launch.study import finished_runs
+    from headway.store.cell_names import labelled_cells
+    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.studies.runs import finished_runs
 
     cells = {
         label: [StoredRun.read(root, Path(row.directory)) for row in members]

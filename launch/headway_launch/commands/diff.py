@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
-    from headway_launch.stored import StoredRun
-    from headway_launch.tables import Cell
+    from headway_launch.console.tables import Cell
+    from headway_launch.experiments.stored_run import StoredRun
 
 EXAMPLES = """\
 examples:
@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print both tables."""
-    from headway_launch.stored import StoredRun
-    from headway_launch.tables import print_table
+    from headway_launch.console.tables import print_table
+    from headway_launch.experiments.stored_run import StoredRun
 
     root = existing_store(arguments.store)
     pair = [StoredRun.find(root, name) for name in (arguments.first, arguments.second)]
@@ -56,14 +56,14 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _settings(run: "StoredRun") -> Mapping[str, str]:
     """Flat, dotted names; where it is kept is no setting."""
-    from headway_launch.planning import flat
+    from headway_launch.runner.jobs import flat
 
     mapping = {name: value for name, value in run.mapping.items() if name != "store"}
     return {**{name: str(value) for name, value in flat(mapping)}, **run.record.tags}
 
 
 def _figures(run: "StoredRun") -> Mapping[str, float]:
-    from headway.store.folder import read_summary
+    from headway.store.run_folder import read_summary
 
     figures: dict[str, Any] = {"iterations": run.record.durable_iteration, **read_summary(run.directory)}
     figures["duration_s"] = run.record.duration_s
@@ -74,7 +74,7 @@ def _figures(run: "StoredRun") -> Mapping[str, float]:
 def _last_evaluation(directory: Path) -> dict[str, float]:
     """Means over the episodes of each mode's last evaluation, by `last evaluation, greedy: return`."""
     from headway.events import LABELS
-    from headway.store.log import read_rows
+    from headway.store.parquet_log import read_rows
 
     by_mode: dict[str, list[Mapping[str, float | int | str]]] = {}
     for row in read_rows(directory, "evaluation"):

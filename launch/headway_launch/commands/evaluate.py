@@ -30,14 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Play and print the table."""
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.comparison import counting, print_comparison, rule_episodes, rules_to_play
-    from headway_launch.kernels import compile_kernels
-    from headway_launch.stored import StoredRun
-    from headway_launch.trained import newest_policy, policy_episodes
-    from headway_launch.watching import Counted
+    from headway_launch.console.progress_display import Counted
+    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+    from headway_launch.runner.warm_up import compile_kernels
+    from headway_launch.studies.comparison import counting, print_comparison, rule_episodes, rules_to_play
 
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
     experiment = run.experiment

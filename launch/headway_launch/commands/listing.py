@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import yaml
 
-from headway.configuration import FieldDescription, describe, suggestion
+from headway.config.schema import FieldDescription, describe, suggestion
 from headway.contracts import RANDOM, RuleEntry
 from headway.contracts.errors import HeadwayError
 from headway.registry import (
@@ -16,8 +16,8 @@ from headway.registry import (
     wrapper_entries,
     wrapper_entry,
 )
-from headway_launch.composing import configs_folder, groups, summary_of
-from headway_launch.tables import print_table
+from headway_launch.console.tables import print_table
+from headway_launch.experiments.compose import configs_folder, groups, summary_of
 
 EXAMPLES = """\
 examples:
@@ -141,7 +141,7 @@ def _list_metrics(name: str | None) -> None:
 
 
 def _list_keys(name: str | None) -> None:
-    from headway.config import ExperimentConfig
+    from headway.config.experiment import ExperimentConfig
 
     if name is None:
         _print_keys(ExperimentConfig, "")

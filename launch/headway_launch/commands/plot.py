@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.choosing import parse_conditions, require_known
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.figures import write_figure
+from headway_launch.console.figures import write_figure
+from headway_launch.studies.run_filter import parse_conditions, require_known
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,10 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Draw the picture and say where it is."""
-    from headway import drawing
-    from headway.stats import frames
+    from headway.stats import frames, plots
     from headway.store import Selection
-    from headway_launch.study import curves_of, finished_runs, rules_beside
+    from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
 
     root = existing_store(arguments.store)
     conditions = parse_conditions(arguments.where)
@@ -69,11 +68,11 @@ def execute(arguments: argparse.Namespace) -> int:
     runs = Selection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
-    figure = drawing.learning_curves(
+    figure = plots.learning_curves(
         means,
         {} if arguments.no_rules else rules_beside(runs, metric),
         _axis(metric, arguments.lower_is_better),
-        drawing.colours(list(dict.fromkeys(means["controller"]))),
+        plots.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
         title=f"{arguments.study}: {_what_is_drawn(means)}",
         sign=-1 if arguments.lower_is_better else 1,

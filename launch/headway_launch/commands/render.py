@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.configuration import nearest, suggestion
+from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.unwritten import unwritten
-from headway_launch.watching import Counted
+from headway_launch.console.progress_display import Counted
+from headway_launch.console.unwritten import unwritten
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from headway.contracts import Observed, Outcome
-    from headway_launch.composing import PreparedEnv
-    from headway_launch.filming import Frame
-    from headway_launch.stored import StoredRun
+    from headway_launch.console.video import Frame
+    from headway_launch.experiments.compose import PreparedEnv
+    from headway_launch.experiments.stored_run import StoredRun
 
     Act = Callable[[Any, Observed], NDArray[Any]]
     Heed = Callable[[Outcome], None]
@@ -70,11 +70,11 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.keep:
         output = _in_run(arguments, output)
     _require_writable(output, arguments.keep)
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.filming import PackedFrame, write_film, write_picture
-    from headway_launch.kernels import compile_kernels
+    from headway_launch.console.video import PackedFrame, write_film, write_picture
+    from headway_launch.runner.warm_up import compile_kernels
 
     player = _player(arguments)
     found = player.environment
@@ -118,7 +118,7 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
 
 def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
     """Where a picture is kept with its run."""
-    from headway_launch.stored import StoredRun
+    from headway_launch.experiments.stored_run import StoredRun
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
     return run.directory / "pictures" / output.name
@@ -162,9 +162,9 @@ class _Player:
 
 def _player(arguments: argparse.Namespace) -> _Player:
     if arguments.rule is None:
-        from headway.drawing import counted
-        from headway.rollout.blockwise import BlockwiseActing
-        from headway_launch.trained import newest_policy
+        from headway.rollout.policy_player import BlockwiseActing
+        from headway.stats.plots import counted
+        from headway_launch.runner.checkpointed_policy import newest_policy
 
         run = _run(arguments)
         found = run.experiment.prepare()
@@ -178,7 +178,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
             lambda env, observed: acting.act(policy.parameters, observed, None)[0],
             acting.heed,
         )
-    from headway_launch.composing import compose
+    from headway_launch.experiments.compose import compose
 
     experiment = compose([f"env={arguments.name}", *arguments.overrides])
     found, rules = experiment.prepare(), experiment.env.rules
@@ -198,9 +198,9 @@ def _player(arguments: argparse.Namespace) -> _Player:
 def _run(arguments: argparse.Namespace) -> "StoredRun":
     """The run that is named. Raises HeadwayError if there is none, or an environment was meant."""
     from headway.registry import env_entries
-    from headway.store.folder import run_folders
-    from headway_launch.composing import groups
-    from headway_launch.stored import StoredRun
+    from headway.store.run_folder import run_folders
+    from headway_launch.experiments.compose import groups
+    from headway_launch.experiments.stored_run import StoredRun
 
     try:
         return StoredRun.find(existing_store(arguments.store), arguments.name)
@@ -226,7 +226,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
 
     from headway.rollout.episodes import evaluation_seeds
     from headway.wrappers.wrapping import behind_wrappers
-    from headway_launch.filming import caption_strip
+    from headway_launch.console.video import caption_strip
 
     found = player.environment
     assert found.entry.painter is not None

@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.configuration import suggestion
+from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
-    from headway_launch.planning import CellPlan
-    from headway_launch.stored import StoredRun
+    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.jobs import CellPlan
 
 EXAMPLES = """\
 examples:
@@ -36,13 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Go on; returns the worst exit code of the sessions."""
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.conducting import EXIT_STOPPED, conduct_sessions
-    from headway_launch.stored import StoredRun
-    from headway_launch.studying import require_all_ended
-    from headway_launch.telling import tell
+    from headway_launch.console.output import tell
+    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.runner import EXIT_STOPPED, conduct_sessions
+    from headway_launch.studies.session import require_all_ended
 
     for word in arguments.runs:
         if "=" in word:
@@ -73,9 +73,9 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
-    from headway_launch.planning import CellPlan
-    from headway_launch.stored import jobs_to_resume
-    from headway_launch.study_plan import cell_labels
+    from headway_launch.experiments.stored_run import jobs_to_resume
+    from headway_launch.runner.jobs import CellPlan
+    from headway_launch.studies.plan import cell_labels
 
     batches = jobs_to_resume(runs, {})
     experiments = [jobs[0].experiment for jobs in batches]
@@ -92,9 +92,9 @@ def _cells_of_study(
     """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it; and
     the folders of runs that other sessions hold."""
     from headway.store.index import RunIndex
-    from headway_launch.stored import StoredRun
-    from headway_launch.study_plan import Standing, cell_labels, kept_plans, plan_cells
-    from headway_launch.studying import held_elsewhere, tell_standing
+    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.studies.plan import Standing, cell_labels, kept_plans, plan_cells
+    from headway_launch.studies.session import held_elsewhere, tell_standing
 
     everything = RunIndex(root).rows()
     rows = [row for row in everything if row.study == study]

@@ -35,19 +35,19 @@ def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Train; returns the exit code."""
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.composing import compose
-    from headway_launch.planning import CellPlan, plan_jobs
+    from headway_launch.experiments.compose import compose
+    from headway_launch.runner.jobs import CellPlan, plan_jobs
 
     experiment = compose(arguments.overrides)
     cells = [CellPlan(experiment, plan_jobs(experiment))]
     if arguments.dry_run:
-        from headway_launch.estimating import print_estimate
-        from headway_launch.study_plan import Standing
+        from headway_launch.runner.dry_run import print_estimate
+        from headway_launch.studies.plan import Standing
 
         return print_estimate([Standing.untouched(experiment)], cells)
-    from headway_launch.conducting import Conductor
+    from headway_launch.runner.runner import Conductor
 
     return Conductor(cells, arguments.debug).conduct()

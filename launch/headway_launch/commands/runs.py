@@ -7,13 +7,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.config import StoreConfig
-from headway.configuration import parse_seeds, suggestion
+from headway.config.experiment import StoreConfig
+from headway.config.schema import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
-from headway.store.folder import STATUSES
-from headway_launch.choosing import in_order, parse_conditions, require_known
-from headway_launch.results import AUC_HEADING, CO2_HEADING
-from headway_launch.tables import Cell, print_table, without_empty
+from headway.store.run_folder import STATUSES
+from headway_launch.console.tables import Cell, print_table, without_empty
+from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
+from headway_launch.studies.run_filter import in_order, parse_conditions, require_known
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow

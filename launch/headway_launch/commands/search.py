@@ -9,7 +9,7 @@ from headway.contracts.errors import HeadwayError
 from headway_launch.commands.run import add_dry_run_argument
 
 if TYPE_CHECKING:
-    from headway.config import ExperimentConfig
+    from headway.config.experiment import ExperimentConfig
 
 EXAMPLES = """\
 examples:
@@ -37,21 +37,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Run every candidate in every cell and print which won; returns the exit code."""
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.conducting import EXIT_DONE
-    from headway_launch.searching import read_search
-    from headway_launch.studying import StudySession
-    from headway_launch.tables import print_table
-    from headway_launch.telling import to_a_reader
+    from headway_launch.console.output import to_a_reader
+    from headway_launch.console.tables import print_table
+    from headway_launch.experiments.search import read_search
+    from headway_launch.runner.runner import EXIT_DONE
+    from headway_launch.studies.session import StudySession
 
     search = read_search(arguments.search)
     points = search.points(arguments.overrides)
     labels = [": ".join(point) for point in points]
     session = StudySession.plan(list(points.values()), labels, arguments.fresh)
     if arguments.dry_run:
-        from headway_launch.estimating import print_estimate
+        from headway_launch.runner.dry_run import print_estimate
 
         return print_estimate(session.standings, session.cells)
     conductor = session.conductor(arguments.debug)

@@ -60,17 +60,17 @@ def execute(arguments: argparse.Namespace) -> int:
     for name in ("array", *_OF_ALLOCATION, "sbatch"):
         if getattr(arguments, name) not in (None, False):
             raise HeadwayError(f"--{name} is for Slurm: give --slurm with it")
-    from headway_launch.threads import limit_threads
+    from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.conducting import EXIT_STOPPED
-    from headway_launch.study_plan import distinct
-    from headway_launch.studying import StudySession
-    from headway_launch.sweeping import compose_sweep
+    from headway_launch.experiments.sweep import compose_sweep
+    from headway_launch.runner.runner import EXIT_STOPPED
+    from headway_launch.studies.plan import distinct
+    from headway_launch.studies.session import StudySession
 
     session = StudySession.plan(distinct(compose_sweep(arguments.overrides)), fresh=arguments.fresh)
     if arguments.dry_run:
-        from headway_launch.estimating import print_estimate
+        from headway_launch.runner.dry_run import print_estimate
 
         return print_estimate(session.standings, session.cells)
     code = session.conductor(arguments.debug).conduct()
@@ -80,8 +80,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _write_script(arguments: argparse.Namespace) -> int:
-    from headway_launch.slurm import Allocation, write_array_script, write_cluster_script
-    from headway_launch.telling import tell
+    from headway_launch.console.output import tell
+    from headway_launch.runner.cluster.slurm import Allocation, write_array_script, write_cluster_script
 
     if arguments.dry_run or arguments.fresh:
         raise HeadwayError("--slurm goes on where the store stops: leave --dry-run and --fresh out")

@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Send what is missing."""
-    from headway.store.following import sync, sync_each
-    from headway.store.tracking import require_answer
+    from headway.store.tracking.client import require_answer
+    from headway.store.tracking.sync import sync, sync_each
 
     root = existing_store(arguments.store).resolve()
     if arguments.to:

@@ -1,9 +1,7 @@
 """Sections on what it cost: energy, CO2, CPU seconds, and what was reached for them."""
 
-from headway import drawing
-from headway.drawing import counted
-from headway.stats import frames
-from headway_launch.report.gather import StudyData
+from headway.stats import frames, plots
+from headway.stats.plots import counted
 from headway_launch.report.parts import (
     Part,
     Picture,
@@ -13,6 +11,7 @@ from headway_launch.report.parts import (
     scale_of,
     with_deviation,
 )
+from headway_launch.report.study_data import StudyData
 
 _MODES = {"energy.cpu": "CPU", "energy.gpu": "GPU", "energy.ram": "RAM"}
 _PARTS = ("cpu_kwh", "gpu_kwh", "ram_kwh")
@@ -94,7 +93,7 @@ def energy_section(data: StudyData) -> Section:
         Picture(
             "footprint",
             f"What a run cost: {named}; means over seeds, whiskers one standard deviation.",
-            drawing.footprint(costs.set_axis(labels, axis="index"), units),
+            plots.footprint(costs.set_axis(labels, axis="index"), units),
         )
     )
     return Section("energy", title, body)
@@ -113,7 +112,7 @@ def tradeoff_section(data: StudyData) -> Section:
         drawn, cost, factor, label = runs[runs["cpu_seconds"].notna()], "cpu_seconds", 1.0, "CPU s a run"
     if not len(drawn):
         return Section("tradeoff", "Reward against energy", ["Neither energy nor CPU seconds are known."])
-    picture = drawing.reward_against_cost(
+    picture = plots.reward_against_cost(
         drawn, cost, factor, (label, f"final {data.what}"), data.styles, data.sign
     )
     caption = f"Final {data.what} over what the run cost: a dot a seed, a ring at each controller's mean."
@@ -123,7 +122,7 @@ def tradeoff_section(data: StudyData) -> Section:
 
 def _how_known(data: StudyData) -> str:
     """How the power of each part is known, and of which country the mix is."""
-    from headway_launch.study import configuration
+    from headway_launch.studies.runs import configuration
 
     used = data.summaries[data.summaries["kwh"].notna()]
     told = []

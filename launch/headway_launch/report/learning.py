@@ -2,10 +2,9 @@
 
 import pandas as pd
 
-from headway import drawing
-from headway.stats import frames
-from headway_launch.report.gather import StudyData
+from headway.stats import frames, plots
 from headway_launch.report.parts import Part, Picture, Section, Table, figure, with_deviation, with_interval
+from headway_launch.report.study_data import StudyData
 
 _COMPONENT = "reward_"
 
@@ -19,7 +18,7 @@ def curves_section(data: StudyData) -> Section:
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
             "mean by Student's t; dashed, the rules on the same days.",
-            drawing.learning_curves(
+            plots.learning_curves(
                 means, data.rules_beside_curves, label, data.styles, low=data.low, sign=data.sign
             ),
         )
@@ -43,7 +42,7 @@ def curves_section(data: StudyData) -> Section:
                 "Sample efficiency: interquartile mean over "
                 f"seeds{' and environments' if len(data.tasks) > 1 else ''} at each number of steps "
                 f"({scale}), with 95% intervals by the stratified bootstrap. {data.narrow}".strip(),
-                drawing.learning_curves(found, {}, f"IQM of {label}", data.styles, sign=sign),
+                plots.learning_curves(found, {}, f"IQM of {label}", data.styles, sign=sign),
             )
         )
     if left_out:
@@ -79,7 +78,7 @@ def across_environments(data: StudyData) -> Section | None:
         ]
         for name, row in found.iterrows()
     ]
-    profiles = drawing.performance_profiles(frames.profiles(scaled), "normalised final score", data.styles)
+    profiles = plots.performance_profiles(frames.profiles(scaled), "normalised final score", data.styles)
     body += [
         Table(
             "across_environments",
@@ -128,7 +127,7 @@ def figures_section(data: StudyData) -> Section:
         components = means[[str(name).startswith(_COMPONENT) for name in means.index]]
         if len(components):
             parted = True
-            picture = drawing.reward_components(components.T)
+            picture = plots.reward_components(components.T)
             body.append(
                 Picture(
                     f"components{data.numbered(place)}",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+from headway_launch.console.output import tell
+from headway_launch.console.unwritten import unwritten
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
-from headway_launch.telling import tell
-from headway_launch.unwritten import unwritten
 
 PAGE = "report.html"
 _PARTS = ("tables", "pictures", "configs")

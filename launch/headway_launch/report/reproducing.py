@@ -9,10 +9,10 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
-from headway.config import NO_PRESET
+from headway.config.experiment import NO_PRESET
 from headway.contracts.errors import HeadwayError
-from headway_launch.composing import compose, groups
-from headway_launch.planning import flat, full_mapping
+from headway_launch.experiments.compose import compose, groups
+from headway_launch.runner.jobs import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""

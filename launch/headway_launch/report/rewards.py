@@ -4,10 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from headway import drawing
-from headway.stats import FEWEST_POINTS, frames
-from headway_launch.comparison import SEEDS_FOR_A_CLAIM
-from headway_launch.report.gather import Against, StudyData, over_known
+from headway.stats import FEWEST_POINTS, frames, plots
 from headway_launch.report.parts import (
     MISSING,
     Part,
@@ -18,6 +15,8 @@ from headway_launch.report.parts import (
     with_deviation,
     with_interval,
 )
+from headway_launch.report.study_data import Against, StudyData, over_known
+from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
 
 
 def published_form(data: StudyData) -> Section:
@@ -81,7 +80,7 @@ def _of_training(data: StudyData) -> list[str]:
     said += _paid_by_several_rules(data)
     if without := int(figures["final_reward"].isna().sum()):
         said.append(
-            f"In {drawing.counted(without, 'run')} no episode ended in training: the training columns are "
+            f"In {plots.counted(without, 'run')} no episode ended in training: the training columns are "
             "over the others."
         )
     return said
@@ -93,7 +92,7 @@ def _too_short(data: StudyData) -> list[str]:
     for name, figures in _curves(data).items():
         if short := int((figures["auc_own"].isna() & figures["final_reward"].notna()).sum()):
             each = "iterations in which episodes ended" if name == "training" else "set by `evaluation.every`"
-            said.append(f"the {name} curve of {drawing.counted(short, 'run')} (its points are {each})")
+            said.append(f"the {name} curve of {plots.counted(short, 'run')} (its points are {each})")
     if not said:
         return []
     return [
@@ -163,7 +162,7 @@ def sound_form(data: StudyData) -> Section:
                     f"intervals{data.numbered(place)}",
                     f"Interquartile means of the final {data.what}{data.where(task)} with their 95% "
                     f"intervals, and the rules on the days of the curves. {data.narrow}".strip(),
-                    drawing.intervals(found, values, f"IQM of final {data.what}", data.styles, data.sign),
+                    plots.intervals(found, values, f"IQM of final {data.what}", data.styles, data.sign),
                 )
             )
     return Section("sound", "The sound form", body)
@@ -227,11 +226,11 @@ def improvement_section(data: StudyData) -> Section:
         )
         scores = data.scores_on(task)
         by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
-        if off := drawing.far_off(by_name, data.sign):
+        if off := plots.far_off(by_name, data.sign):
             caption += f" Beyond the axis: {', '.join(f'{name} (at {figure(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
         profiles = frames.profiles(scores, thresholds)
-        picture = drawing.performance_profiles(profiles, f"final {data.what}", data.styles)
+        picture = plots.performance_profiles(profiles, f"final {data.what}", data.styles)
         body.append(Picture(f"profiles{data.numbered(place)}", caption, picture))
     return Section("improvement", "Which is better, and how surely", body)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from headway.store import RunIndex, RunRow
-from headway.store.folder import read_summary
-from headway.store.log import TABLES, read_rows
+from headway.store.parquet_log import TABLES, read_rows
+from headway.store.run_folder import read_summary
 
 _FIGURES = ("final_reward", "auc", "env_steps")
 _CLOCKS = ("wall_s", "time/")

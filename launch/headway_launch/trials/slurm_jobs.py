@@ -27,7 +27,7 @@ from pathlib import Path
 import psutil
 
 from headway.contracts import HeadwayError
-from headway.rollout.cluster import require_ray
+from headway.rollout.workers.ray_cluster import require_ray
 from headway.store import RunIndex, sync_each
 from headway_launch.trials.hosts import Host, two_hosts
 from headway_launch.trials.same_study import differences

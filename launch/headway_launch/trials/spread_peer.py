@@ -23,7 +23,7 @@ import numpy as np
 from headway.contracts.errors import HeadwayError
 
 if TYPE_CHECKING:
-    from headway_launch.composing import Experiment
+    from headway_launch.experiments.compose import Experiment
 
 VALUE_WEIGHT = 1.0
 """Of the critic's loss beside the policy's; ours has an optimiser of its own."""
@@ -37,7 +37,7 @@ class _Parser(argparse.ArgumentParser):
 
 def spread_experiment() -> "Experiment":
     """What the peer stands beside: its values are taken from there. Raises HeadwayError without mpe2."""
-    from headway_launch.composing import compose
+    from headway_launch.experiments.compose import compose
 
     return compose(["experiment=mpe2_spread", "algo=ippo", "algo.policies=shared"])
 

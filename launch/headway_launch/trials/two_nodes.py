@@ -28,10 +28,10 @@ from typing import Literal, NoReturn
 import psutil
 
 from headway.contracts import HeadwayError
-from headway.rollout.cluster import require_ray
+from headway.rollout.workers.ray_cluster import require_ray
 from headway.store import CHECKPOINTS, RunIndex, sync_each
 from headway.store.checkpoint import latest_iteration
-from headway.store.folder import RunRecord
+from headway.store.run_folder import RunRecord
 from headway_launch.trials.hosts import Host, two_hosts
 from headway_launch.trials.same_study import differences
 

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from headway.configuration import suggestion
+from headway.config.schema import suggestion
 from headway.contracts import HeadwayError
 
 _PATH = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+")

@@ -16,8 +16,8 @@ from typing import Any
 
 from headway.adapters.installed import require_environment_module
 from headway.adapters.parallel_entry import NO_OPTIONS, AdapterOptions
+from headway.config.signatures import argument_record, as_tuples, free_record, takes_anything
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError
-from headway.signatures import argument_record, as_tuples, free_record, takes_anything
 
 _NUMBERED = re.compile(r"(.+?)_?\d+")
 

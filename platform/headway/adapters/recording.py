@@ -17,7 +17,7 @@ from headway.contracts import (
     TrajectoryLayout,
     generator,
 )
-from headway.finite import check_finite
+from headway.rollout.nan_check import check_finite
 
 _FACED = ("observations", "states", "alive", "action_masks")
 _GIVEN = ("rewards", "terminated", "truncated", "acting", "final_observations", "final_states")

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import psutil
 
-from headway.config import EnergyConfig
+from headway.config.experiment import EnergyConfig
 from headway.energy.gpu import ProcessUtilization, gpu_shares
 from headway.energy.ledger import Energy, Increment, JobUsage, Ledger
 from headway.energy.tracker import (

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from headway.config import EnergyConfig
+from headway.config.experiment import EnergyConfig
 from headway.contracts import HeadwayError
 
 _NEVER = 10 * 365 * 86400.0

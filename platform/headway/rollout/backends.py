@@ -2,16 +2,16 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from headway.config import BackendConfig
-from headway.rollout.apart import EvaluatingApart
-from headway.rollout.asynchronous import CrewContributors, SerialContributors
-from headway.rollout.collecting import Collector, Contributors
-from headway.rollout.contributing import AsynchronousPlan, ContributorSetup
-from headway.rollout.crew import Notify, Workplace
-from headway.rollout.memory import SharedPickle
+from headway.config.experiment import BackendConfig
+from headway.rollout.async_collector import CrewContributors, SerialContributors
+from headway.rollout.collector import Collector, Contributors
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.processes import Processes, process_collector
-from headway.rollout.serial import SerialCollector
+from headway.rollout.separate_evaluation import EvaluatingApart
+from headway.rollout.serial_collector import SerialCollector
+from headway.rollout.workers.async_worker import AsynchronousPlan, ContributorSetup
+from headway.rollout.workers.process_workers import Processes, process_collector
+from headway.rollout.workers.shared_memory import SharedPickle
+from headway.rollout.workers.worker_pool import Notify, Workplace
 
 
 def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -65,7 +65,7 @@ def _process(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard],
 
 
 def _ray(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
-    from headway.rollout.actors import actor_collector  # which imports Ray, an extra
+    from headway.rollout.workers.ray_workers import actor_collector  # which imports Ray, an extra
 
     return actor_collector(backend, plan, shards, notify)
 
@@ -77,7 +77,7 @@ def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -
 
 
 def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
-    from headway.rollout.actors import Actors, pickled_whole
+    from headway.rollout.workers.ray_workers import Actors, pickled_whole
 
     pickled = pickled_whole(plan)
     setups = [ContributorSetup(pickled, shard) for shard in plan.shards]

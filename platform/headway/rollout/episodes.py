@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, HeadwayError, Observed, Outcome, Rule, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
-from headway.finite import NameCopy, check_finite
-from headway.rollout.blockwise import BlockwiseActing
+from headway.rollout.nan_check import NameCopy, check_finite
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
+from headway.rollout.policy_player import BlockwiseActing
 from headway.rollout.sampler import Tally
 
 Told = Callable[[int, int], None]

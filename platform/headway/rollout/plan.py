@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-from headway.config import RolloutConfig
+from headway.config.experiment import RolloutConfig
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
 from headway.contracts.acting import ActingPolicy, Parameters, memory_size
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from headway.contracts import Observed, Outcome, Trajectory, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
-from headway.finite import check_finite
-from headway.rollout.blockwise import BlockwiseActing
+from headway.rollout.nan_check import check_finite
 from headway.rollout.plan import RolloutPlan, Shard
+from headway.rollout.policy_player import BlockwiseActing
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ Importing this costs neither MLflow nor pandas, pyarrow or torch.
 """
 
 from headway.store.checkpoint import load_latest, save_checkpoint
-from headway.store.folder import CHECKPOINTS, RunRecord, Status, find_run
-from headway.store.following import sync, sync_each
 from headway.store.index import RunIndex, RunRow
-from headway.store.log import RunLog, Table, read
+from headway.store.parquet_log import RunLog, Table, read
 from headway.store.provenance import provenance
-from headway.store.selection import Selection, select
+from headway.store.query import Selection, select
+from headway.store.run_folder import CHECKPOINTS, RunRecord, Status, find_run
 from headway.store.session import Cell, Run, SessionStore
+from headway.store.tracking.sync import sync, sync_each
 
 __all__ = [
     "CHECKPOINTS",

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from headway.contracts import HeadwayError
-from headway.store.durable import make_folder, remove_partial, sync_folder
-from headway.store.gate import discard, write_through
+from headway.store.atomic_files import make_folder, remove_partial, sync_folder
+from headway.store.fencing import discard, write_through
 
 _MAGIC = b"headway checkpoint 1\n"
 _NAMES = {kind: re.compile(rf"{kind}-(\d{{6,}})\.pt") for kind in ("checkpoint", "experience")}
@@ -43,8 +43,8 @@ def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
 
 
 def write_checkpoint(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
-    """Write the checkpoint of `iteration` durably, through a gate (see `headway.store.gate`) if there is one,
-    and keep the last two.
+    """Write the checkpoint of `iteration` durably, through a gate (see `headway.store.fencing`) if there is
+    one, and keep the last two.
 
     Raises HeadwayError if it cannot be written, and then the earlier checkpoints are untouched.
     """

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.durable import write_durably
+from headway.store.atomic_files import write_durably
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from headway.contracts import HeadwayError
-from headway.store.folder import (
+from headway.store.run_folder import (
     RECORD,
     SUMMARY,
     Process,

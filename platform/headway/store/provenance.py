@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 
-from headway.rollout.usage import usable_cores
+from headway.rollout.workers.usage import usable_cores
 
 # What simulates, too: its version may change every curve.
 _PACKAGES = (

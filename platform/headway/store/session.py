@@ -6,13 +6,17 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
 
-from headway.config import StoreConfig
+from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.courier import Courier, Errand
-from headway.store.durable import locked, make_folder, read_json, write_json, write_text
+from headway.store.artifacts import write_views
+from headway.store.atomic_files import locked, make_folder, read_json, write_json, write_text
 from headway.store.energy_log import EnergyLog
-from headway.store.folder import (
+from headway.store.fencing import open_gate, shut_gates
+from headway.store.index import RunIndex
+from headway.store.parquet_log import read_rows
+from headway.store.provenance import provenance
+from headway.store.run_folder import (
     SUMMARY,
     Process,
     RunRecord,
@@ -23,13 +27,9 @@ from headway.store.folder import (
     now,
     rules_file,
 )
-from headway.store.following import RunFollower, behind, deliver
-from headway.store.gate import open_gate, shut_gates
-from headway.store.index import RunIndex
-from headway.store.log import read_rows
-from headway.store.provenance import provenance
-from headway.store.tracking import Tracker
-from headway.store.views import write_views
+from headway.store.tracking.client import Tracker
+from headway.store.tracking.sync import RunFollower, behind, deliver
+from headway.store.tracking.thread import Courier, Errand
 
 EPISODES_RESTARTED = "episodes_restarted"
 """Tag of a run that was resumed where its environment keeps no snapshots: after which iterations."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from headway.configuration import build, plain
+from headway.config.schema import build, plain
 from headway.contracts import HeadwayError, WrapperEntry
 from headway.registry import wrapper_entry
 

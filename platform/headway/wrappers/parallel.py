@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from headway.configuration import build
+from headway.config.schema import build
 from headway.contracts import HeadwayError, ObservationBounds
 from headway.registry import wrapper_entry
 from headway.wrappers.listed import ListedWrapper

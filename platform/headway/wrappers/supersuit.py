@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any
 
+from headway.config.signatures import argument_record, as_tuples
 from headway.contracts import WrapperEntry
-from headway.signatures import argument_record, as_tuples
 from headway.wrappers.frame_stack import FrameStack, batched_frame_stack
 from headway.wrappers.observations import (
     AgentIndicator,

@@ -10,16 +10,16 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from headway.config import BackendConfig
-from headway.configuration import build
+from headway.config.experiment import BackendConfig
+from headway.config.schema import build
 from headway.contracts import Trajectory
 from headway.registry import algo_entries
 from headway.rollout.backends import open_collector
-from headway.rollout.collecting import Collector
+from headway.rollout.collector import Collector
 from headway.rollout.plan import RolloutPlan
 from headway_algos.config import AlgoConfig
-from headway_algos.entries import ENTRIES as ALGORITHMS
-from headway_algos.learner import OnPolicyLearner
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.registry import ENTRIES as ALGORITHMS
 from headway_envs.intersection.config import IntersectionConfig, RewardConfig
 from headway_envs.intersection.entry import ENTRY
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from headway.configuration import build
+from headway.config.schema import build
 from headway.registry import algo_entry, env_entry
 from headway_launch.benchmarks.crossing import TRAINED_STEPS, TRAININGS, _training
 from headway_launch.benchmarks.measuring import WARM_UP
-from headway_launch.composing import compose
+from headway_launch.experiments.compose import compose
 
 
 @pytest.mark.parametrize(("experiment", "algo"), TRAININGS)

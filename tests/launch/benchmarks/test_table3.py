@@ -4,7 +4,7 @@ import pytest
 
 from headway_launch.benchmarks import table3
 from headway_launch.benchmarks.table3 import NINE, Cost, cost_of
-from headway_launch.composing import compose
+from headway_launch.experiments.compose import compose
 
 
 def test_the_whole_is_counted_in_stacks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,10 @@ import pytest
 import yaml
 
 from headway.store import RunLog, RunRecord, Status
-from headway.store.durable import write_json, write_text
-from headway.store.folder import Process, create_run_folder, now, rules_file
-from headway_launch.composing import Experiment, compose
-from headway_launch.planning import cell_parameters, full_mapping
+from headway.store.atomic_files import write_json, write_text
+from headway.store.run_folder import Process, create_run_folder, now, rules_file
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.runner.jobs import cell_parameters, full_mapping
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `sections`
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import Section, Table
+from headway_launch.report.study_data import StudyData
 
 
 def section_of(root: Path, make: Callable[[StudyData], Section | None]) -> Section:

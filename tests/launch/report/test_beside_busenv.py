@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from sections import section_of, tables, words
 
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import Section
 from headway_launch.report.published.busenv import busenv_section, published_figures
+from headway_launch.report.study_data import StudyData
 
 TABLE3 = "experiment=bus_table3"
 RULES = {"random": -140.0, "always_move": 14.0, "always_wait": -108.0, "move_with_service": 97.0}

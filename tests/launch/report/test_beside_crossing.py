@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from sections import section_of, tables, words
 
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import Section
 from headway_launch.report.published.crossing import crossing_figures, crossing_section
+from headway_launch.report.study_data import StudyData
 
 PAPER = "experiment=intersection_paper_ippo"
 METRICS = {"paper_return": 8e5, "outflow_vph": 600.0, "collisions": 0.5, "speed": 6.0}

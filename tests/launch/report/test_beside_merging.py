@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 from sections import section_of, tables, words
 
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import Section
 from headway_launch.report.published.merging import merging_section
+from headway_launch.report.study_data import StudyData
 
 STUDY = "experiment=merge_study"
 Keep = Callable[..., Path]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from chromium import Page
 
-from headway_launch.command_line import run as run_command
+from headway_launch.commands.main import run as run_command
 
 
 @pytest.fixture(scope="module")

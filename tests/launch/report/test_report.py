@@ -15,11 +15,11 @@ import pytest
 from headway.contracts.errors import HeadwayError
 from headway.stats import paired_difference_over_seeds
 from headway.store import Status
-from headway_launch.command_line import run as run_command
-from headway_launch.report.composing import report_of
-from headway_launch.report.gather import StudyData
+from headway_launch.commands.main import run as run_command
 from headway_launch.report.page import Report, html, write_report
 from headway_launch.report.parts import Listing, Picture, Section, Table
+from headway_launch.report.sections import report_of
+from headway_launch.report.study_data import StudyData
 
 
 class KeepRun(Protocol):

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from headway_launch.composing import Experiment, compose
-from headway_launch.planning import full_mapping
+from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.report.reproducing import reproducing_line
+from headway_launch.runner.jobs import full_mapping
 
 
 @pytest.mark.parametrize(

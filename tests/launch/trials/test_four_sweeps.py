@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from headway.store import RunIndex, sync_each
-from headway.store.log import read_curve
+from headway.store.parquet_log import read_curve
 
 SWEEP = (
     "env=trivial",

@@ -13,7 +13,7 @@ from headway_launch.trials import hosts, two_nodes
 from headway_launch.trials.hosts import two_hosts
 from headway_launch.trials.two_nodes import SMALL, STUDY, TURNS, trial
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "engine" / "rollout"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "platform" / "rollout"))
 from ray_processes import assert_gone, ray_processes
 
 SWEEP = (

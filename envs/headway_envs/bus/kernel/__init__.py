@@ -7,6 +7,6 @@ spacing, rewards, observe: what follows from the state; day: begin and end; tick
 
 def warm() -> None:
     """Load every compiled function, from the cache where it holds it, by two days of a tiny network."""
-    from headway_envs.bus.kernel.tiny import run_tiny
+    from headway_envs.bus.warm_up import run_tiny
 
     run_tiny()

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from headway_envs.compiling import compiled, compiled_apart, drop_stale_cache
+from headway_envs.numba_setup import compiled, compiled_apart, drop_stale_cache
 
 drop_stale_cache(Path(__file__).parent)
 

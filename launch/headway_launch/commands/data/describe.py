@@ -4,11 +4,11 @@ import argparse
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.watching import Counted
+from headway_launch.console.progress_display import Counted
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
-    from headway_launch.tables import Cell
+    from headway_launch.console.tables import Cell
 
 EXAMPLES = """\
 examples:
@@ -41,7 +41,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_envs.bus.scenario.describing import by_day_type, by_line, meta_rows
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus.scenario.tables import DAY_TYPES
-    from headway_launch.tables import print_table
+    from headway_launch.console.tables import print_table
 
     tables = scenario_tables(arguments.scenario, arguments.seed)
     with Counted("day types described", len(DAY_TYPES)) as counted:

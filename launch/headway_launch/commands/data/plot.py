@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.figures import write_figure
+from headway_launch.console.figures import write_figure
 
 EXAMPLES = """\
 examples:

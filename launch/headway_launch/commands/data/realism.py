@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.watching import Counted
+from headway_launch.console.progress_display import Counted
 
 if TYPE_CHECKING:
     from headway_envs.bus.config import BusConfig
@@ -76,7 +76,7 @@ def execute(arguments: argparse.Namespace) -> int:
         writer.writerow(_COLUMNS)
         writer.writerows(_cells(row) for row in rows)
         return 0
-    from headway_launch.tables import print_table
+    from headway_launch.console.tables import print_table
 
     name = Path(arguments.scenario).name
     print_table(
@@ -101,7 +101,7 @@ def _config(arguments: argparse.Namespace) -> "BusConfig":
     those that a replay fixes."""
     from headway_envs.bus.config import BusConfig
     from headway_envs.bus.prepared import REPLAY_FIXED
-    from headway_launch.composing import compose
+    from headway_launch.experiments.compose import compose
 
     options = {"scenario": "SCENARIO", "day_type": "--day-type"}
     for override in arguments.overrides:

@@ -9,7 +9,7 @@ from headway_launch.commands.data.writing import (
     tell_written,
     write_scenario,
 )
-from headway_launch.watching import Counted
+from headway_launch.console.progress_display import Counted
 
 EXAMPLES = """\
 examples:

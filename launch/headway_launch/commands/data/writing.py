@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.unwritten import unwritten
-from headway_launch.watching import Counted
+from headway_launch.console.progress_display import Counted
+from headway_launch.console.unwritten import unwritten
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables

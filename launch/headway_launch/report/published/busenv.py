@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.stats import FEWEST_POINTS
-from headway_launch.report.gather import StudyData, over_known
 from headway_launch.report.parts import MISSING, Part, Section, Table, figure, with_deviation
 from headway_launch.report.published.episodes import env_of, tasks_of
-from headway_launch.study import configuration
+from headway_launch.report.study_data import StudyData, over_known
+from headway_launch.studies.runs import configuration
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from headway_launch.comparison import SEEDS_FOR_A_CLAIM
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import MISSING, Part, Section, Table, with_interval
 from headway_launch.report.published.episodes import (
     Figure,
@@ -17,6 +15,8 @@ from headway_launch.report.published.episodes import (
     tasks_of,
     written,
 )
+from headway_launch.report.study_data import StudyData
+from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
     from headway.stats import Interval

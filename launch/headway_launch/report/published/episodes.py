@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from headway.stats import mean_std
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import MISSING, figure, with_deviation
-from headway_launch.study import configuration
+from headway_launch.report.study_data import StudyData
+from headway_launch.studies.runs import configuration
 
 
 @dataclass(frozen=True)

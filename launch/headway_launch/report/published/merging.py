@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Any, Final
 import pandas as pd
 
 from headway.stats import difference_of_means
-from headway_launch.comparison import SEEDS_FOR_A_CLAIM
-from headway_launch.report.gather import StudyData
 from headway_launch.report.parts import MISSING, Part, Section, Table
 from headway_launch.report.published.episodes import (
     Figure,
@@ -19,6 +17,8 @@ from headway_launch.report.published.episodes import (
     tasks_of,
     written,
 )
+from headway_launch.report.study_data import StudyData
+from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
     from headway.stats import Interval

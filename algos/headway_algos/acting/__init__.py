@@ -1,0 +1,1 @@
+"""Policies at play in workers, in numpy: nothing here imports torch."""

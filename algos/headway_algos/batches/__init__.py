@@ -1,0 +1,1 @@
+"""Experience laid out by policy for learning."""

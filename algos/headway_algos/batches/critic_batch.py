@@ -1,0 +1,90 @@
+"""Moments of a trajectory as critics see them: before each step, after the last, where streams were cut."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import Trajectory
+from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.layout import Endings, zero_where_absent
+
+
+@dataclass(frozen=True)
+class Scene:
+    """M moments of C copies. Rows of absent agents are 0, and all actions are allowed to them."""
+
+    observations: NDArray[np.float32]
+    """(M, C, N, D)"""
+    states: NDArray[np.float32]
+    """(M, C, S)"""
+    present: NDArray[np.bool_]
+    """(M, C, N)"""
+    masks: NDArray[np.bool_] | None
+    """(M, C, N, A), or None where the environment has none."""
+    actions: NDArray[Any] | None = None
+    """(M, C, N) or (M, C, N, size): what was chosen; None where nothing was, or nobody asks."""
+    remembered: Callable[[Memories], NDArray[Any]] = attrgetter("of_steps")
+    """What was remembered at these moments, (M, C, W, size), of all that was along the trajectory."""
+
+    @classmethod
+    def of_steps(cls, trajectory: Trajectory) -> "Scene":
+        """The T steps, as the agents faced them, and what they chose."""
+        alive = trajectory.alive[:-1]
+        return cls(
+            zero_where_absent(trajectory.observations[:-1], alive),
+            trajectory.states[:-1],
+            alive,
+            _allowed(trajectory.action_masks[:-1], alive),
+            zero_where_absent(trajectory.actions, alive),
+        )
+
+    @classmethod
+    def after_the_last_step(cls, trajectory: Trajectory) -> "Scene":
+        """The one moment that nobody has acted on yet."""
+        alive = trajectory.alive[-1:]
+        return cls(
+            zero_where_absent(trajectory.observations[-1:], alive),
+            trajectory.states[-1:],
+            alive,
+            _allowed(trajectory.action_masks[-1:], alive),
+            remembered=attrgetter("after_the_last_step"),
+        )
+
+    @classmethod
+    def after_endings(cls, trajectory: Trajectory, endings: Endings) -> "Scene":
+        """F moments of R copies, right after the step of each ending: final observations and states where
+        they are valid, what came next for those who went on.
+
+        No mask is recorded for a final observation: those of the step before are the nearest known.
+        """
+        ended = endings.take(trajectory.terminated | trajectory.truncated)
+        next_alive = endings.take(trajectory.alive[1:])
+        observations = np.where(
+            ended[..., None],
+            endings.take(trajectory.final_observations),
+            endings.take(trajectory.observations[1:]),
+        )
+        everyone = ended.all(axis=-1, keepdims=True)
+        states = np.where(
+            everyone, endings.take(trajectory.final_states), endings.take(trajectory.states[1:])
+        )
+        present, masks = ended | next_alive, None
+        if len(trajectory.action_masks):
+            before = endings.take(trajectory.action_masks[:-1]) | ~endings.take(trajectory.alive)[..., None]
+            after = endings.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
+            masks = np.where(ended[..., None], before, after)
+        return cls(
+            zero_where_absent(observations, present),
+            states,
+            present,
+            masks,
+            remembered=lambda memories: memories.after_endings(endings),
+        )
+
+
+def _allowed(masks: NDArray[np.bool_], alive: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    return masks | ~alive[..., None] if len(masks) else None

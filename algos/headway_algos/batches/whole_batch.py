@@ -1,0 +1,145 @@
+"""All that policies learn from, at once: the selected rows of an iteration, side by side."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway_algos.batches.layout import Piece, even_slices
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class WholeBatch:
+    """Every policy's selected rows in their order, then padding up to W, the most that one of them has.
+
+    Of policies that remember, W = L x U: whole sequences of L steps that hold selected rows, step after step.
+    """
+
+    observations: Tensor
+    """(P, W, D), normalised."""
+    masks: Tensor | None
+    """(P, W, A)"""
+    actions: Tensor
+    """(P, W) or (P, W, A)"""
+    log_probs: Tensor
+    """(P, W), at the parameters that acted."""
+    advantages: Tensor
+    """(P, W)"""
+    weight: Tensor
+    """(P, W): 1 / (selected rows of the policy), 0 in padding."""
+    places: Tensor
+    """(P, W): which of the B rows it is."""
+    timeline: Timeline | None = None
+    """The order of rows, for policies that remember."""
+    length: int = 1
+    """L"""
+    outputs: Tensor | None = None
+    """(P, W, A): of the network at the parameters that acted, once someone has asked."""
+
+    @classmethod
+    def of(cls, rows: PolicyRows, advantages: Tensor) -> Self:
+        """From rows and their advantages (P, B). Padding repeats a selected row of the same policy, if it
+        has any."""
+        if rows.sequences is not None:
+            return cls._of_sequences(rows, advantages)
+        order, weight = _in_front(rows.selected)
+        places = torch.from_numpy(order).to(advantages.device)
+        stack = torch.arange(len(order), device=advantages.device)[:, None]
+        return cls(
+            rows.observations[stack, places],
+            None if rows.masks is None else rows.masks[stack, places],
+            rows.actions[stack, places],
+            rows.log_probs[stack, places],
+            advantages[stack, places],
+            torch.from_numpy(weight).to(advantages),
+            places,
+        )
+
+    @classmethod
+    def _of_sequences(cls, rows: PolicyRows, advantages: Tensor) -> Self:
+        assert rows.sequences is not None
+        order, weight = _in_front(rows.sequences.holding(rows.selected))
+        network = np.arange(len(order))[:, None]
+        chosen = Piece(
+            torch.from_numpy(order + network * len(rows.sequences)).to(advantages.device),
+            torch.from_numpy(weight).to(advantages),
+        )
+        selected = torch.from_numpy(rows.selected).to(advantages.device)
+        (piece,) = rows.sequences.pieces([chosen], selected)
+        offset = torch.from_numpy(network).to(advantages.device) * advantages.shape[1]
+        return cls(
+            piece.of(rows.observations),
+            None if rows.masks is None else piece.of(rows.masks),
+            piece.of(rows.actions),
+            piece.of(rows.log_probs),
+            piece.of(advantages),
+            piece.weight,
+            piece.index - offset,
+            piece.timeline,
+            rows.sequences.length,
+        )
+
+    @property
+    def has_rows(self) -> Tensor:
+        """(P,): the policy has a row to learn from."""
+        return (self.weight > 0).any(1)
+
+    @property
+    def _count(self) -> int:
+        """Rows, or sequences (U), of each policy."""
+        return self.weight.shape[1] // self.length
+
+    def _each(self, which: slice, policies: slice | Tensor) -> Self:
+        """Some of the rows, or sequences, of some of the policies."""
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        tensors: dict[str, Any] = {name: value for name, value in named.items() if isinstance(value, Tensor)}
+        if self.timeline is None:
+            return replace(self, **{name: tensor[policies][:, which] for name, tensor in tensors.items()})
+
+        def cut(tensor: Tensor) -> Tensor:
+            chosen = tensor[policies]
+            by_step = chosen.view(len(chosen), self.length, self._count, *chosen.shape[2:])
+            return by_step[:, :, which].flatten(1, 2)
+
+        parts: dict[str, Any] = {name: cut(tensor) for name, tensor in tensors.items()}
+        return replace(self, **parts, timeline=self.timeline.part(which, policies))
+
+    def with_outputs(self, parts: list[Tensor]) -> Self:
+        """With network outputs (P, rows, A) of all its pieces, in their order."""
+        if not parts:
+            return replace(self, outputs=self.observations[..., :0])
+        by_step = [part.reshape(len(part), self.length, -1, part.shape[2]) for part in parts]
+        return replace(self, outputs=torch.cat(by_step, dim=2).flatten(1, 2))
+
+    def narrow(self, policies: Tensor) -> Self:
+        """That of policies (n,) alone."""
+        return self._each(slice(None), policies)
+
+    def pieces(self, piece_samples: int) -> Iterator[Self]:
+        """Cuts along W (along U) that stay in the cache, in order: weights are those of the whole."""
+        for part in even_slices(self._count, len(self.weight), max(piece_samples // self.length, 1)):
+            yield self._each(part, slice(None))
+
+    def strided(self, every: int) -> Self:
+        """Every policy's rows (sequences) 0, `every`, 2 `every` ..., with weights that again sum to 1."""
+        if every == 1:
+            return self
+        part = self._each(slice(None, None, every), slice(None))
+        smallest = torch.finfo(part.weight.dtype).tiny
+        return replace(part, weight=part.weight / part.weight.sum(1, keepdim=True).clamp(min=smallest))
+
+
+def _in_front(selected: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Places of what is selected (P, B), in order and filled up to the most that a policy has, (P, W), and
+    the weight of each, (P, W): 0 where filled up."""
+    counts = selected.sum(axis=1, keepdims=True)
+    column = np.arange(counts.max())
+    order = np.argsort(~selected, axis=1, kind="stable")[:, : len(column)]
+    order = np.where(column < counts, order, order[:, :1])
+    return order, np.where(column < counts, 1 / np.maximum(counts, 1), 0)

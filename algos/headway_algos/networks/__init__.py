@@ -1,0 +1,1 @@
+"""Stacked networks, action distributions and running normalisers."""

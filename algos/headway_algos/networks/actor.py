@@ -1,0 +1,95 @@
+"""The stacked policies, as torch sees them."""
+
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any, Self
+
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from headway.contracts import Box, Discrete, EnvSpec
+from headway_algos.acting.mlp import actor_outputs
+from headway_algos.batches.timeline import Timeline
+from headway_algos.config import ModelConfig
+from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks.gru import RecurrentNetwork, make_network
+from headway_algos.networks.mlp import acting_arrays
+from headway_algos.networks.normalisation import RunningMoments
+from headway_algos.optim.passes import Pass, add_gradients
+
+
+class Actor(nn.Module):
+    """P policies: observation normaliser, network, action distribution."""
+
+    def __init__(
+        self, model: ModelConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, dtype: torch.dtype
+    ) -> None:
+        super().__init__()
+        outputs = actor_outputs(spec)
+        sizes = (spec.observation_size, outputs)
+        self.network = make_network(model, seeds, policies, "actor", sizes, model.actor_gain, dtype)
+        if model.initial_logits and isinstance(spec.action_space, Discrete):
+            logits = torch.tensor(model.initial_logits, dtype=dtype)[None, :, None]
+            self.network.biases[-1].data += logits
+        self.moments = RunningMoments(len(seeds) * policies, spec.observation_size)
+        self.log_std: nn.Parameter | None = None
+        if isinstance(spec.action_space, Box):
+            shape = (len(seeds) * policies, outputs, 1)
+            self.log_std = nn.Parameter(torch.full(shape, model.log_std, dtype=dtype))
+
+    def forward(
+        self, rows: Tensor, masks: Tensor | None, timeline: Timeline | None = None
+    ) -> MaskedCategorical | DiagonalGaussian:
+        """Distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
+        return self.distribution(self.network(rows, timeline), masks)
+
+    def distribution(
+        self, outputs: Tensor, masks: Tensor | None, log_std: Tensor | None = None
+    ) -> MaskedCategorical | DiagonalGaussian:
+        """Distributions that network outputs (P, A, B) stand for, with action masks (P, B, A), and those of a
+        Box with the log standard deviation of now unless another is given."""
+        if self.log_std is None:
+            return MaskedCategorical.of_logits(outputs, masks)
+        return DiagonalGaussian(outputs, self.log_std if log_std is None else log_std)
+
+    def send_back(self, passed: Pass, slopes: tuple[Tensor, Tensor | None]) -> None:
+        """Add to the gradients of what is `learnable` those of a loss, from what it depends on in the
+        distributions (see their `slopes`) at a pass through the network."""
+        of_outputs, of_log_std = slopes
+        passed.send_back(of_outputs)
+        if self.log_std is not None and of_log_std is not None:
+            add_gradients([self.log_std], [of_log_std])
+
+    @property
+    def learnable(self) -> list[nn.Parameter]:
+        """What updates change: the log standard deviation, if there is one, then the network's tensors."""
+        return [*([] if self.log_std is None else [self.log_std]), *self.network.parameters()]
+
+    def narrow(self, policies: Tensor) -> Self:
+        """A copy that holds policies (n,) of the stack alone."""
+        tensors: dict[int, Any] = {id(p): nn.Parameter(p.detach()[policies]) for p in self.parameters()}
+        tensors |= {id(buffer): buffer[policies] for buffer in self.buffers()}
+        return deepcopy(self, tensors)
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """Take over what policies (n,) became in `part`, narrowed to them. Normalisers stay as they are."""
+        with torch.no_grad():
+            for mine, theirs in zip(self.learnable, part.learnable, strict=True):
+                mine.index_copy_(0, policies, theirs)
+
+    def acting_parameters(self) -> dict[str, NDArray[Any]]:
+        """What the acting policy needs, by its names."""
+        dtype = self.network.weights[0].dtype
+        tensors = {
+            "observation_mean": self.moments.mean.to(dtype),
+            "observation_scale": self.moments.scale.to(dtype),
+        }
+        for i, (weight, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
+            tensors[f"weight_{i}"], tensors[f"bias_{i}"] = weight, bias
+        if isinstance(self.network, RecurrentNetwork):
+            units = ("weight_input", "weight_memory", "bias_input", "bias_memory")
+            tensors |= {f"gru_{name}": getattr(self.network, name) for name in units}
+        if self.log_std is not None:
+            tensors["log_std"] = self.log_std
+        return acting_arrays(tensors)

@@ -1,0 +1,146 @@
+"""P networks of one form as one: every tensor has a leading axis P, every layer is one batched product.
+
+Weights are (P, out, in) and activations (P, features, rows): with rows last, the narrow output layer's
+products and all elementwise work run along contiguous memory (the layer 64 -> 3 was measured at 44 us
+for 10 x 512 rows, 240 us with rows first).
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from headway.contracts import generator
+from headway_algos.acting.mlp import layer_sizes
+from headway_algos.batches.timeline import Timeline
+
+HIDDEN_GAIN = {"tanh": 5 / 3, "relu": 2**0.5}
+"""Gain of the initialisation of a layer with that activation."""
+
+
+def orthogonal(random: np.random.Generator, rows: int, columns: int, gain: float) -> NDArray[np.float64]:
+    """A matrix with orthonormal rows or columns, times `gain` (Saxe et al., arXiv:1312.6120)."""
+    tall = random.standard_normal((max(rows, columns), min(rows, columns)))
+    q, r = np.linalg.qr(tall)
+    q *= np.sign(np.diag(r))
+    return gain * (q if rows >= columns else q.T)
+
+
+def _tanh_of_affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """tanh(W x + b) with numpy's tanh, which took 51 us where torch's took 676 (one thread, AVX-512)."""
+    h = torch.bmm(weight, x).add_(bias)
+    array = h.numpy()
+    np.tanh(array, out=array)
+    return h
+
+
+class _TanhLayer(torch.autograd.Function):
+    """`_tanh_of_affine`, for gradients."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:  # noqa: ANN401 - torch's own
+        h = _tanh_of_affine(x, weight, bias)
+        ctx.save_for_backward(x, weight, h)
+        return h
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor, Tensor]:  # noqa: ANN401
+        x, weight, h = ctx.saved_tensors
+        gradient = torch.ops.aten.tanh_backward(gradients[0], h)
+        of_x = torch.bmm(weight.transpose(1, 2), gradient) if ctx.needs_input_grad[0] else None
+        return of_x, torch.bmm(gradient, x.transpose(1, 2)), gradient.sum(2, keepdim=True)
+
+
+def tanh_layer(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """tanh(W x + b): x (P, in, rows), weight (P, out, in), bias (P, out, 1) -> (P, out, rows)."""
+    if x.is_cuda:
+        return torch.baddbmm(bias, weight, x).tanh()
+    if not torch.is_grad_enabled():
+        return _tanh_of_affine(x, weight, bias)
+    result: Tensor = _TanhLayer.apply(x, weight, bias)  # type: ignore[no-untyped-call]  # torch leaves it untyped
+    return result
+
+
+def activated_layer(x: Tensor, weight: Tensor, bias: Tensor, activation: str) -> Tensor:
+    """The activation of W x + b, shaped as by `tanh_layer`."""
+    if activation == "tanh":
+        return tanh_layer(x, weight, bias)
+    return torch.baddbmm(bias, weight, x).relu()
+
+
+def stacked_matrices(
+    seeds: Sequence[int],
+    networks_per_seed: int,
+    purpose: str,
+    layer: int,
+    shape: tuple[int, int],
+    gain: float,
+    dtype: torch.dtype,
+) -> nn.Parameter:
+    """Orthogonal matrices (P, rows, columns). Network k of replica r has one from (seeds[r], purpose, k,
+    layer) alone, so it is the same in any stack."""
+    stack = [
+        orthogonal(generator(seed, purpose, k, layer), *shape, gain)
+        for seed in seeds
+        for k in range(networks_per_seed)
+    ]
+    return nn.Parameter(torch.tensor(np.stack(stack), dtype=dtype))
+
+
+def acting_arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
+    """Tensors as what `Learner.acting_parameters` gives: in C order, whatever order torch keeps them in.
+    OpenBLAS rounds a product of a transposed matrix otherwise than of its copy."""
+    return {name: np.ascontiguousarray(tensor.detach().cpu().numpy()) for name, tensor in tensors.items()}
+
+
+class StackedMLP(nn.Module):
+    """P multilayer perceptrons, initialised by `stacked_matrices`."""
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        networks_per_seed: int,
+        purpose: str,
+        sizes: tuple[int, Sequence[int], int],
+        activation: str,
+        last_gain: float,
+        dtype: torch.dtype,
+    ) -> None:
+        super().__init__()
+        self.activation = activation
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        layers = layer_sizes(*sizes)
+        hidden_gain = HIDDEN_GAIN[activation]
+        for i, (out, in_) in enumerate(layers):
+            gain = hidden_gain if i < len(layers) - 1 else last_gain
+            shape = (out, in_)
+            self.weights.append(stacked_matrices(seeds, networks_per_seed, purpose, i, shape, gain, dtype))
+            self.biases.append(nn.Parameter(torch.zeros(len(self.weights[i]), out, 1, dtype=dtype)))
+
+    def by_layer(self) -> list[tuple[nn.Parameter, nn.Parameter]]:
+        """Weight and bias of each layer."""
+        # A ParameterList looks each one up by the text of its place, which takes as long as a small product.
+        pairs = zip(self.weights._parameters.values(), self.biases._parameters.values(), strict=True)
+        return [(weight, bias) for weight, bias in pairs if weight is not None and bias is not None]
+
+    def forward(self, rows: Tensor, timeline: Timeline | None = None) -> Tensor:
+        """(P, B, in) -> (P, out, B), whatever the timeline."""
+        # Each layer's result is freed as soon as the next one has it.
+        return deque(self.layers(rows), maxlen=1).pop()
+
+    def layers(self, rows: Tensor) -> Iterator[Tensor]:
+        """What every layer is given, (P, features, B), then the outputs."""
+        x = rows.transpose(1, 2)
+        by_layer = self.by_layer()
+        last = len(by_layer) - 1
+        for i, (weight, bias) in enumerate(by_layer):
+            yield x
+            if i == last:
+                x = torch.bmm(weight, x) + bias
+            else:
+                x = activated_layer(x, weight, bias, self.activation)
+        yield x

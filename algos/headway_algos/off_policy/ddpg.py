@@ -1,0 +1,135 @@
+"""Deterministic policy gradients over stacks of actors and critics (Lillicrap et al. 2016)."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import Box, EnvSpec
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.off_policy.replay_buffer import Batch
+from headway_algos.off_policy.target_networks import (
+    TargetNetwork,
+    mean_over_batch,
+    regression_loss,
+    temporal_difference_target,
+)
+from headway_algos.optim.adam import StackedAdam
+from headway_algos.recipes.ddpg import DDPGConfig
+
+ACTOR_GAIN = 0.01
+"""Of the actor's last layer: the first actions are near the middle of the bounds (the paper's section 7)."""
+
+
+class DeterministicMethod:
+    """Actors mu(o) and critics Q(o, u), with a slow copy of each (see
+    `headway_algos.off_policy.learner.Method`). Networks see actions in units of the bounds: -1 to 1."""
+
+    METRICS: ClassVar[tuple[str, ...]] = (
+        "critic/loss",
+        "critic/value",
+        "critic/grad_norm",
+        "policy/grad_norm",
+    )
+
+    def __init__(
+        self, config: DDPGConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device
+    ) -> None:
+        self.config = config
+        model, dtype = config.model, getattr(torch, config.precision)
+        box = spec.action_space
+        assert isinstance(box, Box)
+        low, high = (torch.tensor(bound, dtype=dtype, device=device) for bound in (box.low, box.high))
+        self.middle, self.half = (low + high) / 2, (high - low) / 2
+        size, form = spec.observation_size, model.activation
+        self.network = StackedMLP(
+            seeds, policies, "actor", (size, model.hidden, box.size), form, ACTOR_GAIN, dtype
+        ).to(device)
+        self.critic = StackedMLP(
+            seeds, policies, "critic", (size + box.size, model.hidden, 1), form, 1.0, dtype
+        ).to(device)
+        self.slow_actor = TargetNetwork(self.network, config.target_every, config.tau)
+        self.slow_critic = TargetNetwork(self.critic, config.target_every, config.tau)
+        self.actor_optimiser = StackedAdam(self.network.parameters(), config.lr, config.grad_clip)
+        self.critic_optimiser = StackedAdam(
+            self.critic.parameters(), config.critic_lr or config.lr, config.grad_clip
+        )
+
+    def targets(self, batch: Batch) -> Tensor:
+        """y = G + gamma^k Q'(o', mu'(o')), (P, b)."""
+        with torch.no_grad():
+            then = batch.next_observations
+            next_values = _values(self.slow_critic.network, then, _actions(self.slow_actor.network, then))
+            return temporal_difference_target(batch.returns, batch.discounts, next_values)
+
+    def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
+        """One step of the critics, one of the actors, and the copies follow."""
+        targets, taken = self.targets(batch), (batch.actions - self.middle) / self.half
+        values = _values(self.critic, batch.observations, taken)
+        loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
+        self.critic_optimiser.begin()
+        torch.autograd.backward(loss.sum())
+        critic_norm = self.critic_optimiser.step(active)
+        actor_norm = self._improve_actors(batch.observations, active)
+        self.slow_actor.follow(active, self.actor_optimiser.counts)
+        self.slow_critic.follow(active, self.critic_optimiser.counts)
+        return {
+            "critic/loss": loss.detach(),
+            "critic/value": mean_over_batch(values, active).detach(),
+            "critic/grad_norm": critic_norm,
+            "policy/grad_norm": actor_norm,
+        }
+
+    def _improve_actors(self, observations: Tensor, active: NDArray[np.bool_]) -> Tensor:
+        """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], and down the squares of what the tanh gets; norms
+        of the gradients, (P,)."""
+        outputs: Tensor = self.network(observations)
+        actions = _bounded(outputs)
+        asked = actions.detach().requires_grad_()
+        (slopes,) = torch.autograd.grad(_values(self.critic, observations, asked).sum(), asked)
+        self.actor_optimiser.begin()
+        batch = slopes.shape[1]
+        pull = 2 * self.config.saturation_coeff * outputs.detach() / batch
+        torch.autograd.backward([actions, outputs], [-slopes / batch, pull])
+        return self.actor_optimiser.step(active)
+
+    def anneal(self, share: float) -> None:
+        """Set the learning rates to `share` of their base."""
+        self.actor_optimiser.anneal(share)
+        self.critic_optimiser.anneal(share)
+
+    @property
+    def _parts(self) -> dict[str, Any]:
+        return {
+            "actor": self.network, "critic": self.critic,
+            "slow_actor": self.slow_actor, "slow_critic": self.slow_critic,
+            "actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser,
+        }  # fmt: skip
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, their copies and the optimisers."""
+        return {name: part.state_dict() for name, part in self._parts.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        for name, part in self._parts.items():
+            part.load_state_dict(state[name])
+
+
+def _actions(actor: StackedMLP, observations: Tensor) -> Tensor:
+    """mu(o) in units of the bounds: (P, b, A)."""
+    return _bounded(actor(observations))
+
+
+def _bounded(outputs: Tensor) -> Tensor:
+    """(P, A, b) -> (P, b, A), within -1 and 1."""
+    return outputs.tanh().transpose(1, 2)
+
+
+def _values(critic: StackedMLP, observations: Tensor, actions: Tensor) -> Tensor:
+    """Q(o, u): (P, b)."""
+    outputs: Tensor = critic(torch.cat([observations, actions], dim=2))
+    return outputs[:, 0]

@@ -1,0 +1,78 @@
+"""Deep Q-learning over a stack of networks (Mnih et al. 2015; double: van Hasselt et al. 2016)."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import EnvSpec
+from headway_algos.acting.mlp import actor_outputs
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.off_policy.replay_buffer import Batch
+from headway_algos.off_policy.target_networks import (
+    TargetNetwork,
+    best_allowed,
+    mean_over_batch,
+    regression_loss,
+    temporal_difference_target,
+)
+from headway_algos.optim.adam import StackedAdam
+from headway_algos.recipes.madqn import MADQNConfig
+
+
+class ValueMethod:
+    """Networks Q(o, .), whose highest value acts, and targets from a copy (see
+    `headway_algos.off_policy.learner.Method`)."""
+
+    METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/grad_norm")
+
+    def __init__(
+        self, config: MADQNConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device
+    ) -> None:
+        self.config = config
+        model, dtype = config.model, getattr(torch, config.precision)
+        sizes = (spec.observation_size, model.hidden, actor_outputs(spec))
+        self.network = StackedMLP(seeds, policies, "q network", sizes, model.activation, 1.0, dtype).to(
+            device
+        )
+        self.target = TargetNetwork(self.network, config.target_every, config.tau)
+        self.optimiser = StackedAdam(self.network.parameters(), config.lr, config.grad_clip)
+
+    def targets(self, batch: Batch) -> Tensor:
+        """y = G + gamma^k Q'(o', u), (P, b), where u is the best allowed action by Q (double) or by Q'."""
+        with torch.no_grad():
+            judged = self.target.network(batch.next_observations)
+            chosen_by = self.network(batch.next_observations) if self.config.double else judged
+            best = best_allowed(chosen_by, batch.next_masks)
+            next_values = judged.gather(1, best[:, None])[:, 0]
+            return temporal_difference_target(batch.returns, batch.discounts, next_values)
+
+    def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
+        """One step down the mean loss of Q(o, u) - y over each policy's batch."""
+        targets = self.targets(batch)
+        values = self.network(batch.observations).gather(1, batch.actions[:, None])[:, 0]
+        loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
+        self.optimiser.begin()
+        torch.autograd.backward(loss.sum())
+        norm = self.optimiser.step(active)
+        self.target.follow(active, self.optimiser.counts)
+        value = mean_over_batch(values, active)
+        return {"critic/loss": loss.detach(), "critic/value": value.detach(), "critic/grad_norm": norm}
+
+    def anneal(self, share: float) -> None:
+        """Set the learning rate to `share` of its base."""
+        self.optimiser.anneal(share)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, targets and the optimiser."""
+        parts: dict[str, Any] = {"network": self.network, "target": self.target, "optimiser": self.optimiser}
+        return {name: part.state_dict() for name, part in parts.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        self.network.load_state_dict(state["network"])
+        self.target.load_state_dict(state["target"])
+        self.optimiser.load_state_dict(state["optimiser"])

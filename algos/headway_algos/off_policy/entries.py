@@ -1,0 +1,88 @@
+"""The registry's part of algorithms that learn from a replay memory. Importing it imports no torch."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, WanderingPolicy
+from headway_algos.batches.grouping import Grouping, missing_groups
+from headway_algos.off_policy.config import ReplayConfig
+from headway_algos.recipes import ddpg, madqn
+
+
+def _madqn(config: madqn.MADQNConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
+    from headway_algos.off_policy.dqn import ValueMethod
+    from headway_algos.off_policy.learner import ReplayLearner
+
+    return ReplayLearner(config, spec, seeds, device, ValueMethod)
+
+
+def _ddpg(config: ddpg.DDPGConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
+    from headway_algos.off_policy.ddpg import DeterministicMethod
+    from headway_algos.off_policy.learner import ReplayLearner
+
+    return ReplayLearner(config, spec, seeds, device, DeterministicMethod)
+
+
+def _kind(spec: EnvSpec) -> str:
+    return type(spec.action_space).__name__
+
+
+def _madqn_refuses(config: madqn.MADQNConfig, spec: EnvSpec) -> str | None:
+    if not isinstance(spec.action_space, Discrete):
+        instead = "; use algo=ddpg" if isinstance(spec.action_space, Box) else ""
+        return (
+            f"{config.name} takes Discrete actions, whose values it compares, and {spec.name} has "
+            f"{_kind(spec)} ones{instead}"
+        )
+    return missing_groups(config.policies, spec)
+
+
+def _ddpg_refuses(config: ddpg.DDPGConfig, spec: EnvSpec) -> str | None:
+    space = spec.action_space
+    if not isinstance(space, Box):
+        instead = "; use algo=madqn" if isinstance(space, Discrete) else ""
+        return (
+            f"{config.name} takes Box actions, by which its critic is differentiated, and {spec.name} has "
+            f"{_kind(spec)} ones{instead}"
+        )
+    if not np.isfinite((space.low, space.high)).all():
+        return (
+            f"{config.name} takes Box actions with bounds, to which it scales them, and {spec.name} has some "
+            "without; use an algorithm with Gaussian actions, such as algo=ippo"
+        )
+    return missing_groups(config.policies, spec)
+
+
+def _epsilon_greedy(config: madqn.MADQNConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
+    if (line := _madqn_refuses(config, spec)) is not None:
+        raise HeadwayError(line)
+    return EpsilonGreedyPolicy.of(config, spec)
+
+
+def _wandering(config: ddpg.DDPGConfig, spec: EnvSpec) -> WanderingPolicy:
+    if (line := _ddpg_refuses(config, spec)) is not None:
+        raise HeadwayError(line)
+    return WanderingPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
+
+
+def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
+    """Of full memories, or of what the agents of each policy live through: two observations, an action, a
+    mask, a return and a discount each."""
+    members = Grouping.of(config.policies, spec).is_member.sum(axis=1)
+    transitions = int(np.minimum(config.capacity, members * env_steps).sum())
+    space = spec.action_space
+    mask = space.n if spec.has_action_mask and isinstance(space, Discrete) else 0
+    action = 4 * space.size if isinstance(space, Box) else 8
+    return transitions * (2 * 4 * spec.observation_size + action + mask + 2 * 8)
+
+
+OFF_POLICY = {
+    "ddpg": AlgoEntry(
+        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes
+    ),
+    "madqn": AlgoEntry(
+        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes
+    ),
+}

@@ -1,0 +1,1 @@
+"""Learners from the experience of one iteration: advantages, critics, updates, orders."""

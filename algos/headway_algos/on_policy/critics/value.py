@@ -1,0 +1,102 @@
+"""Critics that value what they see: V(o) or V(s)."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import EnvSpec, Trajectory, generator
+from headway_algos.batches.critic_batch import Scene
+from headway_algos.batches.grouping import Grouping
+from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.layout import Layout
+from headway_algos.config import AlgoConfig
+from headway_algos.on_policy.behaviour_policy import Behaviour
+from headway_algos.on_policy.critics.critic_inputs import VIEWS
+from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+from headway_algos.on_policy.critics.reward_streams import lambda_advantages, presence
+
+
+class ValueCritic:
+    """A stack of value networks over one view; advantages are generalised ones (arXiv:1506.02438).
+
+    A view that shows the others' actions is bootstrapped with the actions taken at the next step. Where
+    none was taken (after the last step, at a final observation) they are drawn once from the policies that
+    acted, as a worker would have: the mean over such draws is what that next action would have given.
+    """
+
+    def __init__(
+        self,
+        config: AlgoConfig,
+        spec: EnvSpec,
+        grouping: Grouping,
+        seeds: Sequence[int],
+        device: torch.device,
+        dtype: torch.dtype,
+    ) -> None:
+        self.config, self.spec, self.seeds = config, spec, tuple(seeds)
+        self.view = VIEWS[config.critic](config, spec, grouping)
+        self.layout = Layout(self.view.grouping, len(seeds), device, dtype)
+        self.networks = ReturnNetworks(config, self.view, 1, seeds, self.layout)
+        self.regression = Regression(config, self.view, seeds, self.networks, self.layout)
+
+    def rows(self, scene: Scene) -> Tensor:
+        """Network inputs (P, B, input_size)."""
+        indicators = self.view.indicators(scene)
+        shown = None if indicators is None else self.layout.rows(indicators)
+        return self.networks.inputs(self.layout.rows(self.view.seen(scene)), shown)
+
+    def values(
+        self, rows: Tensor, moments: int, memory: Tensor | None = None, viewpoints: int | None = None
+    ) -> NDArray[np.float64]:
+        """Values (M, C, W), in units of return, of network inputs and what is remembered before them;
+        `viewpoints`: W, where it is fewer than all."""
+        return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments, viewpoints)
+
+    def _memory(self, scene: Scene, memories: Memories | None) -> Tensor | None:
+        """(P, B, M): what the networks remembered at the moments of a scene, if they do."""
+        return None if memories is None else self.layout.rows(scene.remembered(memories))
+
+    def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
+        """See `headway_algos.on_policy.critics.Critic`."""
+        random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
+        there = presence(trajectory.alive, self.view).shape[2]
+        viewpoints = there if there < self.view.viewpoints else None
+
+        def worth(scene: Scene) -> NDArray[np.float64]:
+            shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene
+            moments = len(shown.observations)
+            return self.values(self.rows(shown), moments, self._memory(shown, memories), viewpoints)
+
+        scene = Scene.of_steps(trajectory)
+        inputs = self.rows(scene)
+        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
+        values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories), viewpoints)
+        advantages, present = lambda_advantages(
+            trajectory, self.view, values, worth, self.config, self.spec, self.layout.replicas
+        )
+        return Estimate(advantages, values, advantages + values, present, inputs, memories=memories)
+
+    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+        """See `headway_algos.on_policy.critics.Critic`."""
+        return self.regression.fit(estimate, iteration)
+
+    def absorb(self, trajectory: Trajectory) -> None:
+        """See `headway_algos.on_policy.critics.Critic`."""
+        self.regression.absorb(trajectory)
+
+    def anneal(self, share: float) -> None:
+        """Set the learning rate to `share` of its base."""
+        self.regression.anneal(share)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, normalisers and the optimiser."""
+        return self.regression.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        self.regression.load_state_dict(state)

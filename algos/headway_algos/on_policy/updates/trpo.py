@@ -1,0 +1,140 @@
+"""Trust-region policy optimisation (Schulman et al. 2015, arXiv:1502.05477), for a stack of policies."""
+
+from collections.abc import Sequence
+from copy import copy
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from headway_algos.batches.layout import Layout
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.whole_batch import WholeBatch
+from headway_algos.config import AlgoConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.optim.conjugate_gradient import conjugate_gradient
+from headway_algos.optim.fisher import fisher_product, flat, unflat
+
+
+class TRPO:
+    """One step along the natural gradient of the surrogate, as long as the trust region allows.
+
+    The surrogate is L = E[pi / pi_old A] + entropy_coeff H, its gradient g. With F the Fisher information,
+    damped, x = F^-1 g by conjugate gradient; the step is sqrt(2 delta / x^T F x) x, halved until the mean
+    KL(pi_old || pi) is at most delta and L rises by at least `accept_ratio` of the rise expected to first
+    order (appendix C). Each policy of the stack is searched for by itself; one that accepts no step stays
+    exactly as it was. The damping is part of the step's length too, as in the author's code: it bounds the
+    step where F vanishes. `epochs` and `minibatches` are the critic's alone; `kl_coeff` has no part here.
+    """
+
+    def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
+        self.actor, self.config, self.share = actor, config, 1.0
+
+    def improve(
+        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+    ) -> dict[str, Tensor]:
+        """See `headway_algos.on_policy.updates.Update`; there is nothing to shuffle."""
+        actor, config = self.actor, self.config
+        batch = WholeBatch.of(rows, advantages)
+        gradient, surrogate, entropy, batch = self._gradient(batch)
+        fisher_rows = batch.strided(round(1 / config.fisher_share))
+        fisher = fisher_product(actor, fisher_rows, config.piece_samples)
+
+        def damped(vector: Tensor) -> Tensor:
+            return fisher(vector) + config.cg_damping * vector
+
+        solution, image = conjugate_gradient(damped, gradient, config.cg_iterations)
+        curvature = (solution * image).sum(1, keepdim=True)
+        bound = config.kl_bound * self.share**2
+        step = torch.where(curvature > 0, (2 * bound / curvature).sqrt() * solution, 0)
+        info = self._search(batch, surrogate, step, (step * gradient).sum(1), bound)
+        norm = gradient.square().sum(1).sqrt()
+        return {"entropy": entropy, "gradient_norm": norm, **info}
+
+    def _gradient(self, batch: WholeBatch) -> tuple[Tensor, Tensor, Tensor, WholeBatch]:
+        """Of the surrogate (P, V), its value and the entropy (P,), and the batch with network outputs."""
+        parameters, stack = self.actor.learnable, len(batch.weight)
+        gradient = torch.zeros_like(flat(parameter.detach() for parameter in parameters))
+        surrogate, entropy = gradient.new_zeros(stack), gradient.new_zeros(stack)
+        kept: list[Tensor] = []
+        for piece in batch.pieces(self.config.piece_samples):
+            outputs = self.actor.network(piece.observations, piece.timeline)
+            values, entropies = self._surrogate(self.actor, outputs, piece)
+            gradient += flat(torch.autograd.grad(values.sum(), parameters))
+            surrogate += values.detach()
+            entropy += entropies.detach()
+            kept.append(outputs.detach().transpose(1, 2))
+        return gradient, surrogate, entropy, batch.with_outputs(kept)
+
+    def _surrogate(self, actor: Actor, outputs: Tensor, piece: WholeBatch) -> tuple[Tensor, Tensor]:
+        """A piece's share of the surrogate and of the mean entropy, (P,) each."""
+        distribution = actor.distribution(outputs, piece.masks)
+        ratio = (distribution.log_prob(piece.actions) - piece.log_probs).exp()
+        entropy = (distribution.entropy() * piece.weight).sum(1)
+        gained = (ratio * piece.advantages * piece.weight).sum(1)
+        return gained + self.config.entropy_coeff * entropy, entropy
+
+    def _search(
+        self,
+        batch: WholeBatch,
+        surrogate: Tensor,
+        step: Tensor,
+        expected: Tensor,
+        bound: float,
+    ) -> dict[str, Tensor]:
+        """Halve the steps (P, V) of those that do not accept; the policies take what they accept.
+
+        `accepted_step` is the share of the whole step that was taken, 0 for none."""
+        kl, accepted = torch.zeros_like(surrogate), torch.zeros_like(surrogate)
+        going = torch.nonzero(expected > 0)[:, 0]
+        for halving in range(self.config.line_search_steps + 1):
+            if len(going) == 0:
+                break
+            size = 0.5**halving
+            before, after = self.actor.narrow(going), self.actor.narrow(going)
+            with torch.no_grad():
+                changes = unflat(size * step[going], after.learnable)
+                for tensor, change in zip(after.learnable, changes, strict=True):
+                    tensor.add_(change)
+                rows = batch if len(going) == len(step) else batch.narrow(going)
+                reached, moved = self._compare(before, after, rows)
+            enough = reached - surrogate[going] >= self.config.accept_ratio * size * expected[going]
+            accepts = enough & (moved <= bound)
+            self.actor.adopt(going[accepts], after.narrow(accepts))
+            kl[going[accepts]], accepted[going[accepts]] = moved[accepts], size
+            going = going[~accepts]
+        return {"kl": kl, "accepted_step": accepted}
+
+    def _compare(self, before: Actor, after: Actor, batch: WholeBatch) -> tuple[Tensor, Tensor]:
+        """The surrogate of `after`, and its mean KL divergence from `before`, (P,) each."""
+        surrogate, kl = batch.weight.new_zeros(len(batch.weight)), batch.weight.new_zeros(len(batch.weight))
+        for piece in batch.pieces(self.config.piece_samples):
+            assert piece.outputs is not None
+            outputs = after.network(piece.observations, piece.timeline)
+            surrogate += self._surrogate(after, outputs, piece)[0]
+            old = before.distribution(piece.outputs.transpose(1, 2), piece.masks)
+            new = after.distribution(outputs, piece.masks)
+            kl += (new.kl_from(old) * piece.weight).sum(1)  # type: ignore[arg-type]  # both of one kind
+        return surrogate, kl
+
+    def anneal(self, share: float) -> None:
+        """Take steps of `share` of their length from now on: the bound is `share` squared of its base."""
+        self.share = share
+
+    def narrow(self, policies: Tensor) -> Self:
+        """See `headway_algos.on_policy.updates.Update`."""
+        part = copy(self)
+        part.actor = self.actor.narrow(policies)
+        return part
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """See `headway_algos.on_policy.updates.Update`."""
+        self.actor.adopt(policies, part.actor)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing is carried on."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`."""

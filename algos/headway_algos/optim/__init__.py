@@ -1,0 +1,1 @@
+"""Optimisers, natural gradients and the compiled fast path."""

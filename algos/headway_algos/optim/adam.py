@@ -1,0 +1,174 @@
+"""One Adam over a stack of networks, gradients clipped and steps counted for each network by itself."""
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from itertools import accumulate
+from math import inf
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.optim.adam import adam
+
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-5
+
+
+class StackedAdam:
+    """Adam (Kingma and Ba, arXiv:1412.6980) works element by element, so one serves every network.
+
+    `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound. Moments and
+    counts of steps belong to a network: no network's steps depend on its stack, or on when others stepped.
+    The parameters become parts of one tensor: a step is then a handful of operations, however many there are.
+    """
+
+    def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
+        self.grad_clip = grad_clip
+        self.base_lr = self.lr = lr
+        self._hold(list(parameters))
+        self.counts = np.zeros(len(self.values.whole), np.int64)
+
+    def _hold(self, parameters: list[nn.Parameter]) -> None:
+        self.parameters = parameters
+        self.values, self.gradient, self.means, self.squares = (Blocks.like(parameters) for _ in range(4))
+        for parameter, part in zip(parameters, self.values.parts, strict=True):
+            part.copy_(parameter.detach())
+            parameter.data = part
+        self._begins = [part.data_ptr() for part in self.values.parts]
+        blocks = (self.values, self.gradient, self.means, self.squares)
+        self._arrays = [] if self.values.whole.is_cuda else [block.whole.numpy() for block in blocks]
+
+    def begin(self) -> None:
+        """Forget the gradients: parameters get new ones from torch, or `gradient` gets them at once."""
+        self.gradient.whole.zero_()
+        for parameter in self.parameters:
+            parameter.grad = None
+
+    def anneal(self, share: float) -> None:
+        """Set the learning rate to `share` of its base."""
+        self.lr = self.base_lr * share
+
+    def step(self, active: NDArray[np.bool_]) -> Tensor:
+        """Clip and apply the gradients; returns each network's norm before the clip, (P,).
+
+        The gradients are those since `begin`, 0 where there is none. Networks that are not `active` (P,) had
+        no data: they stay as they were, instead of moving on by their momentum, and their norm is 0. Raises
+        RuntimeError where the parameters are elsewhere by now.
+        """
+        self._collect()
+        return (self._step_by_torch if self.values.whole.is_cuda else self._step_compiled)(active)
+
+    def _step_by_torch(self, active: NDArray[np.bool_]) -> Tensor:
+        gradient = self.gradient.whole
+        if not active.all():
+            gradient[torch.from_numpy(~active).to(gradient.device)] = 0
+        norm: Tensor = torch.linalg.vector_norm(gradient, dim=1)
+        if self.grad_clip is not None:
+            gradient *= (self.grad_clip / (norm + 1e-6)).clamp_(max=1)[:, None]
+        tensors = [self.values.whole, gradient, self.means.whole, self.squares.whole]
+        # Adam's correction of its young moments depends on the count: networks of one count go together.
+        for count in sorted(set(self.counts[active].tolist())):
+            chosen = active & (self.counts == count)
+            if chosen.all():
+                _apply(tensors, count, self.lr)
+                continue
+            index = torch.from_numpy(np.flatnonzero(chosen)).to(norm.device)
+            parts = [tensor[index] for tensor in tensors]
+            _apply(parts, count, self.lr)
+            for tensor, part in zip(tensors, parts, strict=True):
+                tensor.index_copy_(0, index, part)
+        self.counts[active] += 1
+        return norm
+
+    def _step_compiled(self, active: NDArray[np.bool_]) -> Tensor:
+        from headway_algos.optim import kernel
+
+        values, gradient, means, squares = self._arrays
+        norms = np.empty(len(active), values.dtype)
+        kernel.adam(
+            values, gradient, means, squares, self.counts, active, float(self.lr),
+            inf if self.grad_clip is None else float(self.grad_clip), (BETA_1, BETA_2), EPSILON, norms,
+        )  # fmt: skip
+        return torch.from_numpy(norms)
+
+    def starts(self, parameters: Iterable[nn.Parameter]) -> list[int]:
+        """Where the values of each of these parameters begin among those of their network. Raises
+        RuntimeError where they are elsewhere by now."""
+        known = {id(parameter): place for place, parameter in enumerate(self.parameters)}
+        whole = self.values.whole
+        return [
+            (self._found(known[id(parameter)]) - whole.data_ptr()) // whole.element_size()
+            for parameter in parameters
+        ]
+
+    def _found(self, place: int) -> int:
+        """Where a parameter's values are in memory."""
+        begins = self._begins[place]
+        if self.parameters[place].data_ptr() != begins:
+            raise RuntimeError("a parameter was moved, or given to another optimiser, since this one began")
+        return begins
+
+    def _collect(self) -> None:
+        """The parameters' gradients, where they have any, side by side."""
+        for place, gradient in enumerate(self.gradient.parts):
+            self._found(place)
+            if (found := self.parameters[place].grad) is not None:
+                gradient.copy_(found)
+
+    def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:
+        """The same for networks `policies` (n,) alone: `parameters` are copies of theirs."""
+        part = copy(self)
+        part._hold(list(parameters))
+        part.means.whole.copy_(self.means.whole[policies])
+        part.squares.whole.copy_(self.squares.whole[policies])
+        part.counts = self.counts[policies.cpu().numpy()]
+        return part
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """Take over what `part`, narrowed to these policies, has become."""
+        self.means.whole.index_copy_(0, policies, part.means.whole)
+        self.squares.whole.index_copy_(0, policies, part.squares.whole)
+        self.counts[policies.cpu().numpy()] = part.counts
+
+    def state_dict(self) -> dict[str, Any]:
+        """Adam's moments, in the shapes of the parameters, and step counts, each with leading axis P."""
+        counts = torch.from_numpy(self.counts)
+        return {"means": self.means.parts, "squares": self.squares.parts, "counts": counts}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
+        mine = self.means.parts + self.squares.parts
+        for part, stored in zip(mine, [*state["means"], *state["squares"]], strict=True):
+            part.copy_(stored)
+        self.counts[:] = state["counts"].cpu().numpy()
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Tensors (P, ...) side by side in one (P, V)."""
+
+    whole: Tensor
+    parts: list[Tensor]
+    """Views of it."""
+
+    @classmethod
+    def like(cls, tensors: Sequence[Tensor]) -> Self:
+        """Room for such tensors, 0."""
+        sizes = [tensor[0].numel() for tensor in tensors]
+        starts = [0, *accumulate(sizes)]
+        whole = tensors[0].detach().new_zeros(len(tensors[0]), starts[-1])
+        places = zip(tensors, starts, sizes, strict=False)
+        return cls(whole, [whole[:, at : at + size].view(tensor.shape) for tensor, at, size in places])
+
+
+def _apply(tensors: Sequence[Tensor], count: int, lr: float) -> None:
+    """torch's Adam on (values, gradient, means, squares) that took `count` steps."""
+    values, gradient, means, squares = ([tensor] for tensor in tensors)
+    counts = [torch.full((), float(count), device=gradient[0].device)]
+    with torch.no_grad():
+        adam(
+            values, gradient, means, squares, [], counts, fused=True, amsgrad=False, beta1=BETA_1,
+            beta2=BETA_2, lr=lr, weight_decay=0.0, eps=EPSILON, maximize=False,
+        )  # fmt: skip

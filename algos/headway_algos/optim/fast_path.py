@@ -1,0 +1,150 @@
+"""Learning from minibatches with compiled kernels, where that is faster than torch: small perceptrons in
+float32 on a processor."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway_algos.batches.layout import Piece
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.config import AlgoConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.networks.gru import Network
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.optim.adam import StackedAdam
+
+MOST_PRODUCTS = 1_500_000
+"""Rows of a minibatch times weights, both of one network, up to which the kernels are chosen: with more, what
+torch loses in calls counts less than what its library of matrix products gains."""
+
+Learn = Callable[[Piece], Tensor]
+"""Adds a piece's gradients; returns its shares of what is reported."""
+
+
+def uncut(config: AlgoConfig) -> AlgoConfig:
+    """The same with minibatches in one piece: kernels cut each network's by themselves, as of one alone."""
+    return replace(config, piece_samples=2**62)
+
+
+@dataclass(frozen=True)
+class Perceptrons:
+    """P networks of one form, as kernels take them."""
+
+    values: NDArray[Any]
+    """(P, V): all that an optimiser steps."""
+    gradient: NDArray[Any]
+    """(P, V)"""
+    form: NDArray[np.int64]
+    """(L, 4): inputs, outputs, where weights and where biases begin, of each layer."""
+    relu: bool
+    held: NDArray[Any]
+    """(F, ROWS), to work in: what layers are given, then outputs."""
+    signals: NDArray[Any]
+    """(2, W, ROWS), to work in: slopes of a loss."""
+
+    @classmethod
+    def of(cls, network: Network, optimiser: StackedAdam, rows: int, minibatches: int) -> Self | None:
+        """Of a network whose minibatches are of so many rows altogether. None where torch is to learn."""
+        values, gradient = optimiser.values.whole, optimiser.gradient.whole
+        if not isinstance(network, StackedMLP) or values.is_cuda or values.dtype != torch.float32:
+            return None
+        if rows / minibatches * sum(weight[0].numel() for weight, _ in network.by_layer()) > MOST_PRODUCTS:
+            return None
+        from headway_algos.optim.kernel import ROWS
+
+        form = np.array([(w.shape[2], w.shape[1], *optimiser.starts((w, b))) for w, b in network.by_layer()])
+        held = np.empty((form[0, 0] + form[:, 1].sum(), ROWS), np.float32)
+        signals = np.empty((2, form[:, 1].max(), ROWS), np.float32)
+        return cls(values.numpy(), gradient.numpy(), form, network.activation == "relu", held, signals)
+
+    def learn(self, kernel: Callable[..., None], piece: Piece, *others: object) -> None:
+        """Call a kernel with what all take first, and others of its own."""
+        index, weight = (np.ascontiguousarray(tensor.numpy()) for tensor in (piece.index, piece.weight))
+        kernel(
+            self.values, self.gradient, self.form, self.relu, self.held, self.signals, index, weight, *others
+        )
+
+
+def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
+    """Rows (P, B, ...) as an array (P B, ...) of the type of an empty one, which stands for none."""
+    if rows is None:
+        return like
+    array: NDArray[Any] = np.ascontiguousarray(rows.detach().numpy(), dtype=like.dtype)
+    return array.reshape(-1, *array.shape[2:])
+
+
+def surrogate(
+    actor: Actor,
+    optimiser: StackedAdam,
+    rows: PolicyRows,
+    advantages: Tensor,
+    old: tuple[Tensor | None, Tensor | None],
+    kl_coeff: Tensor,
+    config: AlgoConfig,
+) -> Learn | None:
+    """Compiled, what `PPO._learn` does, of old network outputs (P, B, A), None without a penalty, and log
+    standard deviations (P, A, 1). None where torch is to learn."""
+    networks = Perceptrons.of(actor.network, optimiser, rows.selected.shape[1], config.minibatches)
+    if networks is None:
+        return None
+    from headway_algos.optim import kernel
+
+    old_outputs, old_log_std = old
+    numbers, outputs = np.empty(0, np.float32), int(networks.form[-1, 1])
+    table = numbers.reshape(0, outputs)
+    common = (
+        _flat(rows.observations, table), _flat(rows.log_probs, numbers), _flat(advantages, numbers),
+        _flat(old_outputs, table), kl_coeff.numpy(), float(config.clip), float(config.entropy_coeff),
+    )  # fmt: skip
+    learn: Callable[..., None]
+    its_own: tuple[Any, ...]
+    if actor.log_std is None or old_log_std is None:
+        masks = _flat(rows.masks, np.empty((0, outputs), np.bool_))
+        learn, its_own = kernel.learn_categorical, (_flat(rows.actions, np.empty(0, np.int64)), masks)
+    else:
+        (begins,) = optimiser.starts([actor.log_std])
+        past = np.ascontiguousarray(old_log_std[..., 0].numpy())
+        learn, its_own = kernel.learn_gaussian, (_flat(rows.actions, table), begins, past)
+
+    def of_piece(piece: Piece) -> Tensor:
+        shares = np.zeros((len(networks.values), 3), np.float32)
+        networks.learn(learn, piece, *common, shares, *its_own)
+        return torch.from_numpy(shares.T)
+
+    return of_piece
+
+
+def regression(
+    network: Network,
+    optimiser: StackedAdam,
+    inputs: Tensor,
+    taken: Tensor | None,
+    targets: Tensor,
+    config: AlgoConfig,
+) -> Learn | None:
+    """Compiled, what `Regression._learn` does, of inputs (P, B, D), the outputs (P, B) that were taken, None
+    where there is but one, and targets (P, B). None where torch is to learn."""
+    networks = Perceptrons.of(network, optimiser, inputs.shape[1], config.minibatches)
+    if networks is None:
+        return None
+    from headway_algos.optim import kernel
+
+    numbers, most = (
+        np.empty(0, np.float32),
+        float("inf") if config.value_clip is None else float(config.value_clip),
+    )
+    of_rows = (
+        _flat(inputs, numbers), _flat(taken, np.empty(0, np.int64)), _flat(targets, numbers), most,
+    )  # fmt: skip
+
+    def of_piece(piece: Piece) -> Tensor:
+        losses = np.zeros(len(networks.values), np.float32)
+        networks.learn(kernel.learn_returns, piece, *of_rows, losses)
+        return torch.from_numpy(losses)
+
+    return of_piece

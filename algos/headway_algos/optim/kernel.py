@@ -1,0 +1,505 @@
+"""Compiled steps of learning on a processor: small perceptrons forward and back, losses, Adam.
+
+Networks of a stack come one after another, each through its own rows in parts that fit the cache, features
+first: what a network becomes depends neither on its stack nor on how much the others have to learn from.
+torch takes longer to call a product of small matrices than to compute it. What these compute is said, and
+tested, where torch does the same: `passes`, `distributions`, `updates.ppo`, `critics.returns`.
+
+This is one file since numba notices only changes in the file of the function that is called.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts.numba_setup import compiled_with
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Floats = NDArray[Any]
+"""In the networks' precision."""
+
+ROWS = 256
+"""Taken through a network at once."""
+_ZERO, _ONE = np.float32(0), np.float32(1)
+
+
+def _compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Without allocation. Sums may be taken in any order and products rounded together with them; NaN and
+    infinities are what they are."""
+    return compiled_with(function, _nrt=False, fastmath={"contract", "reassoc", "nsz"})
+
+
+# tanh(x) / x = P(x^2) / Q(x^2), fitted for the least relative error (1.2e-8) below where tanh is 1 in
+# float32.
+_END = np.float32(8.5)
+_P = tuple(
+    np.float32(c)
+    for c in (1, 0.13413232564926147, 3.5340096801519394e-3, 2.1250756617519073e-5, 1.4268818127050054e-8)
+)
+_Q = tuple(
+    np.float32(c)
+    for c in (1, 0.4674655497074127, 2.6022685691714287e-2, 3.348836617078632e-4, 8.144958201228292e-7)
+)
+
+
+@_compiled
+def _tanh(row: Floats, n: int) -> None:
+    for t in range(n):
+        x = row[t]
+        # Written so that NaN stays NaN.
+        x = _END if x > _END else x
+        x = -_END if x < -_END else x
+        s = x * x
+        p = (((_P[4] * s + _P[3]) * s + _P[2]) * s + _P[1]) * s + _P[0]
+        q = (((_Q[4] * s + _Q[3]) * s + _Q[2]) * s + _Q[1]) * s + _Q[0]
+        y = x * p / q
+        y = _ONE if y > _ONE else y
+        row[t] = -_ONE if y < -_ONE else y
+
+
+@_compiled
+def _add_product(
+    w: Floats, step_out: int, step_in: int, outs: int, ins: int, x: Floats, y: Floats, n: int
+) -> None:
+    """y[o] += sum_i w[o step_out + i step_in] x[i], in n columns; four by four, so that what was loaded is
+    used several times."""
+    whole_outs, whole_ins = outs - outs % 4, ins - ins % 4
+    for o in range(0, whole_outs, 4):
+        y0, y1, y2, y3 = y[o], y[o + 1], y[o + 2], y[o + 3]
+        a = o * step_out
+        b, c, d = a + step_out, a + 2 * step_out, a + 3 * step_out
+        for i in range(0, whole_ins, 4):
+            x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
+            i0 = i * step_in
+            i1, i2, i3 = i0 + step_in, i0 + 2 * step_in, i0 + 3 * step_in
+            a0, a1, a2, a3 = w[a + i0], w[a + i1], w[a + i2], w[a + i3]
+            b0, b1, b2, b3 = w[b + i0], w[b + i1], w[b + i2], w[b + i3]
+            c0, c1, c2, c3 = w[c + i0], w[c + i1], w[c + i2], w[c + i3]
+            d0, d1, d2, d3 = w[d + i0], w[d + i1], w[d + i2], w[d + i3]
+            for t in range(n):
+                u0, u1, u2, u3 = x0[t], x1[t], x2[t], x3[t]
+                y0[t] += a0 * u0 + a1 * u1 + a2 * u2 + a3 * u3
+                y1[t] += b0 * u0 + b1 * u1 + b2 * u2 + b3 * u3
+                y2[t] += c0 * u0 + c1 * u1 + c2 * u2 + c3 * u3
+                y3[t] += d0 * u0 + d1 * u1 + d2 * u2 + d3 * u3
+        for i in range(whole_ins, ins):
+            x0 = x[i]
+            i0 = i * step_in
+            a0, b0, c0, d0 = w[a + i0], w[b + i0], w[c + i0], w[d + i0]
+            for t in range(n):
+                y0[t] += a0 * x0[t]
+                y1[t] += b0 * x0[t]
+                y2[t] += c0 * x0[t]
+                y3[t] += d0 * x0[t]
+    for o in range(whole_outs, outs):
+        y0 = y[o]
+        for i in range(ins):
+            x0, a0 = x[i], w[o * step_out + i * step_in]
+            for t in range(n):
+                y0[t] += a0 * x0[t]
+
+
+@_compiled
+def _add_outer(g: Floats, x: Floats, outs: int, ins: int, w: Floats, n: int) -> None:
+    """w[o, i] += sum_t g[o, t] x[i, t], of w laid out row after row; four by four as well."""
+    whole_outs, whole_ins = outs - outs % 4, ins - ins % 4
+    for o in range(0, whole_outs, 4):
+        g0, g1, g2, g3 = g[o], g[o + 1], g[o + 2], g[o + 3]
+        for i in range(0, whole_ins, 4):
+            x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
+            a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = _ZERO
+            c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = _ZERO
+            for t in range(n):
+                u0, u1, u2, u3 = x0[t], x1[t], x2[t], x3[t]
+                v0, v1, v2, v3 = g0[t], g1[t], g2[t], g3[t]
+                a0 += v0 * u0
+                a1 += v0 * u1
+                a2 += v0 * u2
+                a3 += v0 * u3
+                b0 += v1 * u0
+                b1 += v1 * u1
+                b2 += v1 * u2
+                b3 += v1 * u3
+                c0 += v2 * u0
+                c1 += v2 * u1
+                c2 += v2 * u2
+                c3 += v2 * u3
+                d0 += v3 * u0
+                d1 += v3 * u1
+                d2 += v3 * u2
+                d3 += v3 * u3
+            at = o * ins + i
+            w[at] += a0
+            w[at + 1] += a1
+            w[at + 2] += a2
+            w[at + 3] += a3
+            at += ins
+            w[at] += b0
+            w[at + 1] += b1
+            w[at + 2] += b2
+            w[at + 3] += b3
+            at += ins
+            w[at] += c0
+            w[at + 1] += c1
+            w[at + 2] += c2
+            w[at + 3] += c3
+            at += ins
+            w[at] += d0
+            w[at + 1] += d1
+            w[at + 2] += d2
+            w[at + 3] += d3
+        for i in range(whole_ins, ins):
+            x0 = x[i]
+            a0 = b0 = c0 = d0 = _ZERO
+            for t in range(n):
+                a0 += g0[t] * x0[t]
+                b0 += g1[t] * x0[t]
+                c0 += g2[t] * x0[t]
+                d0 += g3[t] * x0[t]
+            at = o * ins + i
+            w[at] += a0
+            w[at + ins] += b0
+            w[at + 2 * ins] += c0
+            w[at + 3 * ins] += d0
+    for o in range(whole_outs, outs):
+        g0 = g[o]
+        for i in range(ins):
+            x0, a0 = x[i], _ZERO
+            for t in range(n):
+                a0 += g0[t] * x0[t]
+            w[o * ins + i] += a0
+
+
+@_compiled
+def _forward(
+    values: Floats, form: NDArray[np.int64], relu: bool, held: Floats, rows: Floats, index: NDArray[np.int64]
+) -> None:
+    """One network, `values` (V,), at rows (., D) of an index (n,). `held` (F, ROWS) gets what every layer
+    is given, then the outputs; `form` (L, 4) is each layer's inputs, outputs, and where its weights and
+    biases begin."""
+    n, top = len(index), 0
+    for t in range(n):
+        row = rows[index[t]]
+        for i in range(form[0, 0]):
+            held[i, t] = row[i]
+    for layer in range(len(form)):
+        ins, outs, weights, biases = form[layer, 0], form[layer, 1], form[layer, 2], form[layer, 3]
+        x = held[top : top + ins]
+        top += ins
+        y = held[top : top + outs]
+        for o in range(outs):
+            y0, bias = y[o], values[biases + o]
+            for t in range(n):
+                y0[t] = bias
+        _add_product(values[weights:], ins, 1, outs, ins, x, y, n)
+        if layer < len(form) - 1:
+            for o in range(outs):
+                y0 = y[o]
+                if relu:
+                    for t in range(n):
+                        y0[t] = _ZERO if y0[t] < _ZERO else y0[t]
+                else:
+                    _tanh(y0, n)
+
+
+@_compiled
+def _backward(
+    values: Floats,
+    form: NDArray[np.int64],
+    relu: bool,
+    held: Floats,
+    signals: Floats,
+    gradient: Floats,
+    n: int,
+) -> None:
+    """Add to the gradient (V,) of one network that of a loss whose slope at the outputs stands in
+    `signals[len(form) % 2]`, of signals (2, W, ROWS)."""
+    top = 0
+    for layer in range(len(form)):
+        top += form[layer, 0]
+    for layer in range(len(form) - 1, -1, -1):
+        ins, outs, weights, biases = form[layer, 0], form[layer, 1], form[layer, 2], form[layer, 3]
+        top -= ins
+        x, signal = held[top : top + ins], signals[(layer + 1) % 2]
+        _add_outer(signal, x, outs, ins, gradient[weights:], n)
+        for o in range(outs):
+            g0, total = signal[o], _ZERO
+            for t in range(n):
+                total += g0[t]
+            gradient[biases + o] += total
+        if layer == 0:
+            break
+        before = signals[layer % 2]
+        for i in range(ins):
+            g0 = before[i]
+            for t in range(n):
+                g0[t] = _ZERO
+        _add_product(values[weights:], 1, ins, ins, outs, signal, before, n)
+        for i in range(ins):
+            g0, x0 = before[i], x[i]
+            if relu:
+                for t in range(n):
+                    g0[t] = g0[t] if x0[t] > _ZERO else _ZERO
+            else:
+                for t in range(n):
+                    g0[t] *= _ONE - x0[t] * x0[t]
+
+
+@_compiled
+def _rows_of_its_own(weight: Floats) -> int:
+    """How many rows a network has in a minibatch; behind them is padding, of weight 0."""
+    n = 0
+    while n < len(weight) and weight[n] > 0:
+        n += 1
+    return n
+
+
+@_compiled
+def _pull(
+    log_ratio: float, advantage: float, entropy: float, share: float, clip: float, shares: Floats
+) -> float:
+    """The slope of PPO's loss in a row's log-probability, and to `shares` (3,) what `PPO._learn` returns."""
+    ratio = math.exp(log_ratio)
+    shares[0] += share * (ratio - 1 - log_ratio)
+    shares[1] += share * entropy
+    shares[2] += share if abs(ratio - 1) > clip else 0.0
+    gained = ratio * advantage
+    bounded = 1 - clip if ratio < 1 - clip else (1 + clip if ratio > 1 + clip else ratio)
+    return 0.0 if gained > bounded * advantage else -share * gained
+
+
+@_compiled
+def learn_gaussian(
+    values: Floats,
+    gradient: Floats,
+    form: NDArray[np.int64],
+    relu: bool,
+    held: Floats,
+    signals: Floats,
+    index: NDArray[np.int64],
+    weight: Floats,
+    rows: Floats,
+    log_probs: Floats,
+    advantages: Floats,
+    old_means: Floats,
+    kl_coeff: Floats,
+    clip: float,
+    entropy_coeff: float,
+    shares: Floats,
+    actions: Floats,
+    log_std_at: int,
+    old_log_std: Floats,
+) -> None:
+    """Add PPO's gradients at index and weight (P, n) of rows (P B, ...), and to `shares` (P, 3) what
+    `PPO._learn` returns. Log standard deviations begin at `log_std_at` of a network's values; `old_means`
+    (P B, A) is empty without a penalty."""
+    penalised = len(old_means) > 0
+    size = form[-1, 1]
+    top = form[:, 0].sum()
+    for p in range(len(index)):
+        log_std, log_std_gradient = values[p, log_std_at:], gradient[p, log_std_at:]
+        rows_here = _rows_of_its_own(weight[p])
+        parts = (rows_here + ROWS - 1) // ROWS
+        for part in range(parts):
+            start = rows_here * part // parts
+            n = rows_here * (part + 1) // parts - start
+            places = index[p, start : start + n]
+            _forward(values[p], form, relu, held, rows, places)
+            for t in range(n):
+                r, share = places[t], weight[p, start + t]
+                log_prob, entropy = 0.0, 0.0
+                for a in range(size):
+                    z = (actions[r, a] - held[top + a, t]) * math.exp(-log_std[a])
+                    log_prob += -0.5 * z * z - log_std[a] - 0.5 * math.log(2 * math.pi)
+                    entropy += log_std[a] + 0.5 * math.log(2 * math.pi) + 0.5
+                log_ratio = log_prob - log_probs[r]
+                pull = _pull(log_ratio, advantages[r], entropy, share, clip, shares[p])
+                for a in range(size):
+                    inverse = math.exp(-log_std[a])
+                    z = (actions[r, a] - held[top + a, t]) * inverse
+                    of_mean = pull * z
+                    of_log_std = pull * z * z - pull - entropy_coeff * share
+                    if penalised:
+                        shift = (held[top + a, t] - old_means[r, a]) * inverse
+                        variance_ratio = math.exp(2 * (old_log_std[p, a] - log_std[a]))
+                        of_mean += kl_coeff[p] * share * shift
+                        of_log_std += kl_coeff[p] * share * (1 - variance_ratio - shift * shift)
+                    signals[len(form) % 2, a, t] = of_mean * inverse
+                    log_std_gradient[a] += of_log_std
+            _backward(values[p], form, relu, held, signals, gradient[p], n)
+
+
+@_compiled
+def learn_categorical(
+    values: Floats,
+    gradient: Floats,
+    form: NDArray[np.int64],
+    relu: bool,
+    held: Floats,
+    signals: Floats,
+    index: NDArray[np.int64],
+    weight: Floats,
+    rows: Floats,
+    log_probs: Floats,
+    advantages: Floats,
+    old_logits: Floats,
+    kl_coeff: Floats,
+    clip: float,
+    entropy_coeff: float,
+    shares: Floats,
+    actions: NDArray[np.int64],
+    masks: NDArray[np.bool_],
+) -> None:
+    """As `learn_gaussian`: `masks` (P B, A) are empty where all actions are allowed, `old_logits` (P B, A)
+    without a penalty."""
+    masked, penalised = len(masks) > 0, len(old_logits) > 0
+    size = form[-1, 1]
+    top = form[:, 0].sum()
+    for p in range(len(index)):
+        rows_here = _rows_of_its_own(weight[p])
+        parts = (rows_here + ROWS - 1) // ROWS
+        for part in range(parts):
+            start = rows_here * part // parts
+            n = rows_here * (part + 1) // parts - start
+            places = index[p, start : start + n]
+            _forward(values[p], form, relu, held, rows, places)
+            for t in range(n):
+                r, share = places[t], weight[p, start + t]
+                most, most_old = -math.inf, -math.inf
+                for a in range(size):
+                    if not masked or masks[r, a]:
+                        most = max(most, held[top + a, t])
+                        if penalised:
+                            most_old = max(most_old, old_logits[r, a])
+                total, total_old = 0.0, 0.0
+                for a in range(size):
+                    if not masked or masks[r, a]:
+                        total += math.exp(held[top + a, t] - most)
+                        if penalised:
+                            total_old += math.exp(old_logits[r, a] - most_old)
+                # Of a probability: logit - scale.
+                scale = most + math.log(total)
+                scale_old = most_old + math.log(total_old) if penalised else 0.0
+                entropy = 0.0
+                for a in range(size):
+                    if not masked or masks[r, a]:
+                        log_prob = held[top + a, t] - scale
+                        entropy -= math.exp(log_prob) * log_prob
+                log_ratio = held[top + actions[r], t] - scale - log_probs[r]
+                pull = _pull(log_ratio, advantages[r], entropy, share, clip, shares[p])
+                for a in range(size):
+                    slope = 0.0
+                    if not masked or masks[r, a]:
+                        log_prob = held[top + a, t] - scale
+                        chance = math.exp(log_prob)
+                        slope = -chance * (pull - entropy_coeff * share * (log_prob + entropy))
+                        if a == actions[r]:
+                            slope += pull
+                        if penalised:
+                            slope += kl_coeff[p] * share * (chance - math.exp(old_logits[r, a] - scale_old))
+                    signals[len(form) % 2, a, t] = slope
+            _backward(values[p], form, relu, held, signals, gradient[p], n)
+
+
+@_compiled
+def learn_returns(
+    values: Floats,
+    gradient: Floats,
+    form: NDArray[np.int64],
+    relu: bool,
+    held: Floats,
+    signals: Floats,
+    index: NDArray[np.int64],
+    weight: Floats,
+    rows: Floats,
+    taken: NDArray[np.int64],
+    targets: Floats,
+    most: float,
+    losses: Floats,
+) -> None:
+    """Add the gradients of squared errors, bounded by `most`, at index and weight (P, n) of rows (P B, ...),
+    and the mean to `losses` (P,). `taken` (P B,) names the outputs that are compared; empty: the only one."""
+    chosen = len(taken) > 0
+    top = form[:, 0].sum()
+    for p in range(len(index)):
+        rows_here = _rows_of_its_own(weight[p])
+        parts = (rows_here + ROWS - 1) // ROWS
+        for part in range(parts):
+            start = rows_here * part // parts
+            n = rows_here * (part + 1) // parts - start
+            places = index[p, start : start + n]
+            _forward(values[p], form, relu, held, rows, places)
+            for t in range(n):
+                r, share = places[t], weight[p, start + t]
+                for a in range(form[-1, 1]):
+                    signals[len(form) % 2, a, t] = _ZERO
+                output = taken[r] if chosen else 0
+                difference = held[top + output, t] - targets[r]
+                error, slope = difference * difference, 2 * difference * share
+                if error > most:
+                    error, slope = most, 0.0
+                signals[len(form) % 2, output, t] = slope
+                losses[p] += share * error
+            _backward(values[p], form, relu, held, signals, gradient[p], n)
+
+
+@_compiled
+def adam(
+    values: Floats,
+    gradient: Floats,
+    means: Floats,
+    squares: Floats,
+    counts: NDArray[np.int64],
+    active: NDArray[np.bool_],
+    lr: float,
+    bound: float,
+    decays: tuple[float, float],
+    epsilon: float,
+    norms: Floats,
+) -> None:
+    """A step of the networks (P, V) that are active (P,), each after `counts` (P,) of its own, along
+    gradients whose `norms` (P,) are bounded; of others the norms are 0."""
+    one = values.dtype.type(1)
+    first, second = values.dtype.type(decays[0]), values.dtype.type(decays[1])
+    least = values.dtype.type(epsilon)
+    for p in range(len(values)):
+        norms[p] = 0
+        if not active[p]:
+            continue
+        v, g, m, s = values[p], gradient[p], means[p], squares[p]
+        total = g[0] * g[0]
+        for i in range(1, len(g)):
+            total += g[i] * g[i]
+        norm = math.sqrt(total)
+        norms[p] = norm
+        # Written so that the share of a norm that is not a number is none either, as torch has it.
+        limit = bound / (norm + 1e-6) if bound < math.inf else 1.0
+        share = values.dtype.type(1.0 if limit >= 1 else limit)
+        count = counts[p] + 1
+        step = values.dtype.type(lr / (1 - decays[0] ** count))
+        scale = values.dtype.type(math.sqrt(1 - decays[1] ** count))
+        for i in range(len(v)):
+            slope = g[i] * share
+            m[i] = first * m[i] + (one - first) * slope
+            s[i] = second * s[i] + (one - second) * slope * slope
+            v[i] -= step * m[i] / (math.sqrt(s[i]) / scale + least)
+        counts[p] = count
+
+
+def warm() -> None:
+    """Compile all of it, or load it from the cache, by steps of empty minibatches."""
+    form = np.zeros((1, 4), np.int64)
+    counts, active, indices = np.zeros(1, np.int64), np.ones(1, np.bool_), np.zeros((1, 0), np.int64)
+    for dtype in (np.float32, np.float64):
+        of, norms = np.zeros((1, 1), dtype), np.zeros(1, dtype)
+        adam(of, of, of, of, counts, active, 0.0, math.inf, (0.0, 0.0), 1.0, norms)
+    table, row, signals = (np.zeros(shape, np.float32) for shape in ((1, 1), 1, (2, 1, 1)))
+    begin = (table, table, form, False, table, signals, indices, np.zeros((1, 0), np.float32), table)
+    common = (row, row, table, row, 0.0, 0.0, np.zeros((1, 3), np.float32))
+    learn_gaussian(*begin, *common, table, 0, table)
+    learn_categorical(*begin, *common, counts, np.ones((1, 1), np.bool_))
+    learn_returns(*begin, counts, row, 0.0, row)

@@ -1,0 +1,165 @@
+"""Steps along the natural gradient, by Kronecker factors, within a trust region (Wu et al. 2017,
+arXiv:1708.05144), for a stack of networks."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from headway.contracts import HeadwayError
+from headway_algos.config import AlgoConfig
+from headway_algos.networks.distributions import DiagonalGaussian
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.optim.kronecker import KroneckerFactors, inner, joined
+from headway_algos.optim.linearised import LinearisedMLP
+
+Information = Callable[[Tensor], Tensor]
+"""v (P, O, B) -> M v: products with the Fisher information in a network's outputs, row by row."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a step of each network was, (P,) each; 0 of a network that took none."""
+
+    size: Tensor
+    """Eta, of at most the learning rate."""
+    predicted_kl: Tensor
+    """1/2 eta^2 d^T F d, damping included: at most the bound."""
+
+
+class StackedKFAC:
+    """Moves networks by eta d, where d = F^-1 g, F in Kronecker factors, and eta is of section 3 there,
+
+        eta = min(lr, sqrt(2 delta / d^T F d)),
+
+    so that 1/2 eta^2 d^T F d, to second order the KL divergence, is at most delta. The paper takes F in
+    factors for the length, too, as `kfac_length: factors` does. But d lies where these factors, which average
+    older batches and know nothing of what layers have in common, are small: divergences can be
+    several times what they say. The default is F of the batch itself (as in section 6.4 of Martens and
+    Grosse, arXiv:1503.05671), at the cost of one pass. Either is damped, which bounds steps where F vanishes.
+
+    With momentum, d is the running average mu d + (1 - mu) F^-1 g, and the bound is of the step that is
+    really taken. A Gaussian's log standard deviation, whose Fisher information is known and shared with
+    nothing else, is part of d. Every network of the stack goes by itself.
+    """
+
+    def __init__(
+        self, network: nn.Module, log_std: nn.Parameter | None, config: AlgoConfig, lr: float, bound: float
+    ) -> None:
+        """Raises HeadwayError for networks other than multilayer perceptrons."""
+        self.network, self.log_std = _perceptrons(network), log_std
+        self.lr, self.bound, self.share = lr, bound, 1.0
+        self.damping, self.momentum = config.kfac_damping, config.kfac_momentum
+        self.exact = config.kfac_length == "exact"
+        self.pieces: list[tuple[LinearisedMLP, Information, Tensor]] = []
+        self.factors = KroneckerFactors(
+            self.network, config.kfac_damping, config.kfac_decay, config.kfac_every
+        )
+        self.direction = [
+            torch.zeros_like(part) for part in self._parts([p.detach() for p in self._learnable])
+        ]
+        """d, of the last step."""
+
+    @property
+    def _learnable(self) -> list[nn.Parameter]:
+        return [*([] if self.log_std is None else [self.log_std]), *self.network.parameters()]
+
+    def _parts(self, parameters: Sequence[Tensor]) -> list[Tensor]:
+        """In the order of an actor's learnable tensors: log standard deviation, then one matrix a layer."""
+        first = 0 if self.log_std is None else 1
+        return [*parameters[:first], *joined(parameters[first:])]
+
+    def begin(self) -> None:
+        """A new batch."""
+        self.factors.begin()
+        self.pieces.clear()
+
+    def include(self, linear: LinearisedMLP, score: Tensor, information: Information, weight: Tensor) -> None:
+        """Add a piece of the batch, at the networks' parameters: see `KroneckerFactors.include`."""
+        self.factors.include(linear, score, weight)
+        if self.exact:
+            self.pieces.append((linear, information, weight))
+
+    def step(self, gradient: Sequence[Tensor], active: NDArray[np.bool_]) -> Step:
+        """Move the networks that have rows in the batch, (P,), up a gradient: in the order of an actor's
+        learnable tensors. The others, and what is carried on for them, stay as they were."""
+        self.factors.absorb(active)
+        moves = torch.from_numpy(active).to(gradient[0].device)
+        solution = self._solve(self._parts(gradient))
+        for mine, new in zip(self.direction, solution, strict=True):
+            kept = self.momentum * mine + (1 - self.momentum) * new
+            mine.copy_(torch.where(moves[:, None, None], kept, mine))
+        curvature = self._curvature(self.direction)
+        self.pieces.clear()
+        longest = (2 * self.bound * self.share**2 / curvature).sqrt()
+        size = torch.where(moves, longest.clamp(max=self.lr * self.share), 0)
+        changes = [size[:, None, None] * part for part in self.direction]
+        with torch.no_grad():
+            if self.log_std is not None:
+                self.log_std.add_(changes.pop(0))
+            for weight, bias, change in zip(self.network.weights, self.network.biases, changes, strict=True):
+                weight.add_(change[:, :, :-1])
+                bias.add_(change[:, :, -1:])
+        return Step(size, 0.5 * size**2 * curvature)
+
+    def _solve(self, gradient: Sequence[Tensor]) -> list[Tensor]:
+        first = 0 if self.log_std is None else 1
+        own = [part / (DiagonalGaussian.LOG_STD_FISHER + self.damping) for part in gradient[:first]]
+        return [*own, *self.factors.solve(gradient[first:])]
+
+    def _curvature(self, direction: list[Tensor]) -> Tensor:
+        """d^T F d, (P,), damped."""
+        first = 0 if self.log_std is None else 1
+        own, layers = direction[:first], direction[first:]
+        total = DiagonalGaussian.LOG_STD_FISHER * inner(own, own) if own else 0
+        if not self.exact:
+            damping = self.damping * inner(own, own) if own else 0
+            return total + damping + inner(layers, self.factors.product(layers))
+        total = total + self.damping * inner(direction, direction)
+        parameters = [layer[:, :, :-1] for layer in layers] + [layer[:, :, -1:] for layer in layers]
+        for linear, information, weight in self.pieces:
+            change = linear.push(parameters)
+            total = total + ((change * information(change)).sum(1) * weight).sum(1)
+        return total
+
+    def anneal(self, share: float) -> None:
+        """Take steps of `share` of their length from now on: the bound is `share` squared of its base."""
+        self.share = share
+
+    def narrow(self, policies: Tensor, network: nn.Module, log_std: nn.Parameter | None) -> Self:
+        """The same for networks `policies` (n,) alone, of which these are copies."""
+        part = copy(self)
+        part.network, part.log_std, part.pieces = _perceptrons(network), log_std, []
+        part.factors = self.factors.narrow(policies)
+        part.direction = [tensor[policies] for tensor in self.direction]
+        return part
+
+    def adopt(self, policies: Tensor, part: Self) -> None:
+        """Take over what is carried on in `part`, narrowed to these networks."""
+        self.factors.adopt(policies, part.factors)
+        for mine, theirs in zip(self.direction, part.direction, strict=True):
+            mine.index_copy_(0, policies, theirs)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Factors and directions, each with leading axis P."""
+        return {"factors": self.factors.state_dict(), "direction": self.direction}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
+        self.factors.load_state_dict(state["factors"])
+        for mine, theirs in zip(self.direction, state["direction"], strict=True):
+            mine.copy_(theirs)
+
+
+def _perceptrons(network: nn.Module) -> StackedMLP:
+    if not isinstance(network, StackedMLP):
+        raise HeadwayError(
+            "K-FAC takes multilayer perceptrons, and this model has others; use another algorithm, or "
+            "algo=custom with another algo.update than kfac and with algo.critic_update=adam"
+        )
+    return network

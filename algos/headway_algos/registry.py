@@ -1,0 +1,138 @@
+"""The registry of algorithms, name to entry. Importing it imports no torch."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from headway.contracts import (
+    AlgoEntry,
+    AsynchronousLearner,
+    Box,
+    Contributor,
+    Discrete,
+    EnvSpec,
+    Learner,
+    MultiDiscrete,
+)
+from headway_algos.acting.gru import acting_policy
+from headway_algos.batches.grouping import missing_groups
+from headway_algos.config import AlgoConfig
+from headway_algos.off_policy.entries import OFF_POLICY
+from headway_algos.recipes import (
+    a3c,
+    coma,
+    custom,
+    happo,
+    hatrpo,
+    ia2c,
+    ippo,
+    itrpo,
+    maa2c,
+    maacktr,
+    mappo,
+    matrpo,
+)
+
+
+def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
+    from headway_algos.batches.policy_stack import resolve_device
+    from headway_algos.on_policy.learner import OnPolicyLearner
+    from headway_algos.on_policy.per_seed_learner import PerSeedLearner
+    from headway_algos.on_policy.split_learner import PartingLearner
+
+    make = PartingLearner if config.shared_until > 0 else OnPolicyLearner
+    if len(seeds) == 1 or resolve_device(device).type != "cpu":
+        return make(config, spec, seeds, device)
+    return PerSeedLearner([make(config, spec, (seed,), device) for seed in seeds])
+
+
+def _asynchronous_learner(
+    config: a3c.A3CConfig, spec: EnvSpec, seeds: Sequence[int], device: str
+) -> AsynchronousLearner:
+    from headway_algos.on_policy.a3c_learner import AsynchronousA2CLearner
+
+    return AsynchronousA2CLearner(config, spec, seeds, device)
+
+
+def _contributor(config: a3c.A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
+    from headway_algos.on_policy.a3c_learner import A2CContributor
+
+    return A2CContributor(config, spec, seeds)
+
+
+_AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
+"""What a named algorithm of the sequential order is called without it."""
+
+
+def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
+    counterfactual = config.critic == "counterfactual"
+    if isinstance(spec.action_space, MultiDiscrete):
+        takes = "Discrete" if counterfactual else "Discrete or Box"
+        return f"{config.name} takes {takes} actions, and {spec.name} has MultiDiscrete ones"
+    if counterfactual and isinstance(spec.action_space, Box):
+        return (
+            f"{config.name} takes Discrete actions, which its counterfactual critic compares, and "
+            f"{spec.name} has Box ones; use an algorithm with a local or central critic, such as algo=mappo"
+        )
+    if (line := missing_groups(config.policies, spec)) is not None:
+        return line
+    groups = len(set(spec.groups))
+    of_one = config.policies == "shared" or (config.policies == "groups" and groups == 1)
+    if config.order == "sequential" and of_one:
+        at_once = _AT_ONCE.get(config.name, "algo.order=simultaneous")
+        several = "independent, algo.policies=groups," if groups > 1 else "independent,"
+        return (
+            f"{config.name} updates one policy after another, and algo.policies={config.policies} is but one "
+            f"on {spec.name}; use algo.policies={several} or {at_once} for all at once"
+        )
+    actions, logits = spec.action_space, config.model.initial_logits
+    if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
+        count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
+        remedy = "give one an action, or leave it out" if isinstance(actions, Discrete) else "leave it out"
+        return f"algo.model.initial_logits has {len(logits)} entries, and {spec.name} has {count}; {remedy}"
+    return None
+
+
+def _never_parts(config: AlgoConfig, iterations: int) -> str | None:
+    """Iteration i of n begins when i / n of training is done: the last one at (n - 1) / n."""
+    begins = (iterations - 1) / iterations
+    if begins >= config.shared_until:
+        return None
+    return (
+        f"the last iteration begins at {begins:.3g} of training, before algo.shared_until="
+        f"{config.shared_until:g}, and policies would never part; train for more env_steps, or lower it"
+    )
+
+
+def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
+    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses, refuses_budget=_never_parts)
+
+
+_ALL = {
+    "a3c": AlgoEntry(
+        a3c.SUMMARY,
+        a3c.SOURCE,
+        a3c.A3CConfig,
+        acting_policy,
+        _asynchronous_learner,
+        _refuses,
+        contributor=_contributor,
+        preload=("headway_algos.on_policy.a3c_learner",),
+    ),
+    "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
+    "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
+    "happo": _entry(happo.SUMMARY, happo.SOURCE, happo.HAPPOConfig),
+    "hatrpo": _entry(hatrpo.SUMMARY, hatrpo.SOURCE, hatrpo.HATRPOConfig),
+    "ia2c": _entry(ia2c.SUMMARY, ia2c.SOURCE, ia2c.IA2CConfig),
+    "ippo": _entry(ippo.SUMMARY, ippo.SOURCE, ippo.IPPOConfig),
+    "itrpo": _entry(itrpo.SUMMARY, itrpo.SOURCE, itrpo.ITRPOConfig),
+    "maa2c": _entry(maa2c.SUMMARY, maa2c.SOURCE, maa2c.MAA2CConfig),
+    "maacktr": _entry(maacktr.SUMMARY, maacktr.SOURCE, maacktr.MAACKTRConfig),
+    "mappo": _entry(mappo.SUMMARY, mappo.SOURCE, mappo.MAPPOConfig),
+    "matrpo": _entry(matrpo.SUMMARY, matrpo.SOURCE, matrpo.MATRPOConfig),
+    **OFF_POLICY,
+}
+
+KERNELS = ("headway_algos.optim.kernel",)
+"""Compiled steps of learning, of which every algorithm takes some: Adam's, if no other."""
+
+ENTRIES = {name: replace(entry, kernels=KERNELS) for name, entry in _ALL.items()}

@@ -1,0 +1,224 @@
+"""What long work shows on stderr: a screen that stays in place, or a line now and then."""
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from headway_launch.console.output import silence, tell
+from headway_launch.runner.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
+
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.table import Table
+
+_FEW = 4
+"""So many jobs have a plain line each now and then; more have one together."""
+_PLAIN_EVERY_S, _PLAIN_AT_MOST_EVERY_S = 30.0, 600.0
+_PLAIN_SHARE = 0.1
+"""Of the time passed: plain lines come more and more rarely."""
+_DRAWN_EVERY_S = 0.25
+_TO_THE_END = "\x1b[K"
+"""Clears what an earlier, longer line left (ECMA-48)."""
+
+
+class Progress:
+    """Lines that stay in place on a terminal, never more than it has rows; elsewhere a plain line for each
+    job that begins or ends, and now and then one on how far things are."""
+
+    def __init__(self, jobs: Sequence[JobProgress], parallel: int = 1) -> None:
+        self._jobs, self._parallel = jobs, parallel
+        self._live: Live | None = None
+        self._statuses: list[Status] = ["waiting" for _ in jobs]
+        self._began = self._printed = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._began = self._printed = time.monotonic()
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.live import Live
+
+            console = Console(stderr=True)
+
+            def drawn() -> "Table":
+                return self.screen(console.width, console.height)
+
+            self._live = Live(console=console, get_renderable=drawn, refresh_per_second=4, transient=True)
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live:
+            with suppress(OSError):  # a terminal that is gone
+                self._live.__exit__(kind, error, trace)
+
+    def note(self, line: str) -> None:
+        """A line for the user that stays."""
+        if self._live is None:
+            tell(line)
+            return
+        try:
+            self._live.console.print(line, highlight=False, markup=False, soft_wrap=True)
+        except OSError:
+            silence(sys.stderr)
+
+    def show(self) -> None:
+        """Print what is new where lines cannot stay in place."""
+        if self._live:
+            return
+        for index, job in enumerate(self._jobs):
+            if job.status != self._statuses[index] and job.status not in ("waiting", "starting"):
+                self._statuses[index] = job.status
+                self._print(job)
+        now = time.monotonic()
+        if now - self._printed < _pause(now - self._began):
+            return
+        self._printed = now
+        training = [job for job in self._jobs if job.status == "training"]
+        for job in training if len(training) <= _FEW else ():
+            self._print(job)
+        if len(self._jobs) > 1:
+            self.note(overall(self._jobs, self._parallel))
+
+    def screen(self, width: int, height: int) -> "Table":
+        """All there is to see, for a terminal of so many columns and rows: everything together, each cell,
+        each job that runs; what has no room is counted."""
+        from rich.table import Table
+
+        rows = max(height - 1, 3)
+        screen = Table.grid()
+        screen.add_column(no_wrap=True, overflow="ellipsis", max_width=width)
+        active = [job for job in self._jobs if job.status in ACTIVE]
+        labels = list(dict.fromkeys(job.label for job in self._jobs))
+        lines = [overall(self._jobs, self._parallel)] if len(self._jobs) > 1 else []
+        if len(labels) > 1:
+            room = max(1, (rows - 1) // 2, rows - 1 - len(active))
+            lines += _fitting([self._of_cell(label) for label in labels], room, "cells")
+        lines += _fitting(_aligned([_cells(job, width) for job in active]), rows - len(lines), "training")
+        for line in lines:
+            screen.add_row(line)
+        return screen
+
+    def _of_cell(self, label: str) -> str:
+        jobs = [job for job in self._jobs if job.label == label]
+        failed, stopped = seeds_with(jobs, "failed"), seeds_with(jobs, "stopped")
+        others = (f", {failed} failed" if failed else "") + (f", {stopped} stopped" if stopped else "")
+        returns = [job.evaluation_return for job in jobs if job.evaluation_return is not None]
+        mean = f", return {sum(returns) / len(returns):.4g}" if returns else ""
+        seeds = sum(len(job.seeds) for job in jobs)
+        return f"{label}: {seeds_with(jobs, *ENDED)} of {seeds} ended{others}{mean}"
+
+    def _print(self, job: JobProgress) -> None:
+        self.note("  ".join(cell for cell in job.cells() if cell))
+
+
+class Counted:
+    """How far work of known or unknown length is: on a terminal one line on stderr, cut to its width, that
+    stays in place and goes at the end; elsewhere a line now and then. To be entered."""
+
+    def __init__(self, what: str, total: int | None = None) -> None:
+        """`what` is counted: `days simulated`."""
+        self._what, self._total, self._done, self._remark = what, total, 0, ""
+        self._began = self._printed = time.monotonic()
+        self._on_terminal = sys.stderr.isatty()
+
+    def __enter__(self) -> Self:
+        self._began = self._printed = time.monotonic()
+        if self._on_terminal:
+            self._draw(self.line)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._on_terminal:
+            self._draw("")
+
+    def add(self, count: int = 1, remark: str = "") -> None:
+        """So many more are done; `remark`: what is at work, where a single one takes long."""
+        self._done, self._remark = self._done + count, f" ({remark})" if remark else ""
+        now = time.monotonic()
+        if self._on_terminal:
+            if now - self._printed >= _DRAWN_EVERY_S or self._done == self._total:
+                self._printed = now
+                self._draw(self.line)
+        elif now - self._printed >= _pause(now - self._began):
+            self._printed = now
+            tell(self.line)
+
+    def note(self, line: str) -> None:
+        """A line for the user that stays."""
+        if self._on_terminal:
+            self._draw("")
+        tell(line)
+        if self._on_terminal:
+            self._draw(self.line)
+
+    @property
+    def line(self) -> str:
+        """`days simulated: 3 of 20, about 0:01:20 left (remark)`; of unknown length, `steps played: 412`."""
+        if self._total is None:
+            return f"{self._what}: {self._done:,}{self._remark}"
+        counted = f"{self._what}: {self._done:,} of {self._total:,}"
+        if not 0 < self._done < self._total:
+            return f"{counted}{self._remark}"
+        left = (time.monotonic() - self._began) / self._done * (self._total - self._done)
+        return f"{counted}, about {duration(left)} left{self._remark}"
+
+    def _draw(self, line: str) -> None:
+        try:
+            # A line that wraps could not be gone back to; one that fills the row has its last letter cleared.
+            print(f"\r{line[: _width() - 1]}{_TO_THE_END}", end="", file=sys.stderr, flush=True)
+        except OSError:
+            silence(sys.stderr)
+
+
+def _width() -> int:
+    """Columns of the terminal that stderr is now; where that does not say, of the one there is, or 80."""
+    columns = 0
+    with suppress(OSError, ValueError):
+        columns = os.get_terminal_size(sys.stderr.fileno()).columns
+    return columns or shutil.get_terminal_size().columns
+
+
+def _pause(passed: float) -> float:
+    """Between plain lines, s, so many seconds after the beginning."""
+    return min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * passed), _PLAIN_AT_MOST_EVERY_S)
+
+
+def _cells(job: JobProgress, width: int) -> tuple[str, ...]:
+    """Of a narrow line the total of steps goes, which the iterations tell already."""
+    name, iteration, steps, *others = job.cells()
+    return (name, iteration, *((steps,) if width >= 100 else ()), *others)
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Names to the left, figures to the right, one column below the other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if place == 0 else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+            if width
+        )
+        for row in rows
+    ]
+
+
+def _fitting(lines: list[str], room: int, kind: str) -> list[str]:
+    if len(lines) <= room:
+        return lines
+    shown = max(room - 1, 0)
+    return [*lines[:shown], f"... and {len(lines) - shown} more {kind}"][:room]

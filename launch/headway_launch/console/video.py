@@ -1,0 +1,105 @@
+"""Frames of an episode, the line beneath that says whose they are, and the files that they are put into."""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_launch.console.progress_display import Counted
+from headway_launch.console.unwritten import unwritten
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+Frame = NDArray[np.uint8]
+"""(height, width, 3), RGB."""
+
+_SIZE, _LINE, _EDGE = 13, 18, 5
+"""Of letters, lines and the room around them, pixels."""
+
+
+def caption_strip(caption: str, width: int) -> Frame:
+    """The caption as a picture of that width, in as many lines as it needs."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    font, letters = ImageFont.load_default(_SIZE), len(caption)
+    lines = wrap(caption, letters)
+    while letters > 1 and max(map(font.getlength, lines)) > width - 2 * _EDGE:
+        letters -= 1
+        lines = wrap(caption, letters)
+    strip = Image.new("RGB", (width, 2 * _EDGE + _LINE * len(lines)), "#ffffff")
+    pen = ImageDraw.Draw(strip)
+    for place, line in enumerate(lines):
+        pen.text((_EDGE, _EDGE + _LINE * place), line, "#20242a", font)
+    return np.asarray(strip, np.uint8)
+
+
+@dataclass(frozen=True)
+class PackedFrame:
+    """A frame in little memory: an episode may have thousands, of a megabyte each."""
+
+    content: bytes
+    shape: tuple[int, ...]
+
+    @classmethod
+    def of(cls, frame: Frame) -> "PackedFrame":
+        """It, compressed."""
+        return cls(zlib.compress(frame.tobytes(), 1), frame.shape)
+
+    def unpacked(self) -> Frame:
+        """It, as it was."""
+        return np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
+
+
+def write_picture(frame: Frame, output: Path, caption: str) -> None:
+    """One frame as a PNG, with the caption in its text, too. Raises HeadwayError if it cannot be written."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    words = PngInfo()
+    words.add_text("Title", caption)
+    try:
+        Image.fromarray(frame).save(output, pnginfo=words)
+    except OSError as error:
+        raise unwritten("--output", output, error) from error
+
+
+def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption: str) -> None:
+    """Frames as a GIF, `fps` a second, with the caption as its comment, too. Raises HeadwayError if it cannot
+    be written."""
+    from PIL import Image
+
+    palette = _palette(frames)
+    pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
+    try:
+        with Counted("frames written", len(frames)) as written:
+
+            def picture_of(frame: PackedFrame) -> Image.Image:
+                written.add()
+                whole = Image.fromarray(frame.unpacked())
+                return whole.quantize(palette=palette, dither=Image.Dither.NONE)
+
+            pictures = map(picture_of, frames)
+            next(pictures).save(
+                output,
+                save_all=True,
+                append_images=pictures,
+                duration=pause,
+                loop=0,
+                comment=caption.encode(),
+            )
+    except OSError as error:
+        raise unwritten("--output", output, error) from error
+
+
+def _palette(frames: Sequence[PackedFrame]) -> "Image.Image":
+    """One for all frames, so that what stands still is stored once; with rare colours, as that of a crash."""
+    from PIL import Image
+
+    some = [frame.unpacked() for frame in (*frames[:: max(len(frames) // 8, 1)], frames[-1])]
+    return Image.fromarray(np.concatenate(some)).quantize(256, Image.Quantize.MAXCOVERAGE)

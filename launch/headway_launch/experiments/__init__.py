@@ -1,0 +1,1 @@
+"""From names and overrides to validated experiments, sweeps and searches; stored runs."""

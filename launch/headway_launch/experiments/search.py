@@ -1,0 +1,74 @@
+"""Searches for hyper-parameters: the files of configs/search, and the experiments that they describe."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import yaml
+
+from headway.config.schema import build, suggestion
+from headway.contracts.errors import HeadwayError
+from headway_launch.experiments.compose import Experiment, compose, configs_folder
+from headway_launch.experiments.stored_run import identity
+from headway_launch.experiments.sweep import require_one_session
+from headway_launch.runner.jobs import full_mapping
+
+Point = tuple[str, str]
+"""The names of a cell and of a candidate in it."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """The contents of a file in configs/search."""
+
+    base: tuple[str, ...]
+    """Overrides of every run, `experiment=...` and `seed=...` among them."""
+    cells: Mapping[str, tuple[str, ...]]
+    """Name -> its overrides."""
+    candidates: Mapping[str, tuple[str, ...]]
+    """Name -> its overrides."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("cells", self.cells), ("candidates", self.candidates)):
+            if not values:
+                raise ValueError(f"{name} must have one entry or more: a name and a list of overrides")
+
+    def points(self, overrides: Sequence[str] = ()) -> dict[Point, Experiment]:
+        """Every candidate in every cell, with `overrides` of all.
+
+        Raises HeadwayError for what cannot be used, and where two would train the same.
+        """
+        points = {
+            (cell, candidate): _called(candidate, compose([*self.base, *in_cell, *tried, *overrides]))
+            for cell, in_cell in self.cells.items()
+            for candidate, tried in self.candidates.items()
+        }
+        require_one_session(list(points.values()))
+        known: dict[str, Point] = {}
+        for point, experiment in points.items():
+            other = known.setdefault(identity(full_mapping(experiment, ())), point)
+            if other != point:
+                raise HeadwayError(
+                    f"{': '.join(other)} and {': '.join(point)} are the same experiment; give each candidate "
+                    "its own values, and override none of them"
+                )
+        return points
+
+
+def _called(candidate: str, experiment: Experiment) -> Experiment:
+    return replace(experiment, config=replace(experiment.config, candidate=candidate))
+
+
+def read_search(name: str) -> Search:
+    """A search of configs/search. Raises HeadwayError if there is none of that name, or it cannot be read."""
+    folder = configs_folder() / "search"
+    known = sorted(path.stem for path in folder.glob("*.yaml"))
+    if name not in known:
+        raise HeadwayError(f"there is no search {name!r}; {suggestion(name, known)}")
+    try:
+        content = yaml.safe_load((folder / f"{name}.yaml").read_text())
+    except yaml.YAMLError as error:
+        problem = " ".join(str(error).split())
+        raise HeadwayError(f"configs/search/{name}.yaml is not valid YAML: {problem}") from error
+    if not isinstance(content, Mapping):
+        raise HeadwayError(f"configs/search/{name}.yaml must have the keys base, cells and candidates")
+    return build(Search, content, f"search/{name}")

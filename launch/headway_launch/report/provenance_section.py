@@ -1,0 +1,139 @@
+"""Sections on how it was made: the runs, their command lines, configurations and versions."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from headway.contracts.errors import HeadwayError
+from headway.stats import FEWEST_POINTS
+from headway.store import RunRow
+from headway_launch.report.parts import MISSING, Listing, Part, Section, Table, figure, scale_of
+from headway_launch.report.reproducing import reproducing_line
+from headway_launch.report.study_data import StudyData
+from headway_launch.runner.recorder import TRACEBACK
+from headway_launch.studies.runs import configuration
+
+_SHOWN = ("final_reward", "auc", "env_steps", "kwh", "cpu_seconds", "steps_per_second", "duration_s")
+_FIGURES = (*_SHOWN, "kg_co2")
+_FEW = 3
+"""Values of one tag that are listed; of more, their number."""
+
+
+def runs_section(data: StudyData) -> Section:
+    """Every run of the study, those that do not count too."""
+    counted = {row.run_id for row in data.runs.rows}
+    every = data.every.summaries().set_index("run_id")
+    for name in _FIGURES:
+        every[name] = pd.to_numeric(every[name]) if name in every else float("nan")
+    largest = every["kwh"].max()
+    unit, factor = scale_of(float(largest) if largest > 0 else 1.0, "kWh")
+    shown = every.assign(kwh=every["kwh"] * factor)[list(_SHOWN)].to_dict("index")
+    rows = [
+        [
+            run.run_id,
+            run.status if run.status != "FINISHED" or run.run_id in counted else "FINISHED, trained again",
+            *(figure(float(value)) for value in shown[run.run_id].values()),
+        ]
+        for run in data.every.rows
+    ]
+    lines = [_line(run) for run in data.every.rows]
+    exact = every[["label", "seed", "status", "started", *_FIGURES]]
+    exact = exact.assign(counted=[run in counted for run in exact.index], reproduce=lines)
+    body: list[Part] = []
+    if data.left_out:
+        body.append(f"Left out of all figures on this page: {'; '.join(data.left_out)}.")
+    body += [f"{row.run_id} failed: {_reason(row)}" for row in data.every.rows if row.status == "FAILED"]
+    body.append(
+        Table(
+            "runs",
+            "Every run of the study. The AUC is by the run's own range; a run evaluated fewer than "
+            f"{FEWEST_POINTS} times has none.",
+            ["run", "status", "final reward", "AUC", "env steps", unit, "CPU s", "steps/s", "wall s"],
+            rows,
+            exact.reset_index(),
+            words=frozenset({0, 1}),
+        )
+    )
+    body.append(Listing("The command line of each run", "\n".join(lines), "commands.txt"))
+    return Section("runs", "Runs", body)
+
+
+def _but_for_arrival(data: StudyData) -> str:
+    """How the sentence ends that says what repeats exactly."""
+    cells = [configuration(members[0].directory) for members in data.cells.values()]
+    if any(cell["algo"].get("application") == "arrival" for cell in cells):
+        return ", but for algorithms whose gradients are applied as they arrive (`algo.application`)."
+    return "."
+
+
+def making_section(data: StudyData) -> Section:
+    """Configurations, a command line a cell, versions, hardware."""
+    import yaml
+
+    body: list[Part] = [
+        "Each line below trains the seeds of one cell again. It sets every key that differs from the "
+        "defaults of this version, but for those that change no result: where runs are kept (`store`) and "
+        "how machines are filled (`backend`, but for `backend.stack`). "
+        "`evaluation.rules` stands there only where not all rules of the environment were played. The whole "
+        "configuration, in which every default is spelt out, is folded below it. On a CPU the same "
+        "configuration and seed give the same curve bit for bit with the versions named here"
+        + _but_for_arrival(data)
+    ]
+    for (task, controller), members in data.cells.items():
+        first = configuration(members[0].directory)
+        seeds = ",".join(str(seed) for seed in sorted({row.seed for row in members}))
+        title = controller if len(data.tasks) == 1 else f"{controller}, {task}"
+        body.append(Listing(f"{title}: command line", _line_of(first, seeds), unfolded=True))
+        whole = {**first, "seed": [row.seed for row in members]}
+        text = yaml.safe_dump(whole, sort_keys=False)
+        body.append(Listing(f"{title}: configuration", text, f"configs/{members[0].cell}.yaml"))
+    made = data.runs.provenance()
+    tags = [name for name in made.columns if "." in name]
+    rows = [[str(name), _values(made[name])] for name in tags]
+    body.append(
+        Table(
+            "versions",
+            "What the runs were made with.",
+            ["", "of the runs on this page"],
+            rows,
+            made[["run_id", *tags]],
+            words=frozenset({0, 1}),
+        )
+    )
+    dirty = "git.dirty" in made and (made["git.dirty"] == "true").any()
+    if dirty:
+        body.append("Some runs were made with changes that no revision holds (`git.dirty`).")
+    return Section("making", "How it was made", body)
+
+
+def _line(run: RunRow) -> str:
+    try:
+        return _line_of(configuration(run.directory), str(run.seed))
+    except HeadwayError as error:  # its folder is not whole
+        return f"# {run.run_id}: {error}"
+
+
+def _line_of(mapping: Mapping[str, Any], seeds: str) -> str:
+    try:
+        return reproducing_line(mapping, seeds)
+    except HeadwayError as error:
+        return f"# not with this version and what is installed here: {error}"
+
+
+def _reason(run: RunRow) -> str:
+    """The last line of a failed run's traceback."""
+    try:
+        lines = (Path(run.directory) / TRACEBACK).read_text(encoding="utf-8").strip().splitlines()
+    except OSError:
+        return "why was not kept"
+    return lines[-1] if lines else "why was not kept"
+
+
+def _values(column: "pd.Series[Any]") -> str:
+    values = [str(value) for value in column.dropna().unique()]
+    absent = ", and some without" if column.isna().any() and values else ""
+    if len(values) > _FEW:
+        return f"{len(values)} different ones{absent}"
+    return (", ".join(values) or MISSING) + absent

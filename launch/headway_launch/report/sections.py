@@ -1,0 +1,152 @@
+"""All sections of a study's report, and what stands at its top."""
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+
+from headway.stats.plots import counted
+from headway_launch.report.costs import energy_section, tradeoff_section
+from headway_launch.report.learning import across_environments, curves_section, figures_section
+from headway_launch.report.page import Report
+from headway_launch.report.parts import Section, figure, scale_of, with_interval
+from headway_launch.report.provenance_section import making_section, runs_section
+from headway_launch.report.published import published_sections
+from headway_launch.report.rewards import improvement_section, published_form, sound_form
+from headway_launch.report.study_data import StudyData
+from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
+
+
+def report_of(data: StudyData) -> Report:
+    """The report of a study."""
+    sections = [
+        published_form(data),
+        *published_sections(data),
+        sound_form(data),
+        improvement_section(data),
+        curves_section(data),
+        across_environments(data),
+        figures_section(data),
+        energy_section(data),
+        tradeoff_section(data),
+        runs_section(data),
+        making_section(data),
+        _definitions(),
+    ]
+    moment = datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC")
+    return Report(
+        title=f"Study {data.study}",
+        subtitle=f"{', '.join(data.tasks)}: {counted(len(data.runs.rows), 'finished run')} of "
+        f"{counted(len(data.controllers), 'learner')}, and "
+        f"{counted(data.rules['rule'].nunique(), 'classical rule')}",
+        summary=_summary(data),
+        sections=[section for section in sections if section is not None],
+        footer=f"Made by headway {version('headway')} on {moment} from the store's files alone. The tables "
+        "are beside this page as Markdown and CSV, with all digits, the pictures as PNG.",
+    )
+
+
+def _summary(data: StudyData) -> list[str]:
+    sentences = []
+    for task in data.tasks:
+        sentences += [_best_learner(data, task), *_against_rules(data, task)]
+    fewest = min(len(members) for members in data.cells.values())
+    if fewest < SEEDS_FOR_A_CLAIM:
+        sentences.append(
+            f"With {counted(fewest, 'seed')} in the smallest cell nothing here says surely which is better: "
+            f"that takes at least {SEEDS_FOR_A_CLAIM}."
+        )
+    sentences.append(_cost(data))
+    if data.left_out:
+        sentences.append(f"Runs left out: {'; '.join(data.left_out)}.")
+    return sentences
+
+
+def _best_learner(data: StudyData, task: str) -> str:
+    means = data.scores_on(task).groupby("controller")["score"].mean()
+    best = (means * data.sign).max()
+    names = [str(name) for name in means.index if means[name] * data.sign == best]
+    seeds = counted(min(len(data.on(task)[name]) for name in names), "seed")
+    where = f"On {task}, among" if len(data.tasks) > 1 else "Among"
+    kind = "lowest" if data.lower_is_better else "highest"
+    days = f"the curves' {data.days_of_curves(task)}"
+    if len(means) == 1:
+        return (
+            f"{names[0]} has a mean final {data.what} of {figure(best * data.sign)} over {seeds} on {task}, "
+            f"on {days}."
+        )
+    return (
+        f"{where} the learners, {' and '.join(names)} {'has' if len(names) == 1 else 'have'} the {kind} mean "
+        f"final {data.what}: {figure(best * data.sign)} over {seeds}, on {days}."
+    )
+
+
+def _against_rules(data: StudyData, task: str) -> list[str]:
+    if task not in data.best_rules:
+        return [
+            f"No rule was played on {task}: whether learning beats a simple rule is not known. A sweep plays "
+            "them when all of its runs have ended; `headway compare` plays them at any time."
+        ]
+    rule = data.best_rules[task]
+    better, worse, open_ = [], [], []
+    unknown: dict[str, None] = {}
+    for controller in data.on(task):
+        against = data.against_best_rule(task, controller)
+        found = against.interval
+        if found is None:
+            unknown[against.why_not] = None
+            continue
+        shown = f"{controller} ({with_interval(found.estimate, found.low, found.high, sign=True)})"
+        if not found.excludes_zero:
+            open_.append(shown)
+        elif data.sign * found.estimate > 0:
+            better.append(shown)
+        else:
+            worse.append(shown)
+    kinds = (("above", better), ("below", worse), ("not told apart from it", open_))
+    if data.lower_is_better:
+        kinds = (("better, below", better), ("worse, above", worse), ("not told apart from it", open_))
+    said = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
+    if not said:
+        why = "; ".join(unknown)
+        return [f"The best rule on {task} is `{rule}`; how far learners are from it is not known: {why}."]
+    days = f"the last evaluation's {data.days_of_last(task)}"
+    return [f"Against the best rule there, `{rule}`, on {days} [95% intervals]: {said}."]
+
+
+def _cost(data: StudyData) -> str:
+    used = data.summaries
+    measured = used[used["kwh"].notna()]
+    if measured.empty:
+        cpu = figure(used["cpu_seconds"].sum())
+        return f"The finished runs used {cpu} CPU seconds; their energy was not measured."
+    kwh = float(measured["kwh"].sum())
+    kwh_unit, kwh_factor = scale_of(kwh, "kWh")
+    whose = "The finished runs"
+    if len(measured) < len(used):
+        whose = f"Of {counted(len(used), 'finished run')} the {len(measured)} whose energy was measured"
+    used_in_all = (
+        f"{figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU seconds)"
+    )
+    if measured["kg_co2"].isna().any():
+        return f"{whose} used {used_in_all}."
+    co2 = float(measured["kg_co2"].sum())
+    co2_unit, co2_factor = scale_of(co2, "kg")
+    emitted = f"{figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent"
+    return f"{whose} used {used_in_all}, which is {emitted}."
+
+
+def _definitions() -> Section:
+    return Section(
+        "definitions",
+        "Definitions",
+        [
+            "Final reward: mean over the last 20% of the curve's steps. AUC: trapezoid area of the "
+            "min-max-normalised curve over its span of steps.",
+            "Interquartile mean, stratified bootstrap, probability of improvement, performance profile: "
+            "Agarwal et al. 2021, Deep RL at the Edge of the Statistical Precipice, arXiv:2108.13264.",
+            "Intervals of differences: Student's t over days for one seed or a rule; over seeds and days "
+            "for more, the squared half widths over seeds and over days added (Banerjee 1961, Sankhya A "
+            "23).",
+            "Energy and CO2: CodeCarbon, codecarbon.io; the machine's energy shared out to runs by their CPU "
+            "seconds, memory and share of the GPU.",
+        ],
+    )

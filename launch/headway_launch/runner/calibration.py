@@ -1,0 +1,304 @@
+"""A short calibration: each cell is trained for some iterations, and nothing is kept of it.
+
+As many processes run at once as later will; each takes several cells in turn, as starting one (torch, the
+kernels, a server of workers) takes longer than what is measured of a cell in it.
+"""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from headway.config.experiment import ExperimentConfig
+from headway.contracts.errors import HeadwayError
+from headway.energy import EnergyMeter, JobUsage
+from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
+from headway_launch.console.progress_display import Counted
+from headway_launch.runner.jobs import CellPlan, PlannedJob, Shares, uses_gpu, workers_of
+from headway_launch.runner.training_process import Report, ShouldStop, TrainingProcess, train_and_tell
+from headway_launch.runner.warm_up import compile_kernels_of
+
+if TYPE_CHECKING:
+    from headway.training.loop import TrainingJob
+
+_ITERATIONS = 6
+"""Measured of each cell, after a first that does not count: it holds what happens once."""
+_FEWEST, _SECONDS = 2, 3.0
+"""After so long so few are enough."""
+_PATIENCE_S = 600.0
+_POLL_S = 0.2
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What parts of one job take, as measured; CPU seconds are of its training process and workers."""
+
+    start_s: float
+    """To the beginning of training."""
+    evaluation_s: float
+    """One evaluation that is not the last."""
+    iteration_s: float
+    cpu_start_s: float
+    """To the first iteration, the first evaluation included."""
+    cpu_iteration_s: float
+    iterations: int
+    """Measured."""
+    kwh: float | None = None
+    """Of a CPU second; None where energy is not measured."""
+    kg_co2: float | None = None
+    """Of a CPU second."""
+
+    def of_job(self, config: ExperimentConfig, done: int) -> "Expectation":
+        """What a job takes from iteration `done` on."""
+        evaluations = evaluations_left(config, done)
+        evaluating = evaluations * self.evaluation_s
+        left = config.iterations - done
+        rate = self.cpu_iteration_s / self.iteration_s
+        cpu = self.cpu_start_s + left * self.cpu_iteration_s + evaluating * rate
+        start = self.start_s + (0.0 if done else self.evaluation_s)
+        return Expectation(start + evaluating + left * self.iteration_s, cpu, self.kwh, self.kg_co2)
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What one job takes."""
+
+    seconds: float
+    cpu_s: float
+    kwh_per_cpu_s: float | None
+    kg_per_cpu_s: float | None
+
+    @property
+    def kwh(self) -> float | None:
+        """None where energy is not measured."""
+        return None if self.kwh_per_cpu_s is None else self.cpu_s * self.kwh_per_cpu_s
+
+    @property
+    def kg_co2(self) -> float | None:
+        """None where energy is not measured."""
+        return None if self.kg_per_cpu_s is None else self.cpu_s * self.kg_per_cpu_s
+
+
+def evaluations_left(config: ExperimentConfig, done: int) -> float:
+    """Evaluations from iteration `done` to the end, the last counted as so many as it has episodes; the
+    first, before training, belongs to the start."""
+    a_step, every = config.rollout.copies * config.rollout.steps, config.evaluation.every
+    reached = sum(
+        iteration * a_step // every > (iteration - 1) * a_step // every
+        for iteration in range(done + 1, config.iterations)
+    )
+    return reached + config.evaluation.last_episodes / config.evaluation.episodes
+
+
+def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace], str]:
+    """The pace of each cell, by its `id`, and how its power is known. Where cells do not go round, the first
+    are trained again beside the others.
+
+    Raises HeadwayError if one cannot be trained.
+    """
+    compile_kernels_of([cell.experiment for cell in cells])
+    rounds = -(-len(cells) // shares.parallel)
+    turns = [cells[place % len(cells)] for place in range(rounds * shares.parallel)]
+    paces: dict[int, Pace] = {}
+    meter = EnergyMeter.start(cells[0].experiment.config.energy)
+    meter.wait()
+    lanes: list[_Lane] = []
+    with (
+        tempfile.TemporaryDirectory(prefix="headway-") as folder,
+        Counted("cells measured", len(cells)) as told,
+    ):
+        try:
+            lanes.extend(
+                _Lane(turns[first :: shares.parallel], shares, Path(folder, str(first)), told)
+                for first in range(shares.parallel)
+            )
+            while running := [lane for lane in lanes if lane.waiting]:
+                for lane in _heard(running):
+                    cell, trial = lane.next()
+                    others = {other.trial.name: other.trial.usage for other in running if other is not lane}
+                    energy = meter.finish(trial.name, others, trial.usage)
+                    if id(cell) not in paces:
+                        spent = max(energy.cpu_seconds, 1e-9)
+                        kwh = None if energy.kwh is None else energy.kwh / spent
+                        kg = None if energy.kg_co2 is None else energy.kg_co2 / spent
+                        paces[id(cell)] = trial.pace(kwh, kg)
+                        told.add()
+        finally:
+            for lane in lanes:
+                lane.end()
+            meter.stop()
+    modes = ", ".join(
+        f"{part.removeprefix('energy.')} {mode}" for part, mode in meter.modes.as_tags().items()
+    )
+    return paces, modes
+
+
+@dataclass
+class _Little:
+    """A training of one cell that ends once enough has been measured, in the process that trains it."""
+
+    report: Report
+    asked_to_stop: ShouldStop
+    iterations: int
+    """Of the whole training."""
+    cpu_before_s: float
+    """What the process had used when it began with this cell."""
+    _counted: int = -1
+    """Without the first."""
+    _evaluated: float = 0.0
+
+    def take(self, event: Event) -> None:
+        """Report an event, with CPU seconds of this cell only."""
+        if isinstance(event, IterationFinished | EvaluationFinished):
+            spent = event.usage.cpu_seconds - self.cpu_before_s
+            event = replace(event, usage=replace(event.usage, cpu_seconds=spent))
+            if isinstance(event, IterationFinished):
+                self._counted += 1
+            elif self._counted < 0:
+                self._evaluated = time.monotonic()
+        self.report(event)
+
+    def should_stop(self) -> bool:
+        """Whether it is enough, or the session ends."""
+        late = time.monotonic() - self._evaluated > _SECONDS
+        all_there_are = self._counted >= min(_ITERATIONS, self.iterations - 1)
+        return all_there_are or (self._counted >= _FEWEST and late) or self.asked_to_stop()
+
+
+def _train_a_little(jobs: Sequence["TrainingJob"], report: Report, should_stop: ShouldStop) -> None:
+    """What one process does: one job after another, each to its last event."""
+    before = 0.0
+    for job in jobs:
+        little = _Little(report, should_stop, job.config.iterations, before)
+        train_and_tell(job, little.take, little.should_stop)
+        before = time.process_time()
+
+
+@dataclass
+class Trial:
+    """One cell as it is measured, seen from the session."""
+
+    name: str
+    """No other one's."""
+    launched: float
+    uses_gpu: bool = False
+    start_s: float = 0.0
+    evaluation_s: float = 0.0
+    cpu_start_s: float = 0.0
+    """CPU seconds to the end of the first evaluation, of a process that begins with this cell."""
+    marks: list[tuple[float, float]] = field(default_factory=list)
+    """(seconds, CPU seconds) of each iteration, without the evaluation that may have come before it."""
+    used: Usage = field(default_factory=Usage)
+    process_ids: tuple[int, ...] = ()
+
+    def take(self, event: Event) -> None:
+        now = time.monotonic()
+        match event:
+            case Started(process_ids=process_ids):
+                self.start_s, self.process_ids = now - self.launched, process_ids
+            case EvaluationFinished(usage=usage):
+                if not self.marks:
+                    self.evaluation_s = now - self.launched - self.start_s
+                    self.cpu_start_s = usage.cpu_seconds
+                self.used = usage
+            case IterationFinished(usage=usage, curve=curve):
+                seconds = float(curve[0]["time/collect_s"]) + float(curve[0]["time/learn_s"])
+                self.marks.append((seconds, usage.cpu_seconds - self.used.cpu_seconds))
+                self.used = usage
+
+    @property
+    def usage(self) -> JobUsage:
+        """So far."""
+        return JobUsage(self.used.cpu_seconds, self.used.memory_bytes, self.uses_gpu, self.process_ids)
+
+    def pace(self, kwh: float | None, kg_co2: float | None) -> Pace:
+        counted = self.marks[1:] or self.marks
+        return Pace(
+            start_s=self.start_s,
+            evaluation_s=self.evaluation_s,
+            iteration_s=max(sum(seconds for seconds, _ in counted) / len(counted), 1e-9),
+            cpu_start_s=self.cpu_start_s,
+            cpu_iteration_s=sum(cpu for _, cpu in counted) / len(counted),
+            iterations=len(counted),
+            kwh=kwh,
+            kg_co2=kg_co2,
+        )
+
+
+class _Lane:
+    """One process and the cells that it trains a little, in turn; `trial` is of the first one waiting. Each
+    is told as it begins."""
+
+    def __init__(self, cells: Sequence[CellPlan], shares: Shares, folder: Path, told: Counted) -> None:
+        self.waiting, self._told = list(cells), told
+        jobs = [_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
+        self.trial = self._begun()
+        self._start: tuple[float, float] | None = None
+        """Of its first cell, s and CPU s: what the others would take, each in a process of its own."""
+        self.process = TrainingProcess(jobs[0], partial(_train_a_little, jobs))
+
+    def hear(self) -> bool:
+        """Take the events that have arrived, to the end of a cell; returns whether that was there.
+
+        Raises HeadwayError if training has failed, or takes too long.
+        """
+        while self.process.has_event():
+            event = self.process.receive()
+            match event:
+                case Finished():
+                    return True
+                case Failed(line=line):
+                    raise HeadwayError(f"the calibration of {self._name} failed: {line}")
+                case None:
+                    raise HeadwayError(f"the calibration of {self._name} failed: {self.process.join()}")
+            self.trial.take(event)
+        if time.monotonic() - self.trial.launched > _PATIENCE_S:
+            raise HeadwayError(
+                f"the calibration of {self._name} takes longer than {_PATIENCE_S:g} s: give it up"
+            )
+        return False
+
+    def next(self) -> tuple[CellPlan, Trial]:
+        """The cell that has been measured; the lane goes on with the next."""
+        trial = self.trial
+        if self._start is None:
+            self._start = trial.start_s, trial.cpu_start_s
+        trial.start_s = max(trial.start_s, self._start[0])
+        trial.cpu_start_s = max(trial.cpu_start_s, self._start[1])
+        cell = self.waiting.pop(0)
+        if self.waiting:
+            self.trial = self._begun()
+        return cell, trial
+
+    def end(self) -> None:
+        """End the process, if it has not."""
+        self.process.kill()
+        self.process.join()
+
+    @property
+    def _name(self) -> str:
+        cell = self.waiting[0]
+        return cell.label or cell.experiment.algo_name
+
+    def _begun(self) -> Trial:
+        self._told.note(f"measuring {self._name}")
+        return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
+
+
+def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:
+    """Those of the lanes that have come to the end of a cell; waits a moment if there are none."""
+    wait([lane.process.connection for lane in lanes], _POLL_S)
+    return [lane for lane in lanes if lane.hear()]
+
+
+def _job(job: PlannedJob, shares: Shares, folder: Path) -> "TrainingJob":
+    never = replace(job.config.store, checkpoint_every=job.config.iterations)
+    directories = [folder / str(seed) for seed in job.seeds]
+    for directory in directories:
+        directory.mkdir(parents=True)
+    config = replace(job.config, store=never)
+    return job.training_job(config, workers_of(job, shares), directories)

@@ -1,0 +1,140 @@
+"""One cell in a session: its runs in the store, what its training processes are given, its rules."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+
+from headway.config.schema import plain
+from headway.events import Row
+from headway.store import CHECKPOINTS, Status
+from headway.store.atomic_files import read_json
+from headway.store.checkpoint import latest_iteration
+from headway.store.run_folder import rules_file, status_of_all
+from headway.store.session import Cell, Run, SessionStore
+from headway.training.loop import TrainingJob
+from headway_launch.console.output import tell
+from headway_launch.console.progress_display import Counted
+from headway_launch.runner.jobs import (
+    CellPlan,
+    PlannedJob,
+    Shares,
+    cell_parameters,
+    full_mapping,
+    workers_of,
+)
+from headway_launch.runner.results import SeedResult, stored_result
+from headway_launch.studies.comparison import rule_episodes
+
+Rules = Mapping[str, list[Row]]
+_WHICH_DAYS = "evaluation_seed"
+"""Column of the rules' days: `episode_seed` counts days from 0 whatever they follow from."""
+
+
+class CellWork:
+    """What a session does for one cell."""
+
+    def __init__(self, store: SessionStore, plan: CellPlan) -> None:
+        experiment = plan.experiment
+        self.plan, self.experiment, self.config = plan, experiment, experiment.config
+        self.results: list[SeedResult] = [stored_result(folder) for folder in plan.finished]
+        """One a seed that has ended, in this session or before it."""
+        self.rules: Rules = {}
+        self.touched = bool(plan.jobs)
+        """Whether the session adds to it."""
+        self._store = store
+        self._cell: Cell = store.begin_cell(
+            self.config.study, self.config.env.id, experiment.algo_name, cell_parameters(experiment)
+        )
+
+    def runs(self, planned: PlannedJob, shares: Shares) -> list[Run]:
+        """The runs of a job, made or taken up again, one a seed. Raises HeadwayError where the store cannot
+        be written or another session has taken them."""
+        if planned.resumed:
+            stacked = len(planned.seeds) > 1
+            return [self._store.resume(run_id, of_a_stack=stacked) for run_id in planned.resumed]
+        import yaml
+
+        experiment = planned.experiment
+        plan = {
+            "stack": list(planned.seeds),
+            "rollout": plain(planned.config.rollout),
+            "workers": workers_of(planned, shares),
+        }
+        return [
+            self._cell.begin_run(
+                seed,
+                yaml.safe_dump(full_mapping(experiment, [seed]), sort_keys=False),
+                plan,
+                iterations=self.config.iterations,
+                policies=str(getattr(experiment.algo_config, "policies", "")),
+                preset=self.config.preset,
+                candidate=self.config.candidate,
+            )
+            for seed in planned.seeds
+        ]
+
+    def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: Shares) -> TrainingJob:
+        """What the training process of a job is given."""
+        directories = [run.directory for run in runs]
+        resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
+        gates = [run.gate for run in runs]
+        return planned.training_job(planned.config, workers_of(planned, shares), directories, gates, resume)
+
+    def play_rules(self, played: dict[str, Rules]) -> None:
+        """Let the rules play beside the finished seeds, once for all cells of the same environment (in
+        `played`), and keep what they did. Where nothing was trained, what is kept already will do."""
+        if not any(result.status == "FINISHED" for result in self.results):
+            return
+        kept = self._kept_rules()
+        if not self.plan.jobs and kept is not None:
+            self.rules = kept
+            return
+        evaluation = self.config.evaluation
+        days = evaluation.last_episodes
+        key = json.dumps(
+            [self.experiment.reported_on, evaluation.seed, days, self.experiment.rules], default=str
+        )
+        if key not in played:
+            played[key] = self._played(days) if self.experiment.rules else {}
+        self.rules, self.touched = played[key], True
+        self._cell.keep_rules(self.rules)
+
+    def _played(self, days: int) -> Rules:
+        """What the rules do on so many evaluation days."""
+        from headway.stats.plots import counted
+
+        jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
+        tell(f"{counted(len(rules), 'rule')} to play, {counted(days, 'episode')} each")
+        prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
+        with Counted("episodes played", len(rules) * days) as played_so_far:
+            episodes = rule_episodes(self.experiment, prepared, rules, seed, days, played_so_far)
+        return {rule: [{**row, _WHICH_DAYS: seed} for row in rows] for rule, rows in episodes.items()}
+
+    def finish(self, statuses: Sequence[Status], figures: Mapping[str, float]) -> None:
+        """End the cell in MLflow, with the session's figures; `statuses` are those of its jobs."""
+        rules = {
+            f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
+            for rule, rows in self.rules.items()
+        }
+        self._cell.finish(status_of_all(statuses), {**figures, **rules})
+
+    def in_order(self) -> list[SeedResult]:
+        """The results, in the order of the experiment's seeds."""
+        order = {seed: place for place, seed in enumerate(self.config.seed)}
+        return sorted(self.results, key=lambda result: order.get(result.seed, 0))
+
+    def _kept_rules(self) -> Rules | None:
+        """What earlier sessions kept of all its rules and days; None if something is missing."""
+        path = rules_file(Path(self.config.store.root), self.config.study, self._cell.name)
+        kept = read_json(path) if path.exists() else {}
+        evaluation = self.config.evaluation
+        days = [evaluation.seed] * evaluation.last_episodes
+        rules: Rules = {rule: kept.get(rule, []) for rule in self.experiment.rules}
+        if any([row.get(_WHICH_DAYS) for row in rows] != days for rows in rules.values()):
+            return None
+        return rules
+
+
+def _has_checkpoint(directory: Path) -> bool:
+    return latest_iteration(directory / CHECKPOINTS) is not None

@@ -1,0 +1,60 @@
+"""Wait until a Ray cluster has so many nodes:
+`python -m headway_launch.runner.cluster.ray_nodes HOST:PORT NUMBER`."""
+
+import argparse
+import sys
+import time
+
+from headway.contracts.errors import HeadwayError
+from headway.rollout.workers.ray_cluster import connect, disconnect, require_ray
+from headway_launch.console.output import tell
+
+_PATIENCE_S = 300.0
+_POLL_S = 0.5
+
+
+def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -> None:
+    """Return as soon as the cluster has so many nodes. Raises HeadwayError where it has not for so long, with
+    why it cannot be used, or at once where Ray is not installed."""
+    require_ray()
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            found = _nodes_of(address)
+        except HeadwayError as error:
+            missing = str(error)
+        else:
+            if found >= number:
+                return
+            missing = f"the Ray cluster at {address} has {found} of {number} nodes"
+        if time.monotonic() > deadline:
+            raise HeadwayError(f"after {patience_s:g} s: {missing}")
+        time.sleep(_POLL_S)
+
+
+def _nodes_of(address: str) -> int:
+    """How many live nodes there are. Raises HeadwayError as `connect` does."""
+    connect(address)
+    import ray
+
+    try:
+        return len([node for node in ray.nodes() if node["Alive"]])
+    finally:
+        disconnect()
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description="Wait until a Ray cluster has so many nodes.")
+    parser.add_argument("address", metavar="HOST:PORT")
+    parser.add_argument("number", type=int)
+    arguments = parser.parse_args()
+    try:
+        wait_for_nodes(arguments.address, arguments.number)
+    except HeadwayError as error:
+        tell(f"headway: {error}")
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,269 @@
+"""What an experiment came to: one row a seed, their mean and deviation."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from headway.config.experiment import ExperimentConfig
+from headway.events import Row
+from headway.store.run_folder import RunRecord, read_summary
+from headway_launch.console.output import tell
+from headway_launch.console.tables import Cell, print_table, without_empty
+from headway_launch.studies.comparison import print_comparison
+
+if TYPE_CHECKING:
+    from headway.store.session import Run
+    from headway_launch.runner.recorder import JobRecording
+
+_USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
+AUC_HEADING, CO2_HEADING = "AUC (own range)", "kg CO2eq"
+_FINAL, _MEAN_FINAL = "final reward", "mean final reward"
+_COLUMNS = (
+    "seed",
+    "status",
+    _FINAL,
+    AUC_HEADING,
+    "env steps",
+    "steps/s",
+    "CPU s",
+    "kWh",
+    CO2_HEADING,
+)
+_CELL_COLUMNS = (
+    "cell",
+    "finished",
+    _MEAN_FINAL,
+    "std",
+    AUC_HEADING,
+    "CPU s",
+    "kWh",
+    CO2_HEADING,
+)
+_SPARE = ("steps/s", CO2_HEADING)
+"""Left out first on a narrow terminal."""
+
+
+@dataclass(frozen=True)
+class SeedResult:
+    """One seed at its end; None where a figure is not known."""
+
+    seed: int
+    status: str
+    run_id: str
+    directory: str
+    final_reward: float | None
+    """Mean of the evaluation return over the last 20% of the curve's steps."""
+    auc: float | None
+    """Area under the evaluation curve, normalised by its own extremes; none of a curve of too few points."""
+    env_steps: int
+    """Those that are kept: up to the last checkpoint."""
+    steps_per_second: float | None
+    use: Mapping[str, float | None]
+    """CPU seconds, energy and CO2: its equal share of its stack's, over all sessions that trained it."""
+    energy_modes: Mapping[str, str]
+    """How the power of each part is known."""
+
+    @property
+    def summary(self) -> dict[str, float | int | str | None]:
+        """For the store."""
+        return {
+            "final_reward": self.final_reward,
+            "auc": self.auc,
+            "env_steps": self.env_steps,
+            "steps_per_second": self.steps_per_second,
+            **self.use,
+            **self.energy_modes,
+        }
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """A row of the table."""
+        return (
+            self.seed,
+            self.status,
+            self.final_reward,
+            self.auc,
+            self.env_steps,
+            self.steps_per_second,
+            self.use["cpu_seconds"],
+            self.use["kwh"],
+            self.use["kg_co2"],
+        )
+
+
+def seed_result(
+    run: "Run",
+    recording: "JobRecording",
+    mode: str,
+    used: Row,
+    energy_modes: Mapping[str, str],
+) -> SeedResult:
+    """The figures of a run whose training has ended, from its log and its last energy sample."""
+    final, area = curve_figures(run, mode)
+    return SeedResult(
+        seed=run.record.seed,
+        status=recording.status,
+        run_id=run.run_id,
+        directory=str(run.directory),
+        final_reward=final,
+        auc=area,
+        env_steps=run.record.durable_env_steps,
+        steps_per_second=recording.steps_per_second,
+        use={name: float(used[name]) if name in used else None for name in _USE},
+        energy_modes=energy_modes,
+    )
+
+
+def stored_result(directory: Path) -> SeedResult:
+    """The figures of a run that ended in an earlier session, as that kept them."""
+    record, summary = RunRecord.read(directory), read_summary(directory)
+
+    def figure(name: str) -> float | None:
+        value = summary.get(name)
+        return float(value) if isinstance(value, int | float) else None
+
+    return SeedResult(
+        seed=record.seed,
+        status=record.settled_status,
+        run_id=record.run_id,
+        directory=str(directory),
+        final_reward=figure("final_reward"),
+        auc=figure("auc"),
+        env_steps=record.durable_env_steps,
+        steps_per_second=figure("steps_per_second"),
+        use={name: figure(name) for name in _USE},
+        energy_modes={name: str(value) for name, value in summary.items() if name.startswith("energy.")},
+    )
+
+
+def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
+    """(final reward, AUC) of the evaluation curve as far as a checkpoint knows it; None where that has no
+    point yet (for the AUC: fewer than three), or nothing was trained: the evaluation before training is no
+    result. What the log holds beyond is dropped when the run goes on."""
+    if not run.record.durable_env_steps:
+        return None, None
+    from headway.stats import auc, final_reward
+    from headway.store.parquet_log import read_curve
+
+    curve = read_curve(run.directory, f"evaluation_{mode}/return")
+    points = {steps: value for steps, value in curve.items() if steps <= run.record.durable_env_steps}
+    if not points:
+        return None, None
+    steps, values = list(points), list(points.values())
+    area = auc(steps, values)
+    return final_reward(steps, values), None if math.isnan(area) else area
+
+
+def print_results(
+    config: ExperimentConfig, results: Sequence[SeedResult], rules: Mapping[str, Sequence[Row]]
+) -> None:
+    """The table of seeds, with mean and sample standard deviation of the finished ones, and the comparison
+    with the rules."""
+    if not results:
+        return
+    rows = [result.cells for result in results]
+    finished = [result.cells for result in results if result.status == "FINISHED"]
+    if len(finished) > 1:
+        rows += _over_seeds(finished)
+    columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
+    title = f"{config.algo.get('name')} on {config.env.id}"
+    print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _SPARE)
+    _explain(results)
+    if rules:
+        print()
+        print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
+
+
+def print_cells(
+    study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]], days: Collection[int]
+) -> None:
+    """A row a cell (its label, its planned seeds, the results of those that ended or were stopped): means
+    over the finished seeds, and what all of them used. `days`: how many the curves' points are of."""
+    rows: list[tuple[Cell, ...]] = []
+    for label, planned, results in cells:
+        finished = [result for result in results if result.status == "FINISHED"]
+        rewards = [result.final_reward for result in finished if result.final_reward is not None]
+        areas = [result.auc for result in finished if result.auc is not None]
+        done = f"{len({result.seed for result in finished})} of {planned}"
+        used = (_sum(results, name) for name in ("cpu_seconds", "kwh", "kg_co2"))
+        rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
+    estimated = any(_estimated(results) for _, _, results in cells)
+    columns = _headings(_CELL_COLUMNS, estimated, days)
+    shown = without_empty(columns, rows, (CO2_HEADING,))
+    print_table(*shown, f"study {study}", ("finished",), (CO2_HEADING, AUC_HEADING))
+    _explain([result for _, _, results in cells for result in results])
+
+
+def _explain(results: Sequence[SeedResult]) -> None:
+    """What the table's words mean, and why it lacks figures."""
+    from headway.stats import FEWEST_POINTS, FINAL_SHARE
+    from headway.stats.plots import counted
+
+    if any(result.final_reward is not None for result in results):
+        tell(f"{_FINAL}: the mean of a run's evaluations over the last {FINAL_SHARE:.0%} of its steps")
+    without = sum(result.final_reward is not None and result.auc is None for result in results)
+    if without:
+        tell(
+            f"no AUC of {counted(without, 'run')}: evaluated fewer than {FEWEST_POINTS} times "
+            "(evaluation.every sets how often)"
+        )
+
+
+def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) -> tuple[str, ...]:
+    """With how energy is known, and of how many days a point of the curve is: figures of other columns and
+    tables are of the last evaluation, which may have more."""
+    from headway.stats.plots import counted
+
+    over = f"({counted(next(iter(days)), 'episode')})" if len(days) == 1 else "(episodes differ)"
+    remarks = {_FINAL: over, _MEAN_FINAL: over, "kWh": "(estimated)" if estimated else ""}
+    return tuple(f"{name} {remarks.get(name, '')}".rstrip() for name in columns)
+
+
+def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
+    """Mean and the sample's deviation; None where there is none."""
+    from headway.stats import mean_std
+
+    if not values:
+        return None, None
+    figures = mean_std(values)
+    return figures.mean, figures.std if figures.count > 1 else None
+
+
+def _sum(results: Sequence[SeedResult], name: str) -> float | None:
+    known = [value for result in results if (value := result.use.get(name)) is not None]
+    return sum(known) if known else None
+
+
+def _estimated(results: Sequence[SeedResult]) -> bool:
+    return any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
+
+
+def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> list[list[Row]]:
+    """The last evaluation of each finished seed, in the first mode: seeds x days, days in order."""
+    from headway.store.parquet_log import read_rows
+
+    mode = config.evaluation.modes[0]
+    finished = [result for result in results if result.status == "FINISHED"]
+    played = [
+        [
+            row
+            for row in read_rows(Path(result.directory), "evaluation")
+            if row["mode"] == mode and row["final"]
+        ]
+        for result in finished
+    ]
+    return [sorted(rows, key=lambda row: int(row["episode_seed"])) for rows in played]
+
+
+def _over_seeds(rows: Sequence[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
+    """The rows of means and of deviations."""
+    figures = [
+        _mean_std([float(cell) for row in rows if isinstance(cell := row[column], int | float)])
+        for column in range(2, len(_COLUMNS))
+    ]
+    return [
+        ("mean", None, *(mean for mean, _ in figures)),
+        ("std", None, *(deviation for _, deviation in figures)),
+    ]

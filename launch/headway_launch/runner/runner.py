@@ -1,0 +1,328 @@
+"""Cells from plan to table: runs in the store, training, energy, the rules, the results."""
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from headway.config.experiment import ExperimentConfig
+from headway.energy import EnergyMeter, EnergyReport
+from headway.events import Event
+from headway.rollout.workers.usage import usable_cores
+from headway.store import CHECKPOINTS, Status
+from headway.store.checkpoint import latest_iteration
+from headway.store.session import SessionStore
+from headway.training.loop import TrainingJob
+from headway_launch.console.output import own_name, tell, to_a_reader
+from headway_launch.runner.cell import CellWork, Rules
+from headway_launch.runner.cluster.ray_cluster import SessionCluster
+from headway_launch.runner.jobs import (
+    CellPlan,
+    PlannedJob,
+    one_of_a_session,
+    require_free_disk,
+    uses_gpu,
+    workers_of,
+)
+from headway_launch.runner.progress import JobProgress
+from headway_launch.runner.recorder import TRACEBACK, JobRecording
+from headway_launch.runner.results import print_cells, print_results, seed_result
+from headway_launch.runner.scheduler import Session
+from headway_launch.runner.warm_up import compile_kernels_of
+
+EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
+_LOSSES = 3
+"""How often a training process may be lost at the same checkpoint before its runs have failed."""
+_NAMED_RUNS = 3
+_NAMED_FAILURES = 10
+_WORTH_TELLING_S = 60.0
+"""Training that is long enough for the store's share of it to mean something."""
+STORE_SHARE = "the store:"
+"""How the line begins that tells it."""
+
+
+@dataclass
+class _Job:
+    cell: CellWork
+    planned: PlannedJob
+    progress: JobProgress
+    recording: JobRecording | None = None
+    lost_at: list[int] = field(default_factory=list)
+    """The iteration that was durable when its training process was lost, each time."""
+
+    @property
+    def account(self) -> str:
+        """Names its energy: another one after each loss, as processes count from 0."""
+        return f"{id(self)} {len(self.lost_at)}"
+
+
+class Conductor:
+    """Conducts the cells of one session to their end: one store, one measurement of energy, and jobs of all
+    cells side by side. Raises HeadwayError before anything starts if the store cannot be used.
+
+    `plan_kept`: the study knows what was planned, so runs that never begin need no folder.
+    """
+
+    def __init__(self, cells: Sequence[CellPlan], debug: bool = False, plan_kept: bool = False) -> None:
+        self._config: ExperimentConfig = cells[0].experiment.config
+        self._debug, self._plan_kept = debug, plan_kept
+        self._own_cpu_s = 0.0
+        """What this process did from the beginning of training on, but for playing rules."""
+        planned = [job for cell in cells for job in cell.jobs]
+        self._cluster = SessionCluster.open([job.config.backend for job in planned])
+        try:
+            self._shares = self._cluster.share_cores(self._config.backend, planned, usable_cores())
+            require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
+            compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
+            self._store = SessionStore.open(self._config.store)
+            self._cells = [CellWork(self._store, cell) for cell in cells]
+            self._jobs = [
+                _Job(cell, job, _progress_of(cell, job)) for cell in self._cells for job in cell.plan.jobs
+            ]
+            self._meter = EnergyMeter.start(self._config.energy) if planned else None
+        except BaseException:
+            self._cluster.close()
+            raise
+        self._sampled = time.monotonic()
+
+    def conduct(self) -> int:
+        """Train, evaluate the rules, print the table; returns the exit code."""
+        began, self._own_cpu_s = time.monotonic(), -time.process_time()
+        session = Session(
+            [job.progress for job in self._jobs],
+            self._shares.parallel,
+            self._begin,
+            self._take,
+            self._tick,
+            self._cluster.open_training,
+            self._goes_on,
+        )
+        try:
+            stopped = session.run()
+            self._finish_jobs(stopped)
+            played: dict[str, Rules] = {}
+            rules_from = time.thread_time()
+            for cell in self._cells if not stopped else ():
+                cell.play_rules(played)
+            self._own_cpu_s -= time.thread_time() - rules_from
+        finally:
+            self._end_cells()
+            for line in (*(self._meter.notices() if self._meter else ()), *self._store.close()):
+                tell(f"headway: {line}")
+            self._cluster.close()
+        self._own_cpu_s += time.process_time()
+        with to_a_reader(sys.stdout):
+            self._print()
+        self._say_where(time.monotonic() - began)
+        return self._exit_code(stopped)
+
+    def final_rewards(self) -> list[list[float]]:
+        """The final reward of each finished seed, cell by cell."""
+        return [
+            [
+                result.final_reward
+                for result in cell.results
+                if result.status == "FINISHED" and result.final_reward is not None
+            ]
+            for cell in self._cells
+        ]
+
+    def _begin(self, index: int) -> TrainingJob:
+        """The runs of a job, made or taken up again, and what its training process is given."""
+        job = self._jobs[index]
+        runs = job.cell.runs(job.planned, self._shares)
+        before = [run.energy_so_far for run in runs] if job.planned.resumed else []
+        job.recording = JobRecording(runs, uses_gpu=uses_gpu(job.planned), before=before)
+        training = job.cell.training_job(job.planned, runs, self._shares)
+        backend = self._cluster.backend(training.config.backend)
+        return replace(training, config=replace(training.config, backend=backend))
+
+    def _take(self, index: int, event: Event) -> None:
+        job = self._jobs[index]
+        if job.recording is None:  # it failed before it had a run
+            return
+        job.recording.take(event)
+        if job.recording.status != "RUNNING":
+            self._finish(job, job.recording)
+            if self._debug and job.recording.failure:
+                tell(job.recording.failure.traceback)
+
+    def _goes_on(self, index: int) -> bool:
+        """End the runs of a job whose training process was lost as those of a killed session, and plan to go
+        on with them as the next session would; False where that has been of no use."""
+        job = self._jobs[index]
+        if job.recording is None:
+            return False
+        runs = job.recording.runs
+        durable = min(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in runs)
+        if job.lost_at.count(durable) == _LOSSES:
+            return False
+        job.recording.status = "KILLED"
+        self._finish(job, job.recording, counts=False)
+        job.lost_at.append(durable)
+        job.recording = None
+        job.planned = replace(
+            job.planned,
+            resumed=tuple(run.run_id for run in runs),
+            iteration=durable,
+            workers=workers_of(job.planned, self._shares),
+        )
+        return True
+
+    def _tick(self) -> tuple[str, ...]:
+        now = time.monotonic()
+        if self._meter and now - self._sampled >= self._config.energy.interval_s:
+            self._sampled = now
+            self._sample_energy(self._meter)
+        return (*self._store.notices(), *(self._meter.notices() if self._meter else ()))
+
+    def _running(self) -> dict[str, JobRecording]:
+        return {
+            job.account: job.recording
+            for job in self._jobs
+            if job.recording is not None and job.recording.status == "RUNNING"
+        }
+
+    def _sample_energy(self, meter: EnergyMeter) -> None:
+        running = self._running()
+        energies = meter.sample({name: recording.usage for name, recording in running.items()})
+        for name, recording in running.items():
+            recording.keep_energy(time.time(), energies[name])
+
+    def _finish(self, job: _Job, recording: JobRecording, counts: bool = True) -> None:
+        """`counts`: it has a place in the session's table."""
+        assert self._meter is not None
+        cell = job.cell
+        others = {name: other.usage for name, other in self._running().items()}
+        energy = self._meter.finish(job.account, others, recording.usage)
+        modes = self._meter.modes.as_tags() if self._config.energy.enabled else {}
+        for run, used in zip(recording.runs, recording.keep_energy(time.time(), energy), strict=True):
+            result = seed_result(run, recording, cell.config.evaluation.modes[0], used, modes)
+            run.finish(recording.status, result.summary)
+            if counts:
+                cell.results.append(result)
+
+    def _finish_jobs(self, stopped: bool) -> None:
+        """Put down the runs that never began, so that `headway resume` finds them."""
+        for job in self._jobs:
+            if stopped and job.recording is None and not job.planned.resumed and not self._plan_kept:
+                job.recording = JobRecording(job.cell.runs(job.planned, self._shares), status="KILLED")
+                self._finish(job, job.recording)
+
+    def _end_cells(self) -> None:
+        figures = _session_figures(self._meter.stop()) if self._meter else {}
+        for cell in self._cells:
+            # Also cells with nothing left to do: a session that was killed may have left them open in MLflow.
+            statuses = [_status(job) for job in self._jobs if job.cell is cell]
+            cell.finish(statuses, figures if cell.touched else {})
+
+    def _exit_code(self, stopped: bool) -> int:
+        if stopped:
+            return EXIT_STOPPED
+        return EXIT_FAILED if any(_status(job) == "FAILED" for job in self._jobs) else EXIT_DONE
+
+    def _print(self) -> None:
+        if len(self._cells) == 1:
+            [cell] = self._cells
+            print_results(cell.config, cell.in_order(), cell.rules)
+        else:
+            print_cells(
+                self._config.study,
+                [(cell.plan.label, len(cell.config.seed), cell.in_order()) for cell in self._cells],
+                {cell.config.evaluation.episodes for cell in self._cells},
+            )
+
+    def _say_where(self, seconds: float) -> None:
+        root, study = self._config.store.root, self._config.study
+        results = [result for cell in self._cells for result in cell.results]
+        folders = sorted({str(Path(result.directory).parent) for result in results})
+        where = ", ".join(_from_here(folder) for folder in folders)
+        option = "" if root == type(self._config.store)().root else f" --store {root}"
+        if where:
+            tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
+        if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
+            environments = {repr((cell.config.env.id, cell.config.env.args)) for cell in self._cells}
+            command = "compare" if len(environments) == 1 else "report"
+            tell(f"beside the rules, with intervals: {own_name()} {command} {study}{option}")
+        self._say_what_tracking_took()
+        self._say_what_failed()
+        unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
+        never_begun = sum(len(job.planned.seeds) for job in self._jobs if job.recording is None)
+        if unfinished or never_begun:
+            named = (
+                " ".join(unfinished)
+                if len(unfinished) <= _NAMED_RUNS and not self._plan_kept
+                else f"--study {study}"
+            )
+            kinds = f"{never_begun} runs have not begun; " if never_begun else ""
+            tell(f"headway: {kinds}to go on: {own_name()} resume {named}{option}")
+
+    def _say_what_tracking_took(self) -> None:
+        """Of all that training processes did, and this process beside them, how much was for the store; of
+        a short training nothing, as all is beginning and end."""
+        recordings = [job.recording for job in self._jobs if job.recording is not None]
+        trained = sum(recording.trained_s for recording in recordings)
+        if trained >= _WORTH_TELLING_S:
+            kept, own = sum(recording.store_s for recording in recordings), self._own_cpu_s
+            tell(
+                f"{STORE_SHARE} {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
+                f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
+            )
+
+    def _say_what_failed(self) -> None:
+        failed = [job for job in self._jobs if job.progress.status == "failed"]
+        for job in failed[:_NAMED_FAILURES]:
+            where = (
+                f"; see {_from_here(str(job.recording.runs[0].directory))}/{TRACEBACK}"
+                if job.recording
+                else ""
+            )
+            tell(f"headway: {job.progress.name} failed: {job.progress.failure}{where}")
+        if len(failed) > _NAMED_FAILURES:
+            more = len(failed) - _NAMED_FAILURES
+            tell(f"headway: and {more} more failed; `headway runs --status FAILED` shows them")
+
+
+def conduct_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:
+    """Conduct cells, those that one session can take together, the others after them; returns the worst exit
+    code."""
+    sessions: dict[str, list[CellPlan]] = {}
+    for cell in cells:
+        sessions.setdefault(str(one_of_a_session(cell.experiment.config)), []).append(cell)
+    worst = EXIT_DONE
+    for together in sessions.values():
+        worst = max(worst, Conductor(together, debug, plan_kept).conduct())
+        if worst == EXIT_STOPPED:
+            break
+    return worst
+
+
+def _progress_of(cell: CellWork, job: PlannedJob) -> JobProgress:
+    config = cell.config
+    return JobProgress(
+        job.seeds,
+        config.iterations,
+        config.evaluation.modes[0],
+        iteration=job.iteration,
+        iteration_steps=config.rollout.copies * config.rollout.steps,
+        label=cell.plan.label,
+    )
+
+
+def _status(job: _Job) -> Status:
+    """A job that never began was stopped before its turn, unless it could not begin."""
+    if job.recording is not None:
+        return job.recording.status
+    return "FAILED" if job.progress.status == "failed" else "KILLED"
+
+
+def _session_figures(report: EnergyReport) -> dict[str, float]:
+    """What the machine used, and the parts of it that are no run's."""
+    parts = {"total": report.total, "session": report.session, "idle": report.idle}
+    return {f"energy_{name}_kwh": part.kwh for name, part in parts.items() if part.kwh is not None}
+
+
+def _from_here(folder: str) -> str:
+    path = Path(folder)
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else folder

@@ -1,0 +1,1 @@
+"""A study in the store: its plan, its runs, their comparison."""

@@ -1,0 +1,1 @@
+"""Configuration records and how mappings become them."""

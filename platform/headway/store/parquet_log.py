@@ -1,0 +1,185 @@
+"""The Parquet log of one run: the truth about its curve, episodes and evaluations.
+
+A table is a row of segments `TABLE-ITERATION.parquet`, each whole or absent, so a killed run keeps all
+that was committed and a resumed one drops what its checkpoint does not know.
+"""
+
+import numbers
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Literal, get_args
+
+from headway.contracts import HeadwayError
+from headway.events import Row
+from headway.store.atomic_files import make_folder, remove_partial, sync_folder
+from headway.store.fencing import discard, write_through
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+Table = Literal["curve", "episodes", "evaluation"]
+TABLES: tuple[Table, ...] = get_args(Table)
+_SEGMENT = re.compile(r"(?P<table>[a-z]+)-(?P<iteration>\d{6,})\.parquet")
+
+
+class RunLog:
+    """Appends rows to the tables in a run's folder, through a gate (see `headway.store.fencing`) if there is
+    one. One process writes; any number may read."""
+
+    def __init__(self, directory: Path, gate: Path | None = None) -> None:
+        self.directory, self._gate = directory, gate
+        make_folder(directory)
+        for table in TABLES:
+            remove_partial(directory, f"{table}-")
+        self._rows: dict[Table, list[dict[str, float | int | str]]] = {table: [] for table in TABLES}
+
+    def append(self, table: Table, rows: Iterable[Row]) -> None:
+        """Add rows of floats, integers and strings; they become visible and durable at `commit`.
+
+        Raises ValueError, naming the column, for any other value.
+        """
+        self._rows[table].extend(
+            {column: _plain(column, value) for column, value in row.items()} for row in rows
+        )
+
+    def commit(self, iteration: int) -> None:
+        """Write all rows appended so far as the segments of `iteration`, durably.
+
+        A further commit at the same iteration adds to its segments. Raises HeadwayError if they cannot be
+        written (disk full, say, or the gate shut); then the rows are kept for a later commit. Raises
+        ValueError for a column that mixes text and numbers.
+        """
+        import pyarrow.parquet as pq
+
+        for table, rows in self._rows.items():
+            if not rows:
+                continue
+            path = self.directory / f"{table}-{iteration:06d}.parquet"
+            content = _arrow(rows)
+            if path.exists():
+                content = _concatenated([pq.read_table(path), content])
+
+            def write(stream: IO[bytes], content: "pa.Table" = content) -> None:
+                pq.write_table(content, stream, compression="zstd")
+
+            write_through(path, write, self._gate)
+            rows.clear()
+
+    def rewind(self, iteration: int) -> None:
+        """Drop what is newer than `iteration`: segments after it, and rows not committed. Raises HeadwayError
+        if the gate has been shut."""
+        for rows in self._rows.values():
+            rows.clear()
+        for _, newer, path in _segments(self.directory):
+            if newer > iteration:
+                discard(path, self._gate)
+        sync_folder(self.directory)
+
+
+def read(
+    directory: Path, table: Table, after: int = -1, columns: Sequence[str] | None = None
+) -> "pd.DataFrame":
+    """All committed rows of a table, sorted by `iteration` (where that column exists) and otherwise in
+    the order written; only of segments newer than iteration `after`, and only of `columns`, where they exist.
+
+    Columns are float64, int64 (float64 where rows lack it) or string; columns may differ between segments.
+    An empty frame if there are no rows. Raises HeadwayError for a segment that cannot be read.
+    """
+    import pandas as pd
+
+    tables = _tables(directory, table, after, columns)
+    if not tables:
+        return pd.DataFrame()
+    frame: pd.DataFrame = _concatenated(tables).to_pandas()
+    if "iteration" in frame.columns:
+        frame = frame.sort_values("iteration", kind="stable", ignore_index=True)
+    return frame
+
+
+def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, float | int | str]]:
+    """As `read`, without pandas: one mapping a row, without the columns that it lacks."""
+    tables = _tables(directory, table, after)
+    rows = [
+        {column: value for column, value in row.items() if value is not None}
+        for content in tables
+        for row in content.to_pylist()
+    ]
+    return sorted(rows, key=lambda row: row.get("iteration", 0))
+
+
+def read_curve(directory: Path, metric: str) -> dict[int, float]:
+    """Environment steps -> value, of the rows of a run's curve that have a metric."""
+    rows = read_rows(directory, "curve")
+    return {int(row["env_steps"]): float(row[metric]) for row in rows if metric in row}
+
+
+def _tables(
+    directory: Path, table: Table, after: int, columns: Sequence[str] | None = None
+) -> "list[pa.Table]":
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables = []
+    for _, iteration, path in _segments(directory, table):
+        if iteration <= after:
+            continue
+        try:
+            segment = pq.ParquetFile(path)
+            known = [name for name in columns or () if name in segment.schema_arrow.names]
+            tables.append(segment.read(None if columns is None else known))
+        except FileNotFoundError:
+            continue  # a rewind took it between the listing and the reading
+        except (OSError, pa.ArrowInvalid) as error:
+            raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
+    return tables
+
+
+def _segments(directory: Path, table: Table | None = None) -> list[tuple[str, int, Path]]:
+    matches = ((_SEGMENT.fullmatch(path.name), path) for path in directory.glob("*.parquet"))
+    found = [(match["table"], int(match["iteration"]), path) for match, path in matches if match]
+    return sorted(entry for entry in found if table is None or entry[0] == table)
+
+
+def _plain(column: str, value: Any) -> float | int | str:  # noqa: ANN401 - whatever a caller hands over
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    if isinstance(value, numbers.Real):
+        return float(value)
+    raise ValueError(f"column {column!r} holds {value!r}: rows hold floats, integers and strings only")
+
+
+def _arrow(rows: list[dict[str, float | int | str]]) -> "pa.Table":
+    import pyarrow as pa
+
+    columns: dict[str, set[type]] = {}
+    for row in rows:
+        for column, value in row.items():
+            columns.setdefault(column, set()).add(type(value))
+    arrays = {
+        column: pa.array([row.get(column) for row in rows], _arrow_type(column, kinds))
+        for column, kinds in columns.items()
+    }
+    return pa.table(arrays)
+
+
+def _arrow_type(column: str, kinds: set[type]) -> "pa.DataType":
+    import pyarrow as pa
+
+    if str in kinds:
+        if len(kinds) > 1:
+            raise ValueError(f"column {column!r} mixes text and numbers: give it one type")
+        return pa.string()
+    return pa.float64() if float in kinds else pa.int64()
+
+
+def _concatenated(tables: "list[pa.Table]") -> "pa.Table":
+    import pyarrow as pa
+
+    try:
+        return pa.concat_tables(tables, promote_options="permissive")
+    except pa.ArrowTypeError as error:
+        raise ValueError(f"a column mixes text and numbers between segments: {error}") from error

@@ -1,0 +1,276 @@
+"""MLflow as a follower of the run folders: studies are experiments, cells parent runs, seeds child runs.
+
+Everything here can be done again: what MLflow already has is asked for, never assumed.
+"""
+
+import logging
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from headway.contracts import HeadwayError
+from headway.store.atomic_files import locked, make_folder, sync_folder
+from headway.store.run_folder import Status, milliseconds
+from headway.store.tracking.thinning import Point
+
+_Result = TypeVar("_Result")
+_ANSWER_SECONDS = 5.0
+_BATCH = 1000  # MLflow's limit of metrics in one request
+_PARAMETERS = 100  # and of parameters
+_TEXT = 5000  # longest tag; parameters take 6000
+_DATABASE = "mlflow.db"
+_CELL_TAG = "headway.cell"
+_RUN_TAG = "headway.run_id"
+_QUIET = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "DO_NOT_TRACK": "true",
+    "MLFLOW_DISABLE_SYSTEM_METRICS_LOGGING": "true",
+    "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING": "false",
+    "MLFLOW_LOGGING_LEVEL": "CRITICAL",
+    "GIT_PYTHON_REFRESH": "quiet",
+    # A server that is gone is told of soon, and tried again later.
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",
+}
+
+
+class TrackingError(HeadwayError):
+    """MLflow does not answer, or not as it should: of the runs that it is told of nothing is wrong."""
+
+
+class Tracker:
+    """A connection to MLflow. Used from one thread. Every method raises TrackingError, in one line, where
+    MLflow does not answer as it should, or its database stays locked for `wait_s` seconds (in steps of the
+    20 that MLflow itself waits)."""
+
+    def __init__(self, root: Path, tracking_uri: str | None = None, wait_s: float = 60.0) -> None:
+        self.root = root.resolve()
+        self.local = tracking_uri is None
+        """Whether it is the database in the root."""
+        self.uri = tracking_uri or database_uri(root)
+        self._wait_s = wait_s
+        make_folder(self.root)
+        _import_quietly()
+        if self.local:
+            self._create_database()
+        self._client = _within(wait_s, self.uri, lambda: _client(self.uri))
+        self._ask("search_experiments", max_results=1)
+
+    def cell(
+        self,
+        study: str,
+        cell: str,
+        parameters: Mapping[str, str],
+        tags: Mapping[str, str],
+        going_on: bool = True,
+    ) -> tuple[str, str]:
+        """(experiment, parent run) of a cell of a study, created where they do not exist; `going_on`: the
+        parent runs again."""
+        with self._alone("a study was looked up"):
+            experiment = self._experiment(study)
+            query = f"tags.`{_CELL_TAG}` = '{cell}'"
+            found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
+            if found:
+                parent = str(found[0].info.run_id)
+                if going_on:
+                    self._ask("update_run", parent, status="RUNNING")
+            else:
+                marked = {**_cut(tags), _CELL_TAG: cell}
+                parent = str(self._ask("create_run", experiment, tags=marked, run_name=cell).info.run_id)
+        self._parameters(parent, parameters)
+        return experiment, parent
+
+    def child(
+        self,
+        experiment: str,
+        parent: str,
+        run_id: str,
+        started: str,
+        parameters: Mapping[str, str],
+        tags: Mapping[str, str],
+    ) -> str:
+        """MLflow's identity of the run `run_id`, created as a child of `parent`."""
+        query = f"tags.`{_RUN_TAG}` = '{run_id}'"
+        found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
+        if found:
+            child = str(found[0].info.run_id)
+            self._ask("update_run", child, status="RUNNING")
+            for name, text in tags.items():
+                if found[0].data.tags.get(name) != text[:_TEXT]:
+                    self.tag(child, name, text)
+        else:
+            marked = {**_cut(tags), "mlflow.parentRunId": parent, _RUN_TAG: run_id}
+            moment = milliseconds(started)
+            created = self._ask("create_run", experiment, start_time=moment, tags=marked, run_name=run_id)
+            child = str(created.info.run_id)
+        self._parameters(child, parameters)
+        return child
+
+    def tag(self, child: str, name: str, text: str) -> None:
+        """Set a tag of a run."""
+        self._ask("set_tag", child, name, text[:_TEXT])
+
+    def points(self, child: str, started: str, points: Sequence[Point]) -> None:
+        """Send points of the curve. MLflow only appends: each point is to be sent once."""
+        from mlflow.entities import Metric
+
+        zero = milliseconds(started)
+        metrics = [
+            Metric(point.metric, point.value, zero + round(1000 * point.wall_s), point.step)
+            for point in points
+        ]
+        self._metrics(child, metrics)
+
+    def sent_steps(self, child: str) -> dict[str, frozenset[int]]:
+        """Steps of each metric's curve that MLflow has."""
+        metrics = self._ask("get_run", child).data.metrics
+        return {
+            metric: frozenset(int(entry.step) for entry in self._ask("get_metric_history", child, metric))
+            for metric in metrics
+        }
+
+    def finish(
+        self, run: str, status: Status, ended: str, figures: Mapping[str, float], files: Sequence[Path]
+    ) -> None:
+        """Send summary figures, those that MLflow does not have, and files of a run, then its status, unless
+        it has ended so already and nothing is new."""
+        from mlflow.entities import Metric
+
+        moment = milliseconds(ended)
+        found = self._ask("get_run", run)
+        known = found.data.metrics
+        metrics = [
+            Metric(f"summary/{name}", value, moment, 0)
+            for name, value in figures.items()
+            if known.get(f"summary/{name}") != value
+        ]
+        self._metrics(run, metrics)
+        for file in files:
+            self._ask("log_artifact", run, str(file))
+        if metrics or files or found.info.status != status:
+            self._ask("set_terminated", run, status, end_time=moment)
+
+    def end(self, run: str, status: Status, ended: str) -> None:
+        """Set the status of a run that MLflow has as running."""
+        if self._ask("get_run", run).info.status == "RUNNING":
+            self._ask("set_terminated", run, status, end_time=milliseconds(ended))
+
+    def _create_database(self) -> None:
+        """Sessions that start at once would race to create its tables, and one killed meanwhile would
+        leave half of them: so one at a time, under another name."""
+        path, draft = self.root / _DATABASE, self.root / f".{_DATABASE}.partial"
+        if path.exists():
+            return
+        with self._alone("MLflow's database was created"):
+            if path.exists():
+                return
+            draft.unlink(missing_ok=True)
+            uri = f"sqlite:///{draft}"
+            _within(self._wait_s, uri, lambda: _client(uri).search_experiments(max_results=1))
+            draft.replace(path)
+            sync_folder(self.root)
+
+    def _experiment(self, study: str) -> str:
+        found = self._ask("get_experiment_by_name", study)
+        if found is not None:
+            if found.lifecycle_stage == "deleted":
+                self._ask("restore_experiment", found.experiment_id)
+            return str(found.experiment_id)
+        location = (self.root / "mlflow-artifacts").as_uri() if self.local else None
+        return str(self._ask("create_experiment", study, artifact_location=location))
+
+    def _metrics(self, run: str, metrics: list[Any]) -> None:
+        for first in range(0, len(metrics), _BATCH):
+            self._ask("log_batch", run, metrics=metrics[first : first + _BATCH])
+
+    def _parameters(self, run: str, parameters: Mapping[str, str]) -> None:
+        from mlflow.entities import Param
+
+        params = [Param(name, value) for name, value in _cut(parameters).items()]
+        for first in range(0, len(params), _PARAMETERS):
+            self._ask("log_batch", run, params=params[first : first + _PARAMETERS])
+
+    @contextmanager
+    def _alone(self, purpose: str) -> Iterator[None]:
+        with ExitStack() as held:
+            try:
+                held.enter_context(locked(self.root / ".mlflow.lock", self._wait_s, purpose))
+            except HeadwayError as error:
+                raise TrackingError(str(error)) from error
+            yield
+
+    def _ask(self, method: str, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - MLflow is not typed
+        ask = getattr(self._client, method)
+        return _within(self._wait_s, self.uri, lambda: ask(*arguments, **named))
+
+
+def database_uri(root: Path) -> str:
+    """The tracking URI of the database in a store's root."""
+    return f"sqlite:///{root.resolve() / _DATABASE}"
+
+
+def without_password(uri: str) -> str:
+    """A URI as it may be shown."""
+    return re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:...@", uri)
+
+
+def require_answer(uri: str) -> None:
+    """Raise TrackingError if the server of an `http` URI cannot be reached; of others nothing is known before
+    MLflow is asked."""
+    from urllib.error import HTTPError
+    from urllib.parse import urlsplit
+    from urllib.request import urlopen
+
+    if urlsplit(uri).scheme not in ("http", "https"):
+        return
+    try:
+        with urlopen(uri.rstrip("/") + "/health", timeout=_ANSWER_SECONDS):
+            return
+    except HTTPError:
+        return  # something answers; MLflow finds out what it is
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "reason", None) or error
+        raise TrackingError(
+            f"MLflow's server at {without_password(uri)} cannot be reached ({reason}): start it, give another"
+            " one, or leave out store.tracking_uri to keep runs here"
+        ) from error
+
+
+def _import_quietly() -> None:
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    import mlflow.tracking  # noqa: F401 - a second or two, before any lock is held
+
+    for name in ("mlflow", "alembic"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _client(uri: str) -> Any:  # noqa: ANN401
+    from mlflow.tracking import MlflowClient
+
+    return MlflowClient(tracking_uri=uri)
+
+
+def _within(seconds: float, uri: str, ask: Callable[[], _Result]) -> _Result:
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            return ask()
+        except Exception as error:  # MLflow lets its libraries' exceptions through
+            line = " ".join(str(error).split())[:300]
+            if "database is locked" not in line:
+                raise TrackingError(f"MLflow at {without_password(uri)} failed: {line}") from error
+            if time.monotonic() >= deadline:
+                raise TrackingError(
+                    f"MLflow's database {without_password(uri)} stayed locked for {seconds:g} s: "
+                    "close what else writes to it"
+                ) from error
+            time.sleep(0.1)
+
+
+def _cut(texts: Mapping[str, str]) -> dict[str, str]:
+    return {name: text[:_TEXT] for name, text in texts.items()}

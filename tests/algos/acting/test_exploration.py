@@ -1,0 +1,247 @@
+"""The workers' policies against torch's networks, and how they explore."""
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed, RememberingPolicy, generator
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, WanderingPolicy
+from headway_algos.off_policy.config import NetworkConfig
+from headway_algos.off_policy.ddpg import DeterministicMethod
+from headway_algos.off_policy.dqn import ValueMethod
+from headway_algos.off_policy.learner import ReplayLearner
+from headway_algos.recipes.ddpg import DDPGConfig
+from headway_algos.recipes.madqn import MADQNConfig
+from headway_algos.registry import ENTRIES
+
+AGENTS, COPIES, SIZE = 5, 6, 3
+SPACES: dict[str, ActionSpace] = {"madqn": Discrete(4), "ddpg": Box((-1.0, 0.0), (3.0, 1.0))}
+METHODS: dict[str, Any] = {"madqn": ValueMethod, "ddpg": DeterministicMethod}
+Policies = Literal["independent", "shared", "groups"]
+
+
+def _spec(algorithm: str, come_and_go: bool = False) -> EnvSpec:
+    return EnvSpec(
+        "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, SPACES[algorithm],
+        groups=("x", "y", "x", "z", "x"), has_action_mask=algorithm == "madqn",
+        agents_come_and_go=come_and_go,
+    )  # fmt: skip
+
+
+def _learner(
+    algorithm: str, policies: Policies, precision: str, seeds: tuple[int, ...], spec: EnvSpec | None = None
+) -> tuple[ReplayLearner, Any]:
+    """Networks with biases and a normaliser that has seen something; its acting policy."""
+    spec = spec or _spec(algorithm)
+    entry, model = ENTRIES[algorithm], NetworkConfig((8, 7), "relu")
+    config = entry.config(policies=policies, precision=precision, model=model)
+    learner = ReplayLearner(config, spec, seeds, "cpu", METHODS[algorithm])
+    random = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for parameter in learner.method.network.parameters():
+            parameter += torch.randn(parameter.shape, generator=random, dtype=parameter.dtype)
+    stack = len(learner.memory.filled)
+    learner.moments.include(1 + 2 * torch.randn(stack, 50, SIZE, generator=random))
+    return learner, entry.acting_policy(config, spec)
+
+
+def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observed:
+    draw = np.random.default_rng(seed)
+    masks = None
+    if spec.has_action_mask:
+        masks = draw.random((copies, AGENTS, 4)) < 0.6
+        masks[..., 1] |= ~masks.any(axis=-1)
+    return Observed(
+        (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
+        np.zeros((copies, 0), np.float32),
+        np.ones((copies, AGENTS), np.bool_),
+        masks,
+    )
+
+
+def _torch_outputs(learner: ReplayLearner, observed: Observed) -> NDArray[np.float64]:
+    """(C, N, A), by the learner's own way of laying out rows."""
+    rows = learner.layout.rows(observed.observations[None])
+    mean, scale = learner.moments.mean.to(learner.dtype), learner.moments.scale.to(learner.dtype)
+    rows = ((rows - mean) * scale).clamp(-10, 10)
+    with torch.no_grad():
+        outputs = learner.method.network(rows).transpose(1, 2)
+    by_agent: NDArray[np.float64] = learner.layout.by_agent(outputs, 1)[0]
+    return by_agent
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("replicas", [1, 3])
+def test_greedy_actions_and_their_chances_equal_torchs(
+    policies: Policies, precision: str, replicas: int
+) -> None:
+    spec = _spec("madqn")
+    learner, acting = _learner("madqn", policies, precision, tuple(range(replicas)))
+    learner.progress = 0.3
+    epsilon = learner.exploration
+    assert 0.05 < epsilon < 1
+    observed = _observed(spec, replicas * COPIES)
+    assert observed.action_masks is not None
+    values = _torch_outputs(learner, observed)
+    np.testing.assert_allclose(
+        acting.stack.outputs(learner.acting_parameters(), observed), values, rtol=1e-5, atol=1e-5
+    )
+    best = np.where(observed.action_masks, values, -np.inf).argmax(axis=-1)
+    actions, _ = acting.act(learner.acting_parameters(), observed, None)
+    np.testing.assert_array_equal(actions, best)
+    noise = np.concatenate([acting.noise(generator(c, "action", 0), 1) for c in range(replicas * COPIES)])
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, noise)
+    assert np.take_along_axis(observed.action_masks, actions[..., None], axis=-1).all()
+    chance = epsilon / observed.action_masks.sum(axis=-1) + (1 - epsilon) * (actions == best)
+    tolerance = 1e-5 if precision == "float32" else 1e-12
+    np.testing.assert_allclose(log_probs, np.log(chance), rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_deterministic_actions_equal_torchs_within_the_bounds(policies: Policies, precision: str) -> None:
+    spec = _spec("ddpg")
+    learner, acting = _learner("ddpg", policies, precision, (0, 1))
+    observed = _observed(spec, 2 * COPIES)
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
+    expected = np.array([1.0, 0.5]) + np.array([2.0, 0.5]) * np.tanh(_torch_outputs(learner, observed))
+    np.testing.assert_allclose(actions, expected, rtol=1e-5, atol=1e-5)
+    assert not log_probs.any()
+    assert actions.std() > 0.1
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 0.3, 1.0])
+def test_epsilon_is_the_chance_of_any_allowed_action(epsilon: float) -> None:
+    """Frequencies within 5 standard deviations; the best action's chance has its share of epsilon, too."""
+    draws, spec = 40_000, _spec("madqn")
+    learner, acting = _learner("madqn", "shared", "float64", (0,))
+    parameters = {**learner.acting_parameters(), "exploration": np.full((1, 1, 1), epsilon)}
+    one = _observed(spec, 1)
+    assert one.action_masks is not None
+    masks = np.repeat(one.action_masks, draws, axis=0)
+    many = Observed(
+        np.repeat(one.observations, draws, axis=0), np.zeros((draws, 0), np.float32),
+        np.ones((draws, AGENTS), np.bool_), masks,
+    )  # fmt: skip
+    best, _ = acting.act(parameters, one, None)
+    actions, _ = acting.act(parameters, many, acting.noise(generator(0, "action", 0), draws))
+    for agent in range(AGENTS):
+        allowed = one.action_masks[0, agent]
+        chance = allowed * epsilon / allowed.sum() + (1 - epsilon) * (np.arange(4) == best[0, agent])
+        frequency = np.bincount(actions[:, agent], minlength=4) / draws
+        assert (frequency[~allowed] == 0).all()
+        margin = 5 * np.sqrt(chance * (1 - chance) / draws)
+        assert (np.abs(frequency - chance) <= margin + 1e-12).all()
+
+
+def test_absent_agents_rows_are_never_read() -> None:
+    for algorithm in SPACES:
+        spec = _spec(algorithm, come_and_go=True)
+        learner, acting = _learner(algorithm, "groups", "float64", (0, 1), spec)
+        observed = _observed(spec, 4)
+        observed.alive[:, ::2] = False
+        bad = replace(observed, observations=observed.observations.copy())
+        bad.observations[~bad.alive] = np.nan
+        if bad.action_masks is not None:
+            bad.action_masks[~bad.alive] = False
+        noise = acting.noise(generator(0, "action", 0), 4)
+        with np.errstate(all="raise"):
+            actions, log_probs = acting.act(learner.acting_parameters(), bad, noise)
+        assert np.isfinite(actions).all()
+        assert np.isfinite(log_probs).all()
+        expected, _ = acting.act(learner.acting_parameters(), observed, noise)
+        np.testing.assert_array_equal(actions[observed.alive], expected[observed.alive])
+
+
+def _wandering(theta: float, sigma: float, agents: int) -> tuple[WanderingPolicy, dict[str, NDArray[Any]]]:
+    """A policy of zero networks in bounds so wide that nothing is cut: actions are noise / 1e6."""
+    names = tuple(f"a{i}" for i in range(agents))
+    spec = EnvSpec("made", names, 1, Box((-1e6,), (1e6,)), agents_come_and_go=True)
+    config = DDPGConfig(
+        policies="shared", model=NetworkConfig(()), ou_theta=theta, ou_sigma=sigma, precision="float64"
+    )
+    policy = ENTRIES["ddpg"].acting_policy(config, spec)
+    assert isinstance(policy, WanderingPolicy)
+    shapes = policy.parameter_shapes(1)
+    parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in shapes.items()}
+    return policy, parameters | {"exploration": np.full((1, 1, 1), 1e-6)}
+
+
+@pytest.mark.parametrize(("theta", "sigma"), [(0.15, 0.2), (0.5, 1.0), (1.0, 0.3)])
+def test_noise_has_the_variance_and_the_memory_of_an_ornstein_uhlenbeck_process(
+    theta: float, sigma: float
+) -> None:
+    """In steps of one: variance sigma^2 / (1 - (1 - theta)^2), autocorrelation (1 - theta)^lag."""
+    agents, steps = 400, 300
+    policy, parameters = _wandering(theta, sigma, agents)
+    assert isinstance(policy, RememberingPolicy)
+    noise = policy.noise(generator(0, "action", 0), steps)
+    memory = np.zeros((1, agents, policy.memory_size))
+    observed = Observed(
+        np.zeros((1, agents, 1), np.float32), np.zeros((1, 0), np.float32), np.ones((1, agents), np.bool_)
+    )
+    path = np.empty((steps, agents))
+    for t in range(steps):
+        actions, _, memory = policy.act_from(parameters, observed, memory, noise[t][None])
+        path[t] = actions[0, :, 0]
+        np.testing.assert_allclose(actions, memory, rtol=1e-5)
+    late = path[100:]
+    variance = sigma**2 / (1 - (1 - theta) ** 2)
+    assert late.var() == pytest.approx(variance, rel=0.05)
+    assert abs(late.mean()) < 0.1 * np.sqrt(variance)
+    for lag in (1, 4):
+        correlation = (late[lag:] * late[:-lag]).mean() / late.var()
+        assert correlation == pytest.approx((1 - theta) ** lag, abs=0.03)
+    assert path[0].std() == pytest.approx(sigma, rel=0.15)  # it begins at 0
+
+
+def test_noise_stands_still_while_an_agent_is_away_or_acting_greedily() -> None:
+    policy, parameters = _wandering(0.15, 0.2, 2)
+    observed = Observed(
+        np.zeros((1, 2, 1), np.float32), np.zeros((1, 0), np.float32), np.array([[True, False]])
+    )
+    memory = np.array([[[0.5], [0.7]]])
+    noise = policy.noise(generator(0, "action", 0), 1)[0][None]
+    _, _, after = policy.act_from(parameters, observed, memory, noise)
+    assert after[0, 0, 0] == pytest.approx(0.85 * 0.5 + 0.2 * noise[0, 0, 0])
+    assert after[0, 1, 0] == 0.7
+    actions, _, greedy = policy.act_from(parameters, observed, memory, None)
+    np.testing.assert_array_equal(greedy, memory)
+    assert not actions.any()
+
+
+def test_noisy_actions_stay_within_the_bounds() -> None:
+    spec = _spec("ddpg")
+    learner, acting = _learner("ddpg", "shared", "float32", (0,))
+    noise = 20 * acting.noise(generator(0, "action", 0), COPIES)
+    actions, _ = acting.act(learner.acting_parameters(), _observed(spec, COPIES), noise)
+    assert (actions >= np.float32([-1, 0])).all()
+    assert (actions <= np.float32([3, 1])).all()
+    assert {-1.0, 3.0} <= set(actions[..., 0].ravel().tolist())
+
+
+@pytest.mark.parametrize("algorithm", SPACES)
+def test_parameters_have_the_shapes_that_workers_make_room_for(algorithm: str) -> None:
+    for policies in ("independent", "shared", "groups"):
+        learner, acting = _learner(algorithm, policies, "float32", (0, 1))  # type: ignore[arg-type]  # a literal
+        given = learner.acting_parameters()
+        shapes = {name: (a.shape, a.dtype) for name, a in given.items()}
+        assert shapes == acting.parameter_shapes(2)
+        assert all(a.flags.c_contiguous for a in given.values())
+        assert isinstance(acting, EpsilonGreedyPolicy if algorithm == "madqn" else WanderingPolicy)
+
+
+def test_exploration_falls_as_configured() -> None:
+    linear = MADQNConfig(exploration_start=0.9, exploration_end=0.1, exploration_share=0.4)
+    assert [round(linear.exploration(p, 7), 12) for p in (0, 0.1, 0.2, 0.4, 1)] == [0.9, 0.7, 0.5, 0.1, 0.1]
+    at_once = replace(linear, exploration_share=0.0)
+    assert at_once.exploration(0, 0) == 0.1
+    exponential = replace(linear, exploration_decay_steps=1000.0)
+    assert exponential.exploration(0.9, 0) == pytest.approx(0.9)
+    assert exponential.exploration(0.9, 1000) == pytest.approx(0.1 + 0.8 / np.e)
+    assert exponential.exploration(0.0, 10**6) == pytest.approx(0.1)

@@ -1,0 +1,167 @@
+"""Where most slots are empty, whoever is there acts as if all were computed, and empty slots hold zeros."""
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringStack, WanderingPolicy
+from headway_algos.acting.gru import RecurrentActingPolicy
+from headway_algos.acting.live_agents import SLOTS_EACH, Answer
+from headway_algos.acting.mlp import StackedActingPolicy
+from headway_algos.config import AlgoConfig, ModelConfig
+
+SLOTS, COPIES, SIZE = 32, 3, 5
+MODEL = ModelConfig(hidden=(9, 7))
+Precision = Literal["float32", "float64"]
+Policies = Literal["independent", "shared"]
+Policy = StackedActingPolicy | RecurrentActingPolicy | EpsilonGreedyPolicy | WanderingPolicy
+KINDS = ("discrete", "box", "gated discrete", "gated box", "epsilon-greedy", "wandering")
+
+
+def _spec(space: ActionSpace) -> EnvSpec:
+    names = tuple(f"slot_{i}" for i in range(SLOTS))
+    masked = isinstance(space, Discrete)
+    return EnvSpec("made", names, SIZE, space, has_action_mask=masked, agents_come_and_go=True)
+
+
+def _policy(kind: str, precision: Precision = "float64", policies: Policies = "shared") -> Policy:
+    space = Discrete(4) if kind.endswith(("discrete", "greedy")) else Box((-1.0, -2.0), (1.0, 2.0))
+    config = AlgoConfig(policies=policies, model=MODEL, precision=precision)
+    flat = StackedActingPolicy.of(config, _spec(space))
+    if kind.startswith("gated"):
+        return RecurrentActingPolicy(flat, 6)
+    if kind == "epsilon-greedy":
+        return EpsilonGreedyPolicy(ExploringStack(flat))
+    if kind == "wandering":
+        return WanderingPolicy(ExploringStack(flat), 0.2, 0.3)
+    return flat
+
+
+def _parameters(policy: Policy, replicas: int) -> dict[str, NDArray[Any]]:
+    draw = np.random.default_rng(5)
+    shapes = policy.parameter_shapes(replicas)
+    drawn = {name: draw.normal(0, 0.6, shape).astype(dtype) for name, (shape, dtype) in shapes.items()}
+    if "exploration" in drawn:
+        drawn["exploration"] = np.abs(drawn["exploration"]) % 1
+    return drawn
+
+
+def _faced(policy: Policy, alive: NDArray[np.bool_]) -> tuple[Observed, NDArray[Any], NDArray[Any] | None]:
+    """What agents face, with NaN where nobody is, the noise, and what is remembered."""
+    draw, spec = np.random.default_rng(7), _flat(policy).spec
+    copies, masks, memory = len(alive), None, None
+    observations = draw.normal(0, 2, (copies, SLOTS, SIZE)).astype(np.float32)
+    observations[~alive] = np.nan
+    if isinstance(spec.action_space, Discrete):
+        masks = draw.random((copies, SLOTS, 4)) < 0.6
+        masks[..., 2] |= ~masks.any(axis=-1)
+        masks[~alive] = False
+    noise = np.stack([policy.noise(draw, 1)[0] for _ in range(copies)])
+    if isinstance(policy, RecurrentActingPolicy | WanderingPolicy):
+        memory = draw.normal(0, 1, (copies, SLOTS, policy.memory_size)).astype(policy.memory_type)
+    return Observed(observations, np.zeros((copies, 0), np.float32), alive, masks), noise, memory
+
+
+def _flat(policy: Policy) -> StackedActingPolicy:
+    if isinstance(policy, EpsilonGreedyPolicy | WanderingPolicy):
+        return policy.stack.flat
+    return policy.flat if isinstance(policy, RecurrentActingPolicy) else policy
+
+
+def _ask(
+    policy: Policy,
+    parameters: dict[str, NDArray[Any]],
+    observed: Observed,
+    memory: NDArray[Any] | None,
+    noise: NDArray[Any] | None,
+) -> Answer:
+    if isinstance(policy, RecurrentActingPolicy | WanderingPolicy):
+        assert memory is not None
+        return policy.act_from(parameters, observed, memory, noise)
+    return *policy.act(parameters, observed, noise), None
+
+
+def _few(copies: int, count: int) -> NDArray[np.bool_]:
+    """Of all slots of all copies, so many are taken."""
+    alive = np.zeros(copies * SLOTS, np.bool_)
+    alive[np.random.default_rng(3).permutation(copies * SLOTS)[:count]] = True
+    return alive.reshape(copies, SLOTS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("greedy", [False, True])
+@pytest.mark.parametrize("count", [0, 1, COPIES * SLOTS // SLOTS_EACH])
+def test_whoever_is_there_acts_as_if_every_slot_were_computed(
+    kind: str, precision: Precision, greedy: bool, count: int
+) -> None:
+    policy, alive = _policy(kind, precision), _few(COPIES, count)
+    parameters = _parameters(policy, 1)
+    observed, drawn, memory = _faced(policy, alive)
+    before = None if memory is None else memory.copy()
+    noise = None if greedy else drawn
+    found = _ask(policy, parameters, observed, memory, noise)
+    expected = policy.answer(parameters, observed, memory, noise)
+    tolerance = 1e-5 if precision == "float32" else 1e-12
+    for mine, whole in zip(found[:2], expected[:2], strict=True):
+        assert (mine.dtype, mine.shape) == (whole.dtype, whole.shape)
+        np.testing.assert_allclose(mine[alive], whole[alive], rtol=tolerance, atol=tolerance)
+        assert not mine[~alive].any()
+        assert np.isfinite(mine).all()
+    if memory is not None:
+        assert found[2] is not None
+        assert expected[2] is not None
+        np.testing.assert_array_equal(memory, before)
+        np.testing.assert_array_equal(found[2][~alive], memory[~alive])
+        np.testing.assert_allclose(found[2][alive], expected[2][alive], rtol=tolerance, atol=tolerance)
+        assert found[2].dtype == memory.dtype
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_replica_acts_to_the_last_bit_as_if_it_were_alone(kind: str) -> None:
+    """Beside one with as few agents, one with many and one with none."""
+    policy = _policy(kind, "float32")
+    counts = (7, COPIES * SLOTS, 0, 2)
+    alive = np.concatenate([_few(COPIES, count) for count in counts])
+    parameters = _parameters(policy, len(counts))
+    observed, noise, memory = _faced(policy, alive)
+    together = _ask(policy, parameters, observed, memory, noise)
+    for r in range(len(counts)):
+        block = slice(r * COPIES, (r + 1) * COPIES)
+        one = Observed(
+            observed.observations[block],
+            observed.states[block],
+            observed.alive[block],
+            None if observed.action_masks is None else observed.action_masks[block],
+        )
+        mine = {name: array[r : r + 1] for name, array in parameters.items()}
+        alone = _ask(policy, mine, one, None if memory is None else memory[block], noise[block])
+        for part, whole in zip(alone, together, strict=True):
+            if part is None or whole is None:
+                assert part is whole
+            else:
+                np.testing.assert_array_equal(part, whole[block])
+
+
+@pytest.mark.parametrize("count", [COPIES * SLOTS // SLOTS_EACH + 1, COPIES * SLOTS])
+def test_where_few_slots_are_empty_every_one_is_computed(count: int) -> None:
+    policy = _policy("discrete", "float32")
+    observed, noise, _ = _faced(policy, _few(COPIES, count))
+    parameters = _parameters(policy, 1)
+    found = _ask(policy, parameters, observed, None, noise)
+    for mine, whole in zip(found[:2], policy.answer(parameters, observed, None, noise)[:2], strict=True):
+        np.testing.assert_array_equal(mine, whole)
+
+
+def test_only_agents_of_many_that_come_and_go_and_share_a_policy_can_be_left_out() -> None:
+    shared = _policy("discrete")
+    assert isinstance(shared, StackedActingPolicy)
+    assert shared.alone is not None
+    assert replace(shared, spec=replace(shared.spec, agents_come_and_go=False)).alone is None
+    assert replace(shared, spec=replace(shared.spec, agents=shared.spec.agents[1:])).alone is None
+    assert _policy("discrete", policies="independent").alone is None
+    assert _policy("wandering", policies="independent").alone is None

@@ -1,0 +1,241 @@
+"""The numpy policy of the workers against the torch actor, and its draws against its probabilities."""
+
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed, generator
+from headway_algos.acting.mlp import StackedActingPolicy
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.on_policy.learner import OnPolicyLearner
+
+AGENTS, COPIES, SIZE = 5, 6, 3
+Policies = Literal["independent", "shared", "groups"]
+Precision = Literal["float32", "float64"]
+SPACES: dict[str, ActionSpace] = {"discrete": Discrete(4), "box": Box((-1.0, -1.0), (1.0, 1.0))}
+
+
+def _spec(space: ActionSpace, come_and_go: bool = False) -> EnvSpec:
+    return EnvSpec(
+        "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, space,
+        groups=("x", "y", "x", "z", "x"),
+        has_action_mask=isinstance(space, Discrete),
+        agents_come_and_go=come_and_go,
+    )  # fmt: skip
+
+
+def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observed:
+    draw = np.random.default_rng(seed)
+    masks = None
+    if isinstance(spec.action_space, Discrete):
+        masks = draw.random((copies, AGENTS, spec.action_space.n)) < 0.6
+        masks[..., 1] |= ~masks.any(axis=-1)
+    return Observed(
+        (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
+        np.zeros((copies, 0), np.float32),
+        np.ones((copies, AGENTS), np.bool_),
+        masks,
+    )
+
+
+def _learner(
+    spec: EnvSpec,
+    policies: Policies,
+    precision: Precision,
+    seeds: tuple[int, ...],
+    activation: Literal["tanh", "relu"] = "tanh",
+    normalise: bool = True,
+) -> tuple[OnPolicyLearner, StackedActingPolicy]:
+    """Policies far from uniform, with a normaliser that has seen something."""
+    model = ModelConfig(hidden=(8, 7), activation=activation, actor_gain=1.5)
+    config = AlgoConfig(policies=policies, model=model, precision=precision, normalise_observations=normalise)
+    learner = OnPolicyLearner(config, spec, seeds, "cpu")
+    random = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for bias in learner.actor.network.biases:
+            bias.normal_(generator=random)
+    if normalise:
+        stack = len(learner.actor.network.weights[0])
+        learner.actor.moments.include(1 + 2 * torch.randn(stack, 50, SIZE, generator=random))
+    return learner, StackedActingPolicy.of(config, spec)
+
+
+def _torch_log_probs(
+    learner: OnPolicyLearner, observed: Observed, actions: NDArray[Any]
+) -> NDArray[np.float64]:
+    """(C, N), agent by agent from the learner's own way of laying out rows."""
+    layout = learner.layout
+    rows = layout.rows(observed.observations[None])
+    if learner.config.normalise_observations:
+        rows = learner.actor.moments.normalised(rows)
+    masks = None if observed.action_masks is None else layout.rows(observed.action_masks[None])
+    with torch.no_grad():
+        log_probs = learner.actor(rows, masks).log_prob(layout.rows(actions[None]))
+    by_agent: NDArray[np.float64] = layout.by_agent(log_probs, 1)[0]
+    return by_agent
+
+
+@pytest.mark.parametrize(
+    ("space", "policies", "precision", "replicas"),
+    list(product(SPACES, ["independent", "shared", "groups"], ["float32", "float64"], [1, 3])),
+)
+def test_log_probabilities_equal_torchs(
+    space: str, policies: Policies, precision: Precision, replicas: int
+) -> None:
+    spec = _spec(SPACES[space])
+    learner, acting = _learner(spec, policies, precision, tuple(range(replicas)))
+    observed = _observed(spec, replicas * COPIES)
+    random = np.random.default_rng(1)
+    noise = np.stack([acting.noise(random, 1)[0] for _ in range(replicas * COPIES)])
+    for draws in (noise, None):
+        actions, log_probs = acting.act(learner.acting_parameters(), observed, draws)
+        expected = _torch_log_probs(learner, observed, actions)
+        tolerance = 1e-5 if precision == "float32" else 1e-12
+        np.testing.assert_allclose(log_probs, expected, rtol=tolerance, atol=tolerance)
+        assert log_probs.dtype == np.float64
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_log_probabilities_equal_torchs_for_every_activation(activation: Literal["tanh", "relu"]) -> None:
+    spec = _spec(SPACES["discrete"])
+    learner, acting = _learner(spec, "groups", "float64", (0, 1), activation)
+    observed = _observed(spec, 2 * COPIES)
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
+    np.testing.assert_allclose(
+        log_probs, _torch_log_probs(learner, observed, actions), rtol=1e-12, atol=1e-12
+    )
+
+
+def test_log_probabilities_equal_torchs_where_observations_are_not_normalised() -> None:
+    """Also far out, where a normaliser would cut them."""
+    spec = _spec(SPACES["discrete"])
+    learner, acting = _learner(spec, "independent", "float64", (0,), normalise=False)
+    observed = _observed(spec, COPIES)
+    observed.observations[...] *= 30
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
+    np.testing.assert_allclose(
+        log_probs, _torch_log_probs(learner, observed, actions), rtol=1e-12, atol=1e-12
+    )
+
+
+def test_parameters_have_the_shapes_that_workers_make_room_for() -> None:
+    for space, policies in product(SPACES.values(), ("independent", "shared", "groups")):
+        learner, acting = _learner(_spec(space), policies, "float32", (0, 1))  # type: ignore[arg-type]  # a literal
+        shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
+        assert shapes == acting.parameter_shapes(2)
+
+
+def test_each_group_follows_its_own_policy() -> None:
+    """x = agents 0, 2, 4; y = 1; z = 3: the same observation gives the same outputs within a group only."""
+    spec = _spec(SPACES["box"])
+    learner, acting = _learner(spec, "groups", "float64", (0, 1))
+    observed = _observed(spec, 2)
+    observed.observations[...] = 0.7
+    actions, _ = acting.act(learner.acting_parameters(), observed, None)
+    for replica in actions:
+        np.testing.assert_array_equal(replica[0], replica[2])
+        np.testing.assert_array_equal(replica[0], replica[4])
+        assert len({tuple(action) for action in replica.tolist()}) == 3
+    assert not np.isin(actions[0], actions[1]).any()
+
+
+def test_frequencies_of_sampled_actions_are_the_probabilities() -> None:
+    spec, draws = _spec(SPACES["discrete"]), 40_000
+    learner, acting = _learner(spec, "shared", "float64", (0,))
+    one = _observed(spec, 1)
+    assert one.action_masks is not None
+    many = Observed(
+        np.repeat(one.observations, draws, axis=0),
+        np.zeros((draws, 0), np.float32),
+        np.ones((draws, AGENTS), np.bool_),
+        np.repeat(one.action_masks, draws, axis=0),
+    )
+    actions, _ = acting.act(learner.acting_parameters(), many, acting.noise(generator(0, "action"), draws))
+    for agent, action in product(range(AGENTS), range(4)):
+        asked = np.full((1, AGENTS), action)
+        p = float(np.exp(_torch_log_probs(learner, one, asked)[0, agent]))
+        frequency = float((actions[:, agent] == action).mean())
+        if one.action_masks[0, agent, action]:
+            assert abs(frequency - p) < 5 * np.sqrt(p * (1 - p) / draws) + 1e-9
+        else:
+            assert frequency == 0
+
+
+@pytest.mark.parametrize("uniform", [0.0, 0.5, 1 - 2**-53])
+def test_forbidden_actions_are_never_sampled_at_the_edges_of_the_uniform(uniform: float) -> None:
+    spec = _spec(SPACES["discrete"])
+    for precision in ("float32", "float64"):
+        learner, acting = _learner(spec, "shared", precision, (0,))
+        observed = _observed(spec, 500, seed=7)
+        assert observed.action_masks is not None
+        noise = np.full((500, AGENTS), uniform)
+        actions, log_probs = acting.act(learner.acting_parameters(), observed, noise)
+        assert np.take_along_axis(observed.action_masks, actions[..., None], -1).all()
+        assert np.isfinite(log_probs).all()
+
+
+def test_gaussian_actions_have_the_mean_and_deviation_of_the_policy() -> None:
+    spec, draws = _spec(SPACES["box"]), 40_000
+    learner, acting = _learner(spec, "independent", "float64", (0,))
+    one = _observed(spec, 1)
+    many = Observed(
+        np.repeat(one.observations, draws, axis=0),
+        np.zeros((draws, 0), np.float32),
+        np.ones((draws, AGENTS), np.bool_),
+    )
+    parameters = learner.acting_parameters()
+    actions, _ = acting.act(parameters, many, acting.noise(generator(0, "action"), draws))
+    mean, _ = acting.act(parameters, one, None)
+    std = np.exp(-0.5)
+    np.testing.assert_allclose(actions.mean(axis=0), mean[0], atol=5 * std / np.sqrt(draws))
+    np.testing.assert_allclose(actions.std(axis=0), std, rtol=5 / np.sqrt(2 * draws))
+
+
+def test_greedy_actions_are_the_mode() -> None:
+    spec = _spec(SPACES["discrete"])
+    learner, acting = _learner(spec, "groups", "float64", (0,))
+    observed = _observed(spec, COPIES)
+    greedy, _ = acting.act(learner.acting_parameters(), observed, None)
+    every = [_torch_log_probs(learner, observed, np.full((COPIES, AGENTS), a)) for a in range(4)]
+    np.testing.assert_array_equal(greedy, np.argmax(every, axis=0))
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("copies", [1, COPIES])
+def test_rows_of_absent_agents_change_no_other_and_are_left_alone(
+    space: str, policies: Policies, copies: int
+) -> None:
+    spec = _spec(SPACES[space], come_and_go=True)
+    learner, acting = _learner(spec, policies, "float32", (0,))
+    observed = _observed(spec, copies)
+    noise = np.stack([acting.noise(np.random.default_rng(c), 1)[0] for c in range(copies)])
+    expected = acting.act(learner.acting_parameters(), observed, noise)
+    observed.alive[:, 1] = observed.alive[0, 4] = False
+    observed.observations[~observed.alive] = np.nan
+    if observed.action_masks is not None:
+        observed.action_masks[~observed.alive] = False
+    before = observed.observations.copy()
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, noise)
+    np.testing.assert_array_equal(observed.observations, before)
+    np.testing.assert_array_equal(actions[observed.alive], expected[0][observed.alive])
+    np.testing.assert_array_equal(log_probs[observed.alive], expected[1][observed.alive])
+    assert np.isfinite(actions).all()
+    assert np.isfinite(log_probs).all()
+    if isinstance(spec.action_space, Discrete):
+        assert ((actions >= 0) & (actions < spec.action_space.n)).all()
+
+
+def test_a_single_agents_observations_are_left_alone() -> None:
+    """One agent: rows by policy are a view of the environment's own memory."""
+    spec = EnvSpec("made", ("only",), SIZE, Discrete(2), agents_come_and_go=True)
+    config = AlgoConfig(model=ModelConfig(hidden=(4,)))
+    learner, acting = OnPolicyLearner(config, spec, (0,), "cpu"), StackedActingPolicy.of(config, spec)
+    observations = np.full((2, 1, SIZE), np.nan, np.float32)
+    observed = Observed(observations, np.zeros((2, 0), np.float32), np.zeros((2, 1), np.bool_))
+    acting.act(learner.acting_parameters(), observed, None)
+    assert np.isnan(observations).all()

@@ -1,0 +1,229 @@
+"""Rows by policy, minibatches and the places where streams are cut."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout, generator
+from headway_algos.batches import layout
+from headway_algos.batches.grouping import Grouping
+from headway_algos.batches.layout import Endings, Layout, Piece, minibatches, zero_where_absent
+
+SPEC = EnvSpec("made", tuple("abcdef"), 3, Discrete(2), state_size=2, groups=tuple("xyxzxz"))
+STEPS, COPIES, REPLICAS = 4, 3, 2
+
+
+def _layout(policies: str) -> Layout:
+    return Layout(Grouping.of(policies, SPEC), REPLICAS, torch.device("cpu"), torch.float64)
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+def test_rows_are_ordered_by_agent_step_and_copy(policies: str) -> None:
+    layout = _layout(policies)
+    values = np.random.default_rng(0).normal(size=(STEPS, REPLICAS * COPIES, 6, 2))
+    rows = layout.rows(values)
+    selected = layout.selection(np.ones(values.shape[:3], np.bool_))
+    for r in range(REPLICAS):
+        for k, members in enumerate(layout.grouping.members.tolist()):
+            p = r * layout.grouping.num_policies + k
+            expected = [
+                values[t, r * COPIES + e, n]
+                for n in members
+                if n >= 0
+                for t in range(STEPS)
+                for e in range(COPIES)
+            ]
+            np.testing.assert_array_equal(rows[p].numpy()[selected[p]], expected)
+    np.testing.assert_array_equal(layout.by_agent(rows, STEPS), values)
+
+
+def test_the_first_agents_of_a_shared_policy_come_back() -> None:
+    layout, values = _layout("shared"), np.arange(STEPS * REPLICAS * COPIES * 2.0)
+    by_agent = values.reshape(STEPS, REPLICAS * COPIES, 2)
+    np.testing.assert_array_equal(layout.by_agent(layout.rows(by_agent), STEPS, agents=2), by_agent)
+
+
+@pytest.mark.parametrize("policies", ["independent", "groups"])
+def test_agents_of_several_policies_cannot_be_the_first_few(policies: str) -> None:
+    layout = _layout(policies)
+    rows = layout.rows(np.zeros((STEPS, REPLICAS * COPIES, 6)))
+    with pytest.raises(ValueError, match="policies are all there"):
+        layout.by_agent(rows, STEPS, agents=2)
+
+
+def test_groups_are_those_the_environment_names() -> None:
+    members = Grouping.of("groups", SPEC).members
+    assert members.tolist() == [[0, 2, 4], [1, -1, -1], [3, 5, -1]]
+
+
+def _batches(
+    selected: NDArray[np.bool_], epochs: int, parts: int, piece_rows: int
+) -> list[list[tuple[NDArray[np.int64], Tensor]]]:
+    """For each minibatch its pieces, as (rows of each network (P, rows), weights (P, rows)); pieces hold
+    about `piece_rows` rows of each network."""
+    stack, batch = selected.shape
+    generators = [generator(p, "test") for p in range(stack)]
+    result = []
+    samples = piece_rows * stack
+    for pieces, active in minibatches(selected, generators, epochs, parts, samples, _layout("shared")):
+        decoded = []
+        assert active.tolist() == [any(piece.weight[p].any() for piece in pieces) for p in range(stack)]
+        for piece in pieces:
+            index = piece.index.numpy().reshape(stack, -1)
+            assert (index // batch == np.arange(stack)[:, None]).all(), "a row of another network"
+            decoded.append((index % batch, piece.weight))
+        result.append(decoded)
+    return result
+
+
+@pytest.mark.parametrize("piece_rows", [3, 1000])
+@pytest.mark.parametrize("parts", [1, 4, 7])
+def test_an_epoch_covers_every_selected_row_once_and_no_other(parts: int, piece_rows: int) -> None:
+    selected = np.random.default_rng(0).random((3, 40)) < [[0.9], [0.5], [0.05]]
+    batches = _batches(selected, 2, parts, piece_rows)
+    assert len(batches) == 2 * parts
+    orders = []
+    for epoch in (batches[:parts], batches[parts:]):
+        for p in range(3):
+            used = [
+                int(row)
+                for pieces in epoch
+                for index, weight in pieces
+                for row, w in zip(index[p], weight[p], strict=True)
+                if w > 0
+            ]
+            assert sorted(used) == np.flatnonzero(selected[p]).tolist()
+            orders.append(used)
+    assert orders[0] != orders[3], "epochs are shuffled anew"
+
+
+def test_a_minibatchs_weights_are_those_of_its_mean() -> None:
+    selected = np.random.default_rng(1).random((3, 40)) < [[0.9], [0.5], [0.05]]
+    for pieces in _batches(selected, 1, 4, 5):
+        for p in range(3):
+            weights = torch.cat([weight[p] for _, weight in pieces])
+            used = weights[weights > 0]
+            if len(used):
+                torch.testing.assert_close(used, torch.full_like(used, 1 / len(used)))
+
+
+def test_minibatches_are_as_equal_as_can_be() -> None:
+    selected = np.ones((1, 30), np.bool_)
+    sizes = [sum(int((w > 0).sum()) for _, w in pieces) for pieces in _batches(selected, 1, 4, 1000)]
+    assert sum(sizes) == 30
+    assert max(sizes) - min(sizes) <= 1
+
+
+def test_padding_repeats_a_networks_own_selected_rows() -> None:
+    """A weight of 0 does not undo a NaN, so rows that were not selected must not be read at all."""
+    selected = np.zeros((2, 20), np.bool_)
+    selected[0], selected[1, 13:16] = True, True
+    for pieces in _batches(selected, 3, 2, 6):
+        for index, _ in pieces:
+            assert selected[1, index[1]].all()
+
+
+def test_pieces_add_up_to_the_whole_minibatchs_gradient() -> None:
+    selected = np.random.default_rng(2).random((3, 40)) < 0.6
+    rows = torch.from_numpy(np.random.default_rng(3).normal(size=(3, 40, 2)))
+    gradients = []
+    for piece_rows in (1000, 7, 1):
+        generators = [generator(p, "test") for p in range(3)]
+        weight = torch.full((3, 2), 0.3, dtype=torch.float64, requires_grad=True)
+        for pieces, _ in minibatches(selected, generators, 1, 3, 3 * piece_rows, _layout("shared")):
+            losses = [
+                ((piece.of(rows) * weight[:, None]).sum(2).tanh() * piece.weight).sum() for piece in pieces
+            ]
+            (gradient,) = torch.autograd.grad(torch.stack(losses).sum(), weight)
+            gradients.append(gradient)
+    for whole, cut, single in zip(gradients[:3], gradients[3:6], gradients[6:], strict=True):
+        torch.testing.assert_close(cut, whole, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(single, whole, rtol=1e-12, atol=1e-12)
+
+
+def test_a_networks_minibatches_do_not_depend_on_its_stack() -> None:
+    selected = np.random.default_rng(4).random((3, 40)) < [[0.2], [0.9], [0.6]]
+
+    def shuffled(networks: list[int]) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
+        generators = [generator(p, "test") for p in networks]
+        return minibatches(selected[networks], generators, 2, 3, 1000, _layout("shared"))
+
+    for p in range(3):
+        for ((alone,), _), ((stacked,), _) in zip(shuffled([p]), shuffled([0, 1, 2]), strict=True):
+            of_p = stacked.index[p][stacked.weight[p] > 0] - p * 40
+            assert torch.equal(of_p, alone.index[alone.weight > 0])
+
+
+def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) -> None:
+    made = fabricate(SPEC, 10, REPLICAS * COPIES, seed=5, ends=0.2, leaves=0.05)
+    made.truncated[:, :COPIES] = False  # replicas differ in how many there are
+    made.truncated[3, 1] = True
+    made.terminated[3, 1] = False
+    endings = Endings.of(made, REPLICAS)
+    values = made.final_observations[..., 0].astype(np.float64)
+    back = endings.put(endings.take(values), values.shape)
+    cut = (made.truncated & ~made.terminated).any(axis=2)
+    np.testing.assert_array_equal(back[cut], values[cut])
+    assert (back[~cut] == 0).all()
+
+
+def test_no_endings() -> None:
+    made = Trajectory.allocate(TrajectoryLayout(SPEC, 4, REPLICAS * COPIES))
+    endings = Endings.of(made, REPLICAS)
+    assert len(endings) == 0
+    assert endings.take(made.final_states).shape == (0, REPLICAS, 2)
+    assert (endings.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()
+
+
+def test_absent_rows_become_zero_in_a_copy() -> None:
+    values = np.full((2, 3, 4), np.nan, np.float32)
+    present = np.zeros((2, 3), np.bool_)
+    present[1, 2] = True
+    values[1, 2] = 5
+    cleaned = zero_where_absent(values, present)
+    assert (cleaned[1, 2] == 5).all()
+    assert (cleaned[~present] == 0).all()
+    assert np.isnan(values[~present]).all()
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("agents", [1, 6])
+def test_rows_become_zero_where_absent_and_what_they_are_of_stays(policies: str, agents: int) -> None:
+    spec = replace(SPEC, agents=SPEC.agents[:agents], groups=SPEC.groups[:agents])
+    layout = Layout(Grouping.of(policies, spec), 1, torch.device("cpu"), torch.float32)
+    random = np.random.default_rng(0)
+    values = random.normal(size=(5, 1, agents, 4)).astype(np.float32)
+    present = random.random((5, 1, agents)) < 0.5
+    values[~present] = np.nan
+    before = values.copy()
+    rows = layout.rows(values, present)
+    assert torch.equal(rows, layout.rows(zero_where_absent(values, present)))
+    assert np.array_equal(values, before, equal_nan=True)
+
+
+def test_an_unknown_word_for_policies_is_refused() -> None:
+    with pytest.raises(ValueError, match="independent, shared or groups, not 'group'"):
+        Grouping.of("group", SPEC)
+
+
+@pytest.mark.parametrize("piece_rows", [5, 1000])
+def test_rows_taken_ahead_are_those_of_each_minibatch(
+    monkeypatch: pytest.MonkeyPatch, piece_rows: int
+) -> None:
+    """Of whichever tensor is asked for, in blocks that divide the minibatches or not."""
+    selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
+    rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]
+    generators = [generator(p, "test") for p in range(3)]
+    monkeypatch.setattr(layout, "TAKEN_AHEAD", 3 * 9 * 3)
+    ahead = 0
+    for pieces, _ in minibatches(selected, generators, 2, 4, 3 * piece_rows, _layout("shared")):
+        for piece in pieces:
+            ahead += piece.ahead is not None
+            for tensor in rows:
+                assert torch.equal(piece.of(tensor), tensor.flatten(0, 1)[piece.index])
+    assert ahead == (8 if piece_rows == 1000 else 0)

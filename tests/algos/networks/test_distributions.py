@@ -1,0 +1,175 @@
+"""Action distributions against torch.distributions."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.distributions import Categorical, Independent, Normal, kl_divergence
+
+from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+
+P, A, B = 3, 5, 40
+DTYPES = [torch.float32, torch.float64]
+
+
+def _close(got: Tensor, expected: Tensor) -> None:
+    tolerance = 1e-5 if got.dtype == torch.float32 else 1e-12
+    torch.testing.assert_close(got, expected, rtol=tolerance, atol=tolerance)
+
+
+def _categorical_case(dtype: torch.dtype, masked: bool) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
+    """Two sets of logits (P, A, B), masks (P, B, A) and allowed actions (P, B)."""
+    random = torch.Generator().manual_seed(0)
+    new, old = (2 * torch.randn(P, A, B, generator=random, dtype=dtype) for _ in range(2))
+    masks = torch.rand(P, B, A, generator=random) < 0.5
+    masks[..., 2] |= ~masks.any(-1)
+    if not masked:
+        masks = torch.ones_like(masks)
+    actions = (masks * torch.rand(P, B, A, generator=random)).argmax(-1)
+    return new, old, masks if masked else None, actions
+
+
+def _torch_categorical(logits: Tensor, masks: Tensor | None) -> Any:  # noqa: ANN401 - torch leaves its methods untyped
+    rows = logits.transpose(1, 2)
+    # torch's own sums need finite logits; e^-200 is 0 beside allowed actions for every figure compared.
+    return Categorical(logits=rows if masks is None else rows.masked_fill(~masks, -200.0))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("masked", [False, True])
+def test_categorical_equals_torch(dtype: torch.dtype, masked: bool) -> None:
+    new, old, masks, actions = _categorical_case(dtype, masked)
+    ours, theirs = MaskedCategorical.of_logits(new, masks), _torch_categorical(new, masks)
+    ours_old, theirs_old = MaskedCategorical.of_logits(old, masks), _torch_categorical(old, masks)
+    _close(ours.log_prob(actions), theirs.log_prob(actions))
+    _close(ours.entropy(), theirs.entropy())
+    _close(ours.kl_from(ours_old), kl_divergence(theirs_old, theirs))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("what", ["log_prob", "entropy", "kl"])
+def test_gradients_of_the_categorical_equal_torchs_and_are_finite(what: str, masked: bool) -> None:
+    new, old, masks, actions = _categorical_case(torch.float64, masked)
+    gradients: list[Tensor] = []
+    for mine in (True, False):
+        logits = new.clone().requires_grad_()
+        if mine:
+            ours = MaskedCategorical.of_logits(logits, masks)
+            kl = ours.kl_from(MaskedCategorical.of_logits(old, masks))
+            value = {"log_prob": ours.log_prob(actions), "entropy": ours.entropy(), "kl": kl}[what]
+        else:
+            theirs = _torch_categorical(logits, masks)
+            kl = kl_divergence(_torch_categorical(old, masks), theirs)
+            value = {"log_prob": theirs.log_prob(actions), "entropy": theirs.entropy(), "kl": kl}[what]
+        gradients += torch.autograd.grad(value.sin().sum(), logits)
+    assert torch.isfinite(gradients[0]).all()
+    _close(gradients[0], gradients[1])
+
+
+def _coefficients() -> list[Tensor]:
+    """Of log-probabilities, entropies and divergences, (P, B) each."""
+    random = torch.Generator().manual_seed(7)
+    return [torch.randn(P, B, generator=random, dtype=torch.float64) for _ in range(3)]
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("with_old", [False, True])
+def test_slopes_of_the_categorical_are_those_torch_finds(masked: bool, with_old: bool) -> None:
+    new, old_logits, masks, actions = _categorical_case(torch.float64, masked)
+    if masks is not None:  # as no step of an agent that acts: a forbidden action, and nothing allowed
+        masks[0, 0, int(actions[0, 0])], masks[1, 1] = False, False
+    of_log_prob, of_entropy, of_kl = _coefficients()
+    logits, old = new.clone().requires_grad_(), MaskedCategorical.of_logits(old_logits, masks)
+    recorded = MaskedCategorical.of_logits(logits, masks)
+    value = of_log_prob * recorded.log_prob(actions) + of_entropy * recorded.entropy()
+    if with_old:
+        value = value + of_kl * recorded.kl_from(old)
+    (expected,) = torch.autograd.grad(value.sum(), logits)
+    ours = MaskedCategorical.of_logits(new, masks)
+    found, nothing = ours.slopes(actions, of_log_prob, of_entropy, (old, of_kl) if with_old else None)
+    assert nothing is None
+    _close(found, expected)
+
+
+@pytest.mark.parametrize("with_old", [False, True])
+def test_slopes_of_the_gaussian_are_those_torch_finds(with_old: bool) -> None:
+    random = torch.Generator().manual_seed(1)
+    mean, old_mean = (torch.randn(P, A, B, generator=random, dtype=torch.float64) for _ in range(2))
+    log_std, old_log_std = (
+        0.3 * torch.randn(P, A, 1, generator=random, dtype=torch.float64) for _ in range(2)
+    )
+    actions = torch.randn(P, B, A, generator=random, dtype=torch.float64)
+    of_log_prob, of_entropy, of_kl = _coefficients()
+    old = DiagonalGaussian(old_mean, old_log_std)
+    leaves = [mean.clone().requires_grad_(), log_std.clone().requires_grad_()]
+    recorded = DiagonalGaussian(*leaves)
+    value = of_log_prob * recorded.log_prob(actions) + of_entropy * recorded.entropy()
+    if with_old:
+        value = value + of_kl * recorded.kl_from(old)
+    expected = torch.autograd.grad(value.sum(), leaves)
+    ours = DiagonalGaussian(mean, log_std)
+    found = ours.slopes(actions, of_log_prob, of_entropy, (old, of_kl) if with_old else None)
+    for got, wanted in zip(found, expected, strict=True):
+        _close(got, wanted)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_forbidden_actions_have_probability_exactly_zero(dtype: torch.dtype) -> None:
+    new, _, masks, _ = _categorical_case(dtype, masked=True)
+    assert masks is not None
+    new[:, 0] += 80  # a forbidden favourite, and extreme logits beside it
+    new[:, 1] -= 80
+    new.requires_grad_()
+    ours = MaskedCategorical.of_logits(new, masks)
+    probabilities = ours.log_probs.exp().transpose(1, 2)
+    assert (probabilities[~masks] == 0).all()
+    torch.testing.assert_close(probabilities.sum(-1), torch.ones(P, B, dtype=dtype))
+    sure = masks.sum(-1) == 1
+    assert sure.any()
+    assert (ours.entropy()[sure] == 0).all()
+    old = MaskedCategorical.of_logits(new.detach(), masks)
+    (gradient,) = torch.autograd.grad((ours.entropy() + ours.kl_from(old)).sum(), new)
+    assert torch.isfinite(gradient).all()
+    assert (gradient.transpose(1, 2)[~masks] == 0).all()
+
+
+def test_kl_of_a_categorical_is_weighted_by_its_probabilities() -> None:
+    """Not the mean over actions of an estimator, which is wrong by two orders of magnitude here."""
+    old = torch.tensor([[0.9, 0.09, 0.01]], dtype=torch.float64).log()[..., None]
+    new = torch.tensor([[0.85, 0.12, 0.03]], dtype=torch.float64).log()[..., None]
+    by_hand = sum(p * np.log(p / q) for p, q in zip([0.9, 0.09, 0.01], [0.85, 0.12, 0.03], strict=True))
+    result = MaskedCategorical.of_logits(new, None).kl_from(MaskedCategorical.of_logits(old, None))
+    assert float(result) == pytest.approx(by_hand, abs=1e-12)
+
+
+def _gaussian(mean: Tensor, log_std: Tensor) -> tuple[DiagonalGaussian, Any]:
+    normal = Normal(mean.transpose(1, 2), log_std.exp().transpose(1, 2).expand(P, B, A))
+    return DiagonalGaussian(mean, log_std), Independent(normal, 1)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_gaussian_equals_torch(dtype: torch.dtype) -> None:
+    random = torch.Generator().manual_seed(1)
+    means = [torch.randn(P, A, B, generator=random, dtype=dtype).requires_grad_() for _ in range(2)]
+    log_stds = [0.3 * torch.randn(P, A, 1, generator=random, dtype=dtype) for _ in range(2)]
+    for log_std in log_stds:
+        log_std.requires_grad_()
+    ours, theirs = _gaussian(means[0], log_stds[0])
+    ours_old, theirs_old = _gaussian(means[1], log_stds[1])
+    actions = torch.randn(P, B, A, generator=random, dtype=dtype)
+    pairs = [
+        (ours.log_prob(actions), theirs.log_prob(actions)),
+        (ours.entropy(), theirs.entropy()),
+        (ours.kl_from(ours_old), kl_divergence(theirs_old, theirs)),
+    ]
+    tensors = [*means, *log_stds]
+    for mine, torchs in pairs:
+        _close(mine, torchs)
+        for a, b in zip(
+            torch.autograd.grad(mine.mean(), tensors, retain_graph=True, materialize_grads=True),
+            torch.autograd.grad(torchs.mean(), tensors, retain_graph=True, materialize_grads=True),
+            strict=True,
+        ):
+            _close(a, b)

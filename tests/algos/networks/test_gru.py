@@ -1,0 +1,432 @@
+"""Networks that remember, against torch's own units and against loops that go agent by agent."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.serial_collector import SerialCollector
+from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.timeline import Timeline
+from headway_algos.batches.whole_batch import WholeBatch
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.networks.gru import RecurrentNetwork, make_network
+from headway_algos.on_policy.critics.value import ValueCritic
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.updates.trpo import TRPO
+from headway_algos.optim.fisher import double_backward, unflat
+from headway_algos.registry import ENTRIES
+from headway_envs.toy.visitors import Visitors, VisitorsConfig
+
+Fabricate = Callable[..., Trajectory]
+Poison = Callable[[Trajectory], Trajectory]
+UNITS, LENGTH = 5, 3
+GRU = ModelConfig(hidden=(6,), core="gru", gru_size=UNITS, sequence_length=LENGTH, actor_gain=1.0)
+SETTINGS: dict[str, Any] = {
+    "model": GRU, "precision": "float64", "lr": 3e-3, "minibatches": 2, "epochs": 2, "kl_bound": 0.05,
+    "grad_clip": None,
+}  # fmt: skip
+DISCRETE = EnvSpec(
+    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
+)
+TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
+BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
+
+
+def named(name: str, **settings: Any) -> AlgoConfig:  # noqa: ANN401 - the record's fields
+    config = ENTRIES[name].config(**{**SETTINGS, **settings})
+    assert isinstance(config, AlgoConfig)
+    return config
+
+
+CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
+    "ippo": (named("ippo", kl_coeff=0.2), DISCRETE),
+    "ippo groups box": (named("ippo", policies="groups"), BOX),
+    "mappo team": (named("mappo", policies="shared"), TEAM),
+    "mappo others": (named("mappo", critic_actions="others"), TEAM),
+    "coma": (named("coma", target_every=2), DISCRETE),
+    "coma team": (named("coma", target_every=2), TEAM),
+    "ia2c": (named("ia2c"), BOX),
+    "itrpo": (named("itrpo", policies="groups"), DISCRETE),
+    "happo": (named("happo"), BOX),
+    "hatrpo": (named("hatrpo"), TEAM),
+}
+every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+
+
+def randomised(network: RecurrentNetwork, seed: int = 0) -> RecurrentNetwork:
+    """Biases that are not 0."""
+    random = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for bias in (*network.biases, network.bias_input, network.bias_memory):
+            bias.normal_(generator=random)
+    return network
+
+
+class Alone:
+    """Network p of a stack, as torch's own modules: one row, one step."""
+
+    def __init__(self, network: RecurrentNetwork, p: int) -> None:
+        self.layers = [(w[p], b[p, :, 0]) for w, b in zip(network.weights, network.biases, strict=True)]
+        self.cell = torch.nn.GRUCell(network.weight_input.shape[2], UNITS, dtype=torch.float64)
+        silent = torch.zeros(2 * UNITS, dtype=torch.float64)
+        units = {
+            "weight_ih": network.weight_input[p],
+            "weight_hh": network.weight_memory[p],
+            "bias_ih": network.bias_input[p, :, 0],
+            "bias_hh": torch.cat([silent, network.bias_memory[p, :, 0]]),
+        }
+        for name, tensor in units.items():
+            delattr(self.cell, name)
+            setattr(self.cell, name, tensor.double())
+
+    def step(self, row: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Outputs and the memory after one row."""
+        for weight, bias in self.layers[:-1]:
+            row = torch.tanh(weight.double() @ row + bias.double())
+        memory = self.cell(row[None], memory[None])[0]
+        weight, bias = self.layers[-1]
+        return weight.double() @ memory + bias.double(), memory
+
+
+def test_the_units_are_those_of_torch() -> None:
+    """Two networks, four sequences of six steps, one after another in torch.nn.GRU."""
+    network = randomised(make_network(replace(GRU, hidden=()), (1, 2), 1, "x", (3, 2), 1.0, torch.float64))  # type: ignore[arg-type]  # it remembers
+    rows, start = torch.randn(2, 4, 6, 3, dtype=torch.float64), torch.randn(2, 4, UNITS, dtype=torch.float64)
+    got = network.memories(rows.transpose(1, 2).flatten(1, 2), Timeline(start.transpose(1, 2)))
+    for p in range(2):
+        alone = Alone(network, p).cell
+        reference = torch.nn.GRU(3, UNITS, batch_first=True, dtype=torch.float64)
+        names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        reference.load_state_dict({f"{name}_l0": getattr(alone, name).detach() for name in names})
+        expected, _ = reference(rows[p], start[p][None])
+        torch.testing.assert_close(got[p].view(UNITS, 6, 4).permute(2, 1, 0), expected, rtol=0, atol=1e-12)
+
+
+def test_a_network_that_remembers_says_what_it_misses() -> None:
+    network = make_network(GRU, (1,), 1, "x", (3, 2), 1.0, torch.float64)
+    with pytest.raises(HeadwayError, match=r"what came before.*use algo\.model\.core=none$"):
+        network(torch.zeros(1, 2, 3, dtype=torch.float64))
+
+
+def _plan(policies: str, precision: str, seeds: tuple[int, ...]) -> tuple[AlgoConfig, RolloutPlan]:
+    prepared = VisitorsConfig(agents=3, steps=9)
+    spec = replace(Visitors(prepared, 1).spec, groups=tuple("xyx"))
+    config = named("ippo", policies=policies, precision=precision)
+    policy = ENTRIES["ippo"].acting_policy(config, spec)
+    return config, RolloutPlan(Visitors, (), prepared, spec, policy, seeds, 4, 20, 2)
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, precision: str) -> None:
+    """With agents that come, go and retire, episodes of several lengths, and from one iteration to the next:
+    every log-probability, agent by agent and step by step."""
+    config, plan = _plan(policies, precision, (3, 5))
+    learner = OnPolicyLearner(config, plan.spec, plan.seeds, "cpu")
+    network = learner.actor.network
+    assert isinstance(network, RecurrentNetwork)
+    randomised(network)
+    collector = SerialCollector(plan)
+    collector.begin()
+    memory = torch.zeros(8, 3, UNITS, dtype=torch.float64)
+    tolerance = 1e-5 if precision == "float32" else 1e-11
+    alone = [Alone(network, p) for p in range(len(network.bias_input))]
+    each = learner.grouping.num_policies
+    followed = {int(n): k for k, members in enumerate(learner.grouping.members) for n in members}
+    for iteration in (1, 2):
+        collector.collect(iteration, learner.acting_parameters())
+        track = collector.trajectory
+        np.testing.assert_allclose(track.memory[0], memory, atol=tolerance)
+        assert not memory[torch.from_numpy(track.begins[0])].any()
+        assert track.begins.all() == (iteration == 1)
+        for t, c, n in np.argwhere(np.ones_like(track.terminated)):
+            if track.alive[t, c, n]:
+                row = torch.tensor(track.observations[t, c, n], dtype=torch.float64)
+                mask = torch.tensor(track.action_masks[t, c, n])
+                with torch.no_grad():
+                    row = row / np.sqrt(1 + 1e-8)  # the normaliser has seen nothing yet
+                    which = alone[c // 4 * each + followed[int(n)]]
+                    logits, memory[c, n] = which.step(row, memory[c, n])
+                logits = torch.where(mask, logits, -torch.inf)
+                expected = torch.log_softmax(logits, 0)[track.actions[t, c, n]].item()
+                assert track.log_probs[t, c, n] == pytest.approx(expected, abs=tolerance)
+            if track.terminated[t, c, n] or track.truncated[t, c, n]:
+                memory[c, n] = 0
+    assert not (memory == 0).all()
+    collector.close()
+
+
+def made(fabricate: Fabricate, spec: EnvSpec, seed: int, steps: int = 8, **chances: float) -> Trajectory:
+    """A trajectory of three copies in which some agents remember something at its start."""
+    return fabricate(spec, steps, 3, seed, memory_size=UNITS, **{"ends": 0.15, "leaves": 0.05, **chances})
+
+
+def naive_memories(
+    network: RecurrentNetwork, inputs: NDArray[Any], track: Trajectory, follows: Callable[[int], int]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Memories before each step (T + 1, C, N, M) and right after (T, C, N, M), of inputs (T, C, N, D)."""
+    steps, copies, agents = track.terminated.shape
+    before, after = np.zeros((steps + 1, copies, agents, UNITS)), np.zeros((steps, copies, agents, UNITS))
+    for c in range(copies):
+        for n in range(agents):
+            alone, memory = Alone(network, follows(n)), torch.tensor(track.memory[0, c, n])
+            for t in range(steps):
+                before[t, c, n] = memory
+                if track.alive[t, c, n]:
+                    with torch.no_grad():
+                        memory = alone.step(torch.tensor(inputs[t, c, n], dtype=torch.float64), memory)[1]
+                after[t, c, n] = memory
+                if track.terminated[t, c, n] or track.truncated[t, c, n]:
+                    memory = torch.zeros_like(memory)
+            before[steps, c, n] = memory
+    return before, after
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+def test_memories_are_replayed_as_agent_by_agent(fabricate: Fabricate, policies: str) -> None:
+    config = named("ippo", policies=policies, normalise_observations=False, piece_samples=40)
+    learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(fabricate, DISCRETE, 1, absent=0.3)
+    network = learner.actor.network
+    assert isinstance(network, RecurrentNetwork)
+    memories = learner._memories(track, learner._observations(track))
+    assert isinstance(memories, Memories)
+    groups = {n: k for k, members in enumerate(learner.grouping.members) for n in members.tolist()}
+    before, after = naive_memories(network, track.observations, track, lambda n: groups[n])
+    np.testing.assert_allclose(memories.before, before, atol=1e-12)
+    np.testing.assert_allclose(memories.after, after, atol=1e-12)
+
+
+def naive_surrogate(actor: Actor, track: Trajectory, advantages: NDArray[Any], coeff: float) -> list[Tensor]:
+    """E[pi / pi_old A] + coeff E[H] of each agent's own policy, with a gradient that goes back to the last
+    multiple of LENGTH steps, or to where its stream began."""
+    network, found = actor.network, []
+    assert isinstance(network, RecurrentNetwork)
+    steps, copies, agents = track.terminated.shape
+    for n in range(agents):
+        alone, total, rows = Alone(network, n), torch.zeros((), dtype=torch.float64), 0
+        for c in range(copies):
+            memory = torch.tensor(track.memory[0, c, n])
+            for t in range(steps):
+                memory = memory.detach() if t % LENGTH == 0 else memory
+                if track.alive[t, c, n]:
+                    row = torch.tensor(track.observations[t, c, n], dtype=torch.float64)
+                    logits, memory = alone.step(row, memory)
+                    if track.acting[t, c, n]:
+                        allowed = torch.tensor(track.action_masks[t, c, n])
+                        log_probs = torch.log_softmax(logits[allowed], 0)
+                        place = int(track.action_masks[t, c, n, : track.actions[t, c, n]].sum())
+                        ratio = (log_probs[place] - track.log_probs[t, c, n]).exp()
+                        entropy = -(log_probs.exp() * log_probs).sum()
+                        total, rows = total + ratio * advantages[t, c, n] + coeff * entropy, rows + 1
+                if track.terminated[t, c, n] or track.truncated[t, c, n]:
+                    memory = torch.zeros_like(memory)
+        found.append(total / max(rows, 1))
+    return found
+
+
+@pytest.mark.parametrize("piece_samples", [10, 5120])
+def test_gradients_through_sequences_are_those_of_a_loop(fabricate: Fabricate, piece_samples: int) -> None:
+    """T = 8 in sequences of 3: the last is filled up. Streams end, and agents are away, in their midst."""
+    config = named("itrpo", normalise_observations=False, piece_samples=piece_samples)
+    learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(
+        fabricate, DISCRETE, 2, absent=0.3, idle=0.3
+    )  # fmt: skip
+    randomised(learner.actor.network)  # type: ignore[arg-type]  # it remembers
+    advantages = np.random.default_rng(0).standard_normal(track.rewards.shape)
+    batch = WholeBatch.of(*rows_of(learner, track, advantages))
+    assert isinstance(learner.policy_update, TRPO)
+    gradient, surrogate, *_ = learner.policy_update._gradient(batch)
+    expected = naive_surrogate(learner.actor, track, advantages, config.entropy_coeff)
+    torch.testing.assert_close(surrogate, torch.stack(expected).detach(), rtol=0, atol=1e-12)
+    parameters = learner.actor.learnable
+    slopes = torch.autograd.grad(sum(expected[1:], expected[0]), parameters)
+    for got, slope in zip(unflat(gradient, parameters), slopes, strict=True):
+        torch.testing.assert_close(got, slope, rtol=0, atol=1e-11)
+
+
+def rows_of(
+    learner: OnPolicyLearner, track: Trajectory, advantages: NDArray[Any]
+) -> tuple[PolicyRows, Tensor]:
+    """What the update is given, by way of an update that keeps it."""
+    kept: list[tuple[PolicyRows, Tensor]] = []
+
+    class Keeping:
+        def improve(self, rows: PolicyRows, by_policy: Tensor, generators: object) -> dict[str, Tensor]:
+            kept.append((rows, by_policy))
+            return {}
+
+    update, learner.policy_update = learner.policy_update, Keeping()  # type: ignore[assignment]
+    learner.config = replace(learner.config, normalise_advantages=False)
+    observations = learner._observations(track)
+    memories = learner._memories(track, observations)
+    learner._improve_policies(track, observations, memories, advantages, 1)
+    learner.policy_update = update
+    return kept[0]
+
+
+def test_fisher_products_go_through_time(fabricate: Fabricate) -> None:
+    """Against the Hessian of the mean KL, entry by entry, of one small policy."""
+    model = replace(GRU, hidden=(), gru_size=2)
+    config = named("itrpo", model=model, normalise_observations=False)
+    spec = replace(DISCRETE, agents=("a",), groups=("x",), observation_size=2, has_action_mask=False)
+    learner = OnPolicyLearner(config, spec, (0,), "cpu")
+    track = fabricate(spec, 7, 2, 4, memory_size=2, absent=0.2, ends=0.2)
+    batch = WholeBatch.of(*rows_of(learner, track, np.zeros(track.rewards.shape)))
+    actor, parameters = learner.actor, learner.actor.learnable
+    shapes = [p.shape for p in parameters]
+    old = actor(batch.observations, None, batch.timeline).detach()
+
+    def mean_kl(vector: Tensor) -> Tensor:
+        parts = torch.split(vector, [shape.numel() for shape in shapes])
+        names = [name for name, _ in actor.named_parameters()]
+        state = {name: part.view(shape) for name, part, shape in zip(names, parts, shapes, strict=True)}
+        new = torch.func.functional_call(actor, state, (batch.observations, None, batch.timeline))
+        return (new.kl_from(old) * batch.weight).sum()
+
+    here = torch.cat([p.detach().flatten() for p in parameters])
+    hessian = torch.autograd.functional.hessian(mean_kl, here)
+    product = double_backward(actor, batch, 10)
+    for i in range(0, len(here), 5):
+        unit = torch.zeros(1, len(here), dtype=torch.float64)
+        unit[0, i] = 1
+        torch.testing.assert_close(product(unit)[0], hessian[i], rtol=0, atol=1e-10)
+
+
+def test_critics_remember_from_iteration_to_iteration(fabricate: Fabricate) -> None:
+    """Values of a local critic against a loop; the second trajectory goes on where the first one ended, and
+    where streams are cut, the value is that of what was remembered then."""
+    config = named("ippo", normalise_observations=False, normalise_values=False, lr=1e-9, gae_lambda=0.0)
+    learner = OnPolicyLearner(config, DISCRETE, (0,), "cpu")
+    critic = learner.critic
+    assert isinstance(critic, ValueCritic)
+    network = critic.networks.network
+    assert isinstance(network, RecurrentNetwork)
+    carried = np.zeros((3, 4, UNITS))
+    for iteration in (1, 2):
+        track = made(fabricate, DISCRETE, 5 + iteration, absent=0.2)
+        track.begins[:] = np.random.default_rng(iteration).random(track.begins.shape) < 0.5
+        track.memory[0] = np.where(track.begins[0][..., None], 0, carried)
+        before, after = naive_memories(network, track.observations, track, lambda n: n)
+        estimate = critic.estimate(track, learner.behaviour, iteration)
+        for t, c, n in np.argwhere(track.alive[:-1]):
+            alone = Alone(network, int(n))
+
+            def value(row: NDArray[Any], memory: NDArray[Any], alone: Alone = alone) -> float:
+                seen = torch.tensor(row, dtype=torch.float64)
+                return alone.step(seen, torch.tensor(memory))[0].item()
+
+            here = value(track.observations[t, c, n], before[t, c, n])
+            assert estimate.values[t, c, n] == pytest.approx(here, abs=1e-12)
+            ended, cut = track.terminated[t, c, n], track.truncated[t, c, n]
+            if cut and not ended:
+                ahead = value(track.final_observations[t, c, n], after[t, c, n])
+            elif not ended and track.alive[t + 1, c, n]:
+                ahead = value(track.observations[t + 1, c, n], before[t + 1, c, n])
+            elif ended:
+                ahead = 0.0
+            else:
+                continue
+            expected = float(track.rewards[t, c, n]) + config.gamma * ahead - here
+            assert estimate.advantages[t, c, n] == pytest.approx(expected, abs=1e-9)
+        critic.fit(estimate, iteration)
+        carried = before[-1]
+        assert critic.networks.carried is not None
+        np.testing.assert_allclose(critic.networks.carried, carried, atol=1e-12)
+
+
+def _tensors(state: Any, path: str = "") -> dict[str, NDArray[Any]]:  # noqa: ANN401 - tensors, nested
+    if isinstance(state, Tensor):
+        return {path: state.detach().numpy().copy()}
+    if not isinstance(state, dict | list):
+        return {}
+    items = state.items() if isinstance(state, dict) else enumerate(state)
+    return {n: t for key, value in items for n, t in _tensors(value, f"{path} {key}").items()}
+
+
+def _joined(parts: list[Trajectory]) -> Trajectory:
+    names = Trajectory.__dataclass_fields__
+    return Trajectory(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names))
+
+
+@every_case
+def test_a_seed_alone_learns_what_it_learns_in_a_stack(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    seeds = (3, 5)
+    stacked = OnPolicyLearner(config, spec, seeds, "cpu")
+    alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in seeds]
+    for iteration in (1, 2):
+        parts = [
+            made(fabricate, spec, 10 * iteration + r, absent=absent, idle=0.2)
+            for r, absent in enumerate((0.1, 0.7))
+        ]
+        stacked.update(_joined(parts), iteration, 0.0)
+        for learner, part in zip(alone, parts, strict=True):
+            learner.update(part, iteration, 0.0)
+    together = _tensors(stacked.state_dict())
+    for r, learner in enumerate(alone):
+        for name, array in _tensors(learner.state_dict()).items():
+            share = np.split(together[name], len(seeds))[r]
+            np.testing.assert_allclose(share, array, rtol=1e-8, atol=1e-8, err_msg=name)
+
+
+@every_case
+def test_rows_of_absent_agents_change_nothing(
+    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    clean, bad = (OnPolicyLearner(config, spec, (3,), "cpu") for _ in range(2))
+    for iteration in (1, 2):
+        track = made(fabricate, spec, iteration, absent=0.4, idle=0.3)
+        clean.update(track, iteration, 0.0)
+        bad.update(poisoned(track), iteration, 0.0)
+    expected = _tensors(clean.state_dict())
+    for name, array in _tensors(bad.state_dict()).items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+@every_case
+@pytest.mark.parametrize("shared_until", [0.0, 0.5])
+def test_going_on_from_a_state_is_going_on(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec, shared_until: float
+) -> None:
+    """Bit for bit, what critics remember included, also across the parting of shared policies."""
+    if shared_until and (config.order == "sequential" or config.policies == "shared"):
+        pytest.skip("refused by the configuration")
+    config = replace(config, shared_until=shared_until)
+    first, second = (ENTRIES["custom"].learner(config, spec, (3, 5), "cpu") for _ in range(2))
+    tracks = [_joined([made(fabricate, spec, 7 * i + r, absent=0.2) for r in range(2)]) for i in range(4)]
+    for i, track in enumerate(tracks[:2]):
+        first.update(track, i + 1, i / 4)
+    second.load_state_dict(_copied(first.state_dict()))
+    for i, track in enumerate(tracks[2:], start=2):
+        first.update(track, i + 1, i / 4)
+        second.update(track, i + 1, i / 4)
+    expected = _tensors(first.state_dict())
+    got = _tensors(second.state_dict())
+    assert got.keys() == expected.keys()
+    for name, array in got.items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+def _copied(state: Any) -> Any:  # noqa: ANN401 - tensors, nested
+    if isinstance(state, Tensor):
+        return state.clone()
+    if isinstance(state, dict):
+        return {key: _copied(value) for key, value in state.items()}
+    return [_copied(value) for value in state] if isinstance(state, list) else state
+
+
+@pytest.mark.parametrize("field", ["gru_size", "sequence_length"])
+def test_impossible_sizes_are_refused(field: Literal["gru_size", "sequence_length"]) -> None:
+    with pytest.raises(ValueError, match=f"{field} must be at least 1"):
+        replace(GRU, **{field: 0})

@@ -1,0 +1,122 @@
+"""Replay memories: what they hold, what they draw, what they save."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from headway.contracts import Box, Discrete, EnvSpec, generator
+from headway_algos.off_policy.replay_buffer import ReplayMemory
+from headway_algos.off_policy.transitions import Transitions
+
+SPEC = EnvSpec("made", ("a", "b"), 2, Discrete(3), has_action_mask=True)
+CAPACITY, POLICIES = 6, 3
+
+
+def _numbered(numbers: NDArray[np.int64], spec: EnvSpec = SPEC) -> Transitions:
+    """Transitions that say everywhere which they are."""
+    as_float = numbers.astype(np.float64)
+    two = np.stack([as_float, -as_float], axis=1).astype(np.float32)
+    box = isinstance(spec.action_space, Box)
+    return Transitions(
+        numbers,
+        two,
+        two[:, :1] if box else numbers,
+        as_float,
+        as_float / 100,
+        two + 0.5,
+        np.ones((len(numbers), 3 if spec.has_action_mask else 0), np.bool_),
+    )
+
+
+def _memory(capacity: int = CAPACITY, spec: EnvSpec = SPEC) -> ReplayMemory:
+    return ReplayMemory(spec, POLICIES, capacity, torch.device("cpu"))
+
+
+def _held(memory: ReplayMemory) -> list[list[float]]:
+    """Of each policy, the numbers held, sorted."""
+    by_policy = memory.arrays["returns"].numpy().reshape(POLICIES, memory.capacity)
+    return [sorted(row[:count].tolist()) for row, count in zip(by_policy, memory.filled, strict=True)]
+
+
+def test_each_policy_holds_its_own_newest_and_no_others() -> None:
+    random, memory = np.random.default_rng(0), _memory()
+    lived: list[list[float]] = [[] for _ in range(POLICIES)]
+    number = 0
+    for count in (2, 0, 5, 1, 30, 3, 7):
+        owners = random.choice(POLICIES, count, p=[0.6, 0.4, 0.0])
+        numbers = np.arange(number, number + count)
+        number += count
+        memory.add(owners, _numbered(numbers))
+        for owner, one in zip(owners, numbers, strict=True):
+            lived[owner].append(float(one))
+        assert _held(memory) == [sorted(all_of[-CAPACITY:]) for all_of in lived]
+    assert memory.filled.tolist() == [CAPACITY, CAPACITY, 0]
+
+
+def test_batches_hold_whole_transitions_and_no_holes() -> None:
+    memory = _memory()
+    memory.add(np.array([0, 0, 0, 1]), _numbered(np.array([5, 6, 7, 8])))
+    random = [generator(0, "replay", k) for k in range(POLICIES)]
+    places = memory.draws(random, np.array([True, True, False]), (4, 50))
+    assert places.shape == (4, POLICIES, 50)
+    batch = memory.batch(places[0], torch.float64)
+    assert set(batch.returns[0].tolist()) == {5.0, 6.0, 7.0}
+    assert set(batch.returns[1].tolist()) == {8.0}
+    assert not batch.returns[2].any()
+    for policy in (0, 1):
+        number = batch.returns[policy]
+        np.testing.assert_array_equal(batch.actions[policy], number)
+        np.testing.assert_array_equal(batch.observations[policy], torch.stack([number, -number], 1))
+        np.testing.assert_array_equal(batch.discounts[policy], number / 100)
+        np.testing.assert_array_equal(batch.next_observations[policy, :, 0], number + 0.5)
+    assert batch.next_masks is not None
+    assert batch.next_masks[:2].all()
+
+
+@pytest.mark.parametrize("lived", [40, 100, 1234])
+def test_draws_are_uniform_over_what_is_held(lived: int) -> None:
+    """Chi-squared within 5 standard deviations, before the memory is full, when it is, and long after."""
+    memory, draws = _memory(100), 200_000
+    for first in range(0, lived, 7):
+        numbers = np.arange(first, min(first + 7, lived))
+        memory.add(np.zeros(len(numbers), np.int64), _numbered(numbers))
+    random = [generator(3, "replay", k) for k in range(POLICIES)]
+    places = memory.draws(random, np.array([True, False, False]), (1, draws))
+    drawn = memory.batch(places[0], torch.float64).returns[0].numpy().astype(int)
+    held = min(lived, 100)
+    counts = np.bincount(drawn, minlength=lived)
+    assert not counts[: lived - held].any()
+    expected = draws / held
+    chi_squared = ((counts[lived - held :] - expected) ** 2 / expected).sum()
+    assert abs(chi_squared - (held - 1)) < 5 * np.sqrt(2 * (held - 1))
+
+
+def test_a_policys_draws_do_not_depend_on_the_others() -> None:
+    alone, among = _memory(), _memory()
+    alone.add(np.zeros(4, np.int64), _numbered(np.arange(4)))
+    among.add(np.array([0, 1, 0, 1, 0, 0]), _numbered(np.array([0, 9, 1, 9, 2, 3])))
+    drawn = []
+    for memory, active in ((alone, [True, False, False]), (among, [True, True, False])):
+        random = [generator(1, "replay", k) for k in range(POLICIES)]
+        drawn.append(memory.batch(memory.draws(random, np.array(active), (1, 30))[0], torch.float64))
+    assert torch.equal(drawn[0].returns[0], drawn[1].returns[0])
+
+
+@pytest.mark.parametrize("lived", [3, 20])
+@pytest.mark.parametrize("space", [Discrete(3), Box((-1.0,), (1.0,))])
+def test_what_is_saved_is_what_is_held_and_goes_on_alike(lived: int, space: Any) -> None:  # noqa: ANN401
+    spec = replace(SPEC, action_space=space, has_action_mask=isinstance(space, Discrete))
+    memory, other = _memory(spec=spec), _memory(spec=spec)
+    memory.add(np.arange(lived) % 2, _numbered(np.arange(lived), spec))
+    state = memory.state_dict()
+    assert len(state["arrays"]["returns"]) == memory.filled.sum() <= 2 * CAPACITY
+    other.load_state_dict(state)
+    for each in (memory, other):
+        each.add(np.array([0, 1, 1, 2]), _numbered(np.arange(90, 94), spec))
+    for name, array in memory.arrays.items():
+        assert torch.equal(array, other.arrays[name]), name
+    assert memory.filled.tolist() == other.filled.tolist()

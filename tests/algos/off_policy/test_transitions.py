@@ -1,0 +1,165 @@
+"""Semi-Markov transitions against a walk along every agent's stream."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from headway.contracts import Box, Discrete, EnvSpec, Trajectory
+from headway_algos.off_policy.transitions import TransitionMaker, Transitions
+
+Fabricate = Callable[..., Trajectory]
+GAMMA = 0.9
+SPEC = EnvSpec(
+    "made", ("a", "b", "c"), 3, Discrete(4), has_action_mask=True, agents_come_and_go=True, snapshots=True
+)
+Row = tuple[int, NDArray[Any], Any, float, float, NDArray[Any], NDArray[np.bool_]]
+"""stream, observation, action, return, discount, next observation, next mask"""
+
+
+def _walk(parts: list[Trajectory], n_step: int, stream: int, start: tuple[int, int]) -> Row | None:
+    """The transition of the decision at `start` (iteration, step), or None where it is not yet whole."""
+    agents = parts[0].rewards.shape[2]
+    c, n = divmod(stream, agents)
+    steps = [(i, t) for i, part in enumerate(parts) for t in range(len(part.rewards))]
+    first = parts[start[0]]
+    taken = first.observations[start[1], c, n], first.actions[start[1], c, n]
+    total, discount, ahead = 0.0, 1.0, n_step
+    for i, t in steps[steps.index(start) :]:
+        part = parts[i]
+        if (i, t) != start and part.alive[t, c, n] and part.acting[t, c, n]:
+            ahead -= 1
+            if ahead == 0:
+                return stream, *taken, total, discount, part.observations[t, c, n], part.action_masks[t, c, n]
+        total += discount * float(part.rewards[t, c, n])
+        discount *= GAMMA
+        everything = np.ones(part.action_masks.shape[-1], np.bool_)
+        if part.terminated[t, c, n]:
+            return stream, *taken, total, 0.0, np.zeros(part.observations.shape[-1]), everything
+        if part.truncated[t, c, n]:
+            return stream, *taken, total, discount, part.final_observations[t, c, n], everything
+    return None
+
+
+def _all_walks(parts: list[Trajectory], n_step: int) -> list[Row]:
+    _, copies, agents = parts[0].rewards.shape
+    decided = [
+        (c * agents + n, (i, t))
+        for c in range(copies)
+        for n in range(agents)
+        for i, part in enumerate(parts)
+        for t in range(len(part.rewards))
+        if part.alive[t, c, n] and part.acting[t, c, n]
+    ]
+    walked = (_walk(parts, n_step, stream, start) for stream, start in decided)
+    return [row for row in walked if row is not None]
+
+
+def _rows(made: list[Transitions]) -> list[Row]:
+    """Stream by stream, each in the order of time."""
+    rows = [
+        (
+            int(part.streams[i]), part.observations[i], part.actions[i], float(part.returns[i]),
+            float(part.discounts[i]), part.next_observations[i], part.next_masks[i],
+        )
+        for part in made
+        for i in range(len(part))
+    ]  # fmt: skip
+    return sorted(rows, key=lambda row: row[0])
+
+
+def _key(row: Row) -> tuple[Any, ...]:
+    return (row[0], *row[1].tolist())
+
+
+def _assert_same(got: list[Row], expected: list[Row]) -> None:
+    """Whatever the order within a stream: an n-step transition can be whole before an earlier one."""
+    assert len(got) == len(expected)
+    for mine, theirs in zip(sorted(got, key=_key), sorted(expected, key=_key), strict=True):
+        for a, b in zip(mine, theirs, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("n_step", [1, 2, 5])
+@pytest.mark.parametrize("idle", [0.0, 0.6])
+def test_transitions_are_those_of_a_walk_along_each_stream(
+    fabricate: Fabricate, n_step: int, idle: float
+) -> None:
+    """Over three iterations, with agents that are absent, idle, cut and that end, one by one and together."""
+    parts = [fabricate(SPEC, 7, 4, seed=i, absent=0.3, idle=idle, ends=0.1, leaves=0.05) for i in range(3)]
+    maker = TransitionMaker(SPEC, GAMMA, n_step)
+    made = [maker.transitions(part) for part in parts]
+    expected = _all_walks(parts, n_step)
+    assert len(expected) > 30
+    assert any(row[4] == 0 for row in expected)
+    assert any(0 < row[4] < GAMMA**3 for row in expected)
+    _assert_same(_rows(made), expected)
+
+
+def test_what_nobody_lived_through_is_never_read(
+    fabricate: Fabricate, poisoned: Callable[[Trajectory], Trajectory]
+) -> None:
+    made = fabricate(SPEC, 12, 4, seed=3, absent=0.3, idle=0.3, ends=0.2, leaves=0.1)
+    clean, bad = (TransitionMaker(SPEC, GAMMA, 2).transitions(part) for part in (made, poisoned(made)))
+    assert len(clean) > 20
+    for name in Transitions.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(bad, name), getattr(clean, name))
+    assert np.isfinite(bad.observations).all()
+    assert np.isfinite(bad.next_observations).all()
+
+
+def test_a_transition_over_iterations_is_that_of_one_long_iteration(fabricate: Fabricate) -> None:
+    whole = fabricate(SPEC, 20, 3, seed=1, absent=0.4, idle=0.5)
+    names = Trajectory.__dataclass_fields__
+    with_last_row = ("observations", "states", "alive", "action_masks")
+
+    def part_of(first: int, last: int) -> Trajectory:
+        cuts = {name: slice(first, last + (name in with_last_row)) for name in names}
+        return Trajectory(*(getattr(whole, name)[cuts[name]] for name in names))
+
+    one, several = (TransitionMaker(SPEC, GAMMA, 3) for _ in range(2))
+    at_once = [one.transitions(whole)]
+    in_parts = [several.transitions(part_of(first, first + 5)) for first in range(0, 20, 5)]
+    _assert_same(_rows(in_parts), _rows(at_once))
+
+
+def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabricate) -> None:
+    """In what is observed last; those of agents that are away then are lost, and nothing waits."""
+    spec = replace(SPEC, snapshots=False)
+    made = fabricate(spec, 6, 5, seed=2, absent=0.3, idle=0.5, ends=0.0)
+    maker = TransitionMaker(spec, GAMMA, 1)
+    transitions = maker.transitions(made)
+    assert maker.state_dict() == {}
+    walked = _all_walks([made], 1)
+    assert len(transitions) > len(walked)
+    copies, agents = np.divmod(transitions.streams, 3)
+    last = (transitions.next_observations == made.observations[-1, copies, agents]).all(axis=1)
+    assert last.sum() == len(transitions) - len(walked)
+    assert made.alive[-1, copies[last], agents[last]].all()
+    np.testing.assert_array_equal(
+        transitions.next_masks[last], made.action_masks[-1, copies[last], agents[last]]
+    )
+    assert (transitions.discounts > 0).all()
+
+
+def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:
+    parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
+    maker, other = (TransitionMaker(SPEC, GAMMA, 2) for _ in range(2))
+    maker.transitions(parts[0])
+    state = maker.state_dict()
+    assert len(state["streams"]) > 3
+    other.load_state_dict(state)
+    continued, restored = maker.transitions(parts[1]), other.transitions(parts[1])
+    for name in Transitions.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(restored, name), getattr(continued, name))
+
+
+def test_actions_of_a_box_are_kept_whole(fabricate: Fabricate) -> None:
+    spec = replace(SPEC, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
+    made = fabricate(spec, 6, 2, seed=0)
+    transitions = TransitionMaker(spec, GAMMA, 1).transitions(made)
+    assert transitions.actions.shape == (len(transitions), 2)
+    assert transitions.next_masks.shape == (len(transitions), 0)

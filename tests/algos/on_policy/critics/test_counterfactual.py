@@ -1,0 +1,443 @@
+"""COMA's critic, and central values that see the others' actions, against loops over agents and actions.
+
+The loops know one network of one replica at a time, as float64 matrices, and share with Headway only the
+random numbers with which the next actions are drawn where nobody chose any.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway_algos.batches.critic_batch import Scene
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
+from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.return_regression import ReturnNetworks
+from headway_algos.on_policy.critics.value import ValueCritic
+from headway_algos.on_policy.gae import counterfactual_advantages
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.recipes.coma import COMAConfig
+from headway_algos.recipes.mappo import MAPPOConfig
+
+Array = NDArray[np.float64]
+Fabricate = Callable[..., Trajectory]
+Poison = Callable[[Trajectory], Trajectory]
+Change = Callable[[Scene], None]
+
+DISCRETE = EnvSpec(
+    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
+)
+STATE = replace(DISCRETE, state_size=5)
+TEAM = replace(STATE, shared_reward=True)
+TEAM_BLIND = replace(DISCRETE, shared_reward=True)
+BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
+SETTINGS: dict[str, Any] = {
+    "model": ModelConfig(hidden=(7, 6), actor_gain=0.5),
+    "precision": "float64",
+    "epochs": 2,
+    "minibatches": 2,
+    "lr": 1e-2,
+    "gamma": 0.9,
+    "gae_lambda": 0.7,
+    "piece_samples": 40,
+}
+COMA = COMAConfig(**SETTINGS, target_every=2)
+OTHERS = MAPPOConfig(**SETTINGS, critic_actions="others")
+CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
+    "coma": (COMA, DISCRETE),
+    "coma state, shared": (replace(COMA, policies="shared"), STATE),
+    "coma groups, nothing normalised": (
+        replace(COMA, policies="groups", normalise_observations=False, normalise_values=False), STATE
+    ),
+    "coma team": (COMA, TEAM),
+    "coma team without state, groups": (replace(COMA, policies="groups"), TEAM_BLIND),
+    "coma team, no masks": (COMA, replace(TEAM, has_action_mask=False)),
+    "others": (OTHERS, DISCRETE),
+    "others state, shared": (replace(OTHERS, policies="shared"), STATE),
+    "others box": (OTHERS, BOX),
+    "others team": (OTHERS, TEAM),
+    "others team box, groups": (replace(OTHERS, policies="groups"), replace(BOX, shared_reward=True)),
+}  # fmt: skip
+SEEDS, COPIES, STEPS = (4, 8), 2, 9
+
+
+@dataclass
+class Moment:
+    """What one copy's agents face, and do."""
+
+    observations: Array
+    state: Array
+    present: NDArray[np.bool_]
+    masks: NDArray[np.bool_]
+    actions: NDArray[Any]
+
+
+def _forward(weights: list[Array], biases: list[Array], row: Array) -> Array:
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        row = weight @ row + bias[:, 0]
+        row = np.tanh(row) if i < len(weights) - 1 else row
+    return row
+
+
+class Loops:
+    """Replica r's critic and policies, one row at a time."""
+
+    def __init__(self, learner: OnPolicyLearner, r: int) -> None:
+        self.learner, self.config, self.spec, self.r = learner, learner.config, learner.spec, r
+        n = self.spec.num_agents
+        self.policy_of = {"independent": list(range(n)), "shared": [0] * n, "groups": [0, 1, 0, 0]}[
+            self.config.policies
+        ]
+        self.policies = max(self.policy_of) + 1
+        self.one_network = self.spec.shared_reward
+
+    def _tensor(self, tensor: torch.Tensor, p: int) -> Array:
+        return tensor.detach().double().numpy()[p]
+
+    def policy(self, moment: Moment, n: int) -> tuple[Array, Array]:
+        """Network outputs of agent n's policy, and the chances that they give."""
+        actor, p = self.learner.actor, self.r * self.policies + self.policy_of[n]
+        row = moment.observations[n]
+        if self.config.normalise_observations:
+            mean, variance = (
+                self._tensor(actor.moments.mean, p)[0],
+                self._tensor(actor.moments.variance, p)[0],
+            )
+            row = np.clip((row - mean) / np.sqrt(variance + 1e-8), -10, 10)
+        weights = [self._tensor(weight, p) for weight in actor.network.weights]
+        outputs = _forward(weights, [self._tensor(bias, p) for bias in actor.network.biases], row)
+        chances = np.zeros(len(outputs))
+        if isinstance(self.spec.action_space, Discrete):
+            allowed = np.flatnonzero(moment.masks[n])
+            chances[allowed] = np.exp(outputs[allowed]) / np.exp(outputs[allowed]).sum()
+        return outputs, chances
+
+    def encoded(self, action: Any) -> list[float]:  # noqa: ANN401 - a number or a vector
+        if isinstance(self.spec.action_space, Box):
+            bounds = zip(action, self.spec.action_space.low, self.spec.action_space.high, strict=True)
+            return [min(max(float(a), low), high) for a, low, high in bounds]
+        return [float(u == action) for u in range(3)]
+
+    def worth(self, networks: ReturnNetworks, moment: Moment, n: int) -> Array:
+        """The critic's outputs from agent n's viewpoint."""
+        k = 0 if self.one_network else self.policy_of[n]
+        p = self.r * (1 if self.one_network else self.policies) + k
+        counterfactual = self.config.critic == "counterfactual"
+        seen = list(moment.state) if self.spec.state_size else list(moment.observations.ravel())
+        if counterfactual or not self.spec.shared_reward:
+            seen += list(moment.observations[n])
+        row = np.array(seen)
+        if self.config.normalise_observations:
+            moments = networks.input_moments
+            mean, variance = self._tensor(moments.mean, p)[0], self._tensor(moments.variance, p)[0]
+            row = np.clip((row - mean) / np.sqrt(variance + 1e-8), -10, 10)
+        for other in range(self.spec.num_agents):
+            known = other != n and moment.present[other]
+            block = self.encoded(moment.actions[other])
+            row = np.append(row, block if known else np.zeros(len(block)))
+        if counterfactual:
+            row = np.append(row, [float(agent == n) for agent in range(self.spec.num_agents)])
+        weights = [self._tensor(weight, p) for weight in networks.network.weights]
+        outputs = _forward(weights, [self._tensor(bias, p) for bias in networks.network.biases], row)
+        if self.config.normalise_values:
+            moments = networks.return_moments
+            std = np.sqrt(self._tensor(moments.variance, p)[0, 0] + 1e-8)
+            outputs = outputs * std + self._tensor(moments.mean, p)[0, 0]
+        return outputs
+
+    def draw(self, moment: Moment, noise: Array) -> Moment:
+        """The moment with actions: the first whose summed chances exceed the noise, or mean + std noise."""
+        actions: list[Any] = []
+        for n in range(self.spec.num_agents):
+            outputs, chances = self.policy(moment, n)
+            if isinstance(self.spec.action_space, Discrete):
+                actions.append(next(u for u in range(3) if chances[: u + 1].sum() > noise[n]))
+            else:
+                assert self.learner.actor.log_std is not None
+                p = self.r * self.policies + self.policy_of[n]
+                std = np.exp(self._tensor(self.learner.actor.log_std, p)[:, 0])
+                actions.append(np.float32(outputs + std * noise[n]))
+        return replace(moment, actions=np.array(actions))
+
+
+def _moment(made: Trajectory, t: int, c: int, ended: NDArray[np.bool_] | None = None) -> Moment:
+    """Step t of copy c; with `ended`, what came after step t - 1, where the streams of those agents ended."""
+    present = made.alive[t, c].copy()
+    observations, state = made.observations[t, c].astype(np.float64), made.states[t, c]
+    masks = made.action_masks[t, c].copy() if len(made.action_masks) else np.ones((4, 3), bool)
+    if ended is not None:
+        present = present | ended
+        observations[ended] = made.final_observations[t - 1, c, ended]
+        if len(made.action_masks):
+            masks[ended] = made.action_masks[t - 1, c, ended]
+            masks[ended & ~made.alive[t - 1, c]] = True
+        state = made.final_states[t - 1, c] if ended.all() else state
+    observations[~present], masks[~present] = 0, True
+    actions = made.actions[t, c] if t < len(made.actions) and ended is None else np.zeros(4)
+    return Moment(observations, state.astype(np.float64), present, masks, actions)
+
+
+def _lambda_return(
+    rewards: Array, values: Array, final: Array, over: Array, cut: Array, present: Array, config: AlgoConfig
+) -> Array:
+    """(T,): (1 - lambda) sum over n of lambda^(n - 1) times the n-step return, of one stream.
+
+    `values` (T + 1,) of the actions taken, the last as drawn; steps at which the agent is away pass
+    between two of its steps."""
+    gamma, lam, steps, result = config.gamma, config.gae_lambda, len(rewards), np.zeros(len(rewards))
+    for t in np.flatnonzero(present[:-1]):
+        paid, discount, weight, total = 0.0, 1.0, 1.0, 0.0
+        for s in range(t, steps):
+            paid, discount = paid + discount * rewards[s], discount * gamma
+            if over[s] or cut[s] or s == steps - 1:
+                end = 0.0 if over[s] else final[s] if cut[s] else values[steps]
+                total += weight * (paid + discount * end)
+                break
+            if present[s + 1]:
+                total += (1 - lam) * weight * (paid + discount * values[s + 1])
+                weight *= lam
+        result[t] = total
+    return result
+
+
+def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int) -> tuple[Array, ...]:
+    """Advantages, values and returns (T, E, N) of replica r by loops."""
+    loops, critic, config, spec = Loops(learner, r), learner.critic, learner.config, learner.spec
+    assert isinstance(critic, CounterfactualCritic | ValueCritic)
+    counterfactual = isinstance(critic, CounterfactualCritic)
+    lagging = critic.target if isinstance(critic, CounterfactualCritic) else critic.networks
+    steps, copies, agents = made.rewards.shape
+    random = generator(learner.seeds[r], "critic bootstrap actions", iteration)
+    size = () if isinstance(spec.action_space, Discrete) else (2,)
+    draw = random.random if isinstance(spec.action_space, Discrete) else random.standard_normal
+    noise = draw((copies, agents, *size))
+
+    def ahead(moment: Moment, n: int) -> float:
+        """The worth of a moment with drawn actions: the mean over one's own where Q is known."""
+        outputs = loops.worth(lagging, moment, n)
+        return float(loops.policy(moment, n)[1] @ outputs) if counterfactual else float(outputs[0])
+
+    values, q, chances = np.zeros((3, steps + 1, copies, agents, 3))
+    for c in range(copies):
+        for n in range(agents):
+            for t in range(steps):
+                moment = _moment(made, t, c)
+                q[t, c, n] = loops.worth(critic.networks, moment, n)
+                chances[t, c, n] = loops.policy(moment, n)[1] if counterfactual else 0
+                values[t, c, n] = loops.worth(lagging, moment, n)
+            values[steps, c, n] = ahead(loops.draw(_moment(made, steps, c), noise[c]), n)
+    final = np.zeros((steps, copies, agents))
+    ended = made.terminated | made.truncated
+    for t in range(steps):
+        for c in range(copies):
+            if (made.truncated[t, c] & ~made.terminated[t, c]).any():
+                moment = loops.draw(_moment(made, t + 1, c, ended[t, c]), draw((agents, *size)))
+                final[t, c] = [ahead(moment, n) for n in range(agents)]
+    taken = made.actions if counterfactual else np.zeros((steps, copies, agents), np.int64)
+    over, cut = made.terminated, made.truncated & ~made.terminated
+    if spec.shared_reward:
+        everyone = ended.all(axis=2, keepdims=True)
+        over = np.repeat(made.terminated.all(axis=2, keepdims=True), agents, axis=2)
+        cut = everyone & ~over
+    advantages, kept, returns = np.zeros((3, steps, copies, agents))
+    for c in range(copies):
+        here = made.alive[:, c].copy()
+        last = values[steps, c, :, 0].copy()
+        if spec.shared_reward and here[-1].any():
+            last = np.where(here[-1], last, last[here[-1]].mean())
+        else:
+            last = np.where(here[-1], last, 0)
+        for n in range(agents):
+            alive = made.alive[:-1, c, n]
+            u = np.where(alive, taken[:, c, n], 0)
+            of_taken = values[np.arange(steps), c, n, u]
+            returns[:, c, n] = _lambda_return(
+                made.rewards[:, c, n].astype(np.float64), np.append(of_taken, last[n]), final[:, c, n],
+                over[:, c, n], cut[:, c, n], made.alive[:, c, n], config,
+            )  # fmt: skip
+            kept[:, c, n] = q[np.arange(steps), c, n, u]
+            baseline = np.array([chances[t, c, n] @ q[t, c, n] for t in range(steps)])
+            usual = baseline if counterfactual else of_taken
+            said = kept[:, c, n] if counterfactual else returns[:, c, n]
+            advantages[:, c, n] = np.where(alive, said - usual, 0)
+    return advantages, kept, returns
+
+
+@pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+def test_estimates_equal_the_loops(
+    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    """Before learning, and when target network, critic and normalisers have gone different ways."""
+    learner = OnPolicyLearner(config, spec, SEEDS, "cpu")
+    for iteration in (1, 2, 3):
+        made = fabricate(spec, STEPS, 2 * COPIES, seed=iteration, absent=0.25, idle=0.2, leaves=0.04)
+        made.truncated[3, 0] = ~made.terminated[3, 0]  # somewhere a whole episode is cut
+        estimate = learner.critic.estimate(poisoned(made), learner.behaviour, iteration)
+        for r in range(2):
+            part = slice(r * COPIES, (r + 1) * COPIES)
+            expected = _expected(learner, made.of_copies(r * COPIES, COPIES), r, iteration)
+            here = made.alive[:-1, part]
+            np.testing.assert_array_equal(estimate.present[:, part], here)
+            got = (estimate.advantages, estimate.values, estimate.returns)
+            for name, mine, theirs in zip(("advantages", "values", "returns"), got, expected, strict=True):
+                np.testing.assert_allclose(
+                    mine[:, part][here], theirs[here], rtol=1e-10, atol=1e-10, err_msg=f"{iteration} {name}"
+                )
+        learner.update(poisoned(made), iteration, 0.0)
+
+
+def _rows_of(learner: OnPolicyLearner, estimate: Estimate, p: int) -> tuple[torch.Tensor, ...]:
+    """Inputs, actions and returns of the rows that network p learns from."""
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic)
+    assert estimate.taken is not None
+    rows = torch.from_numpy(critic.layout.selection(estimate.present)[p])
+    returns = critic.layout.rows(estimate.returns)[p]
+    return estimate.inputs[p][rows], estimate.taken[p][rows], returns[rows]
+
+
+@pytest.mark.parametrize("spec", [STATE, TEAM])
+def test_q_of_the_action_taken_alone_is_taught(fabricate: Fabricate, poisoned: Poison, spec: EnvSpec) -> None:
+    """Two steps on the whole batch against torch's Adam and one network at a time; the outputs for other
+    actions learn nothing from a row."""
+    config = replace(COMA, epochs=2, minibatches=1, normalise_values=False, grad_clip=0.3)
+    learner = OnPolicyLearner(config, spec, SEEDS, "cpu")
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic)
+    made = poisoned(fabricate(spec, STEPS, 2 * COPIES, seed=0, absent=0.3))
+    estimate = critic.estimate(made, learner.behaviour, 1)
+    network, expected = critic.networks.network, []
+    tensors = [*network.weights, *network.biases]
+    for p in range(len(estimate.inputs)):
+        inputs, taken, returns = _rows_of(learner, estimate, p)
+        mine = [torch.nn.Parameter(tensor[p].detach().clone()) for tensor in tensors]
+        adam = torch.optim.Adam(mine, config.lr, eps=1e-5)
+        for _ in range(2):
+            x, layers = inputs.T, len(network.weights)
+            for i in range(layers):
+                x = mine[i] @ x + mine[layers + i]
+                x = x.tanh() if i < layers - 1 else x
+            loss = sum((x[u, row] - returns[row]) ** 2 for row, u in enumerate(taken.tolist())) / len(taken)
+            adam.zero_grad()
+            torch.as_tensor(loss).backward()
+            torch.nn.utils.clip_grad_norm_(mine, 0.3)
+            adam.step()
+        expected.append(mine)
+    critic.fit(estimate, 1)
+    for p, mine in enumerate(expected):
+        for tensor, parameter in zip(tensors, mine, strict=True):
+            torch.testing.assert_close(tensor[p], parameter, rtol=1e-10, atol=1e-10)
+
+
+def test_the_advantage_is_that_over_the_policys_mean_of_its_actions() -> None:
+    q = np.array([[[[1.0, 5.0, -2.0], [3.0, 3.0, 3.0], [np.nan, np.nan, np.nan]]]])
+    chances = np.array([[[[0.5, 0.25, 0.25], [0.1, 0.2, 0.7], [1.0, 0.0, 0.0]]]])
+    present = np.array([[[True, True, False]]])
+    advantages = counterfactual_advantages(q, np.array([[[1, 2, 0]]]), chances, present)
+    np.testing.assert_allclose(advantages, [[[5 - (0.5 + 1.25 - 0.5), 0, 0]]], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared"])
+@pytest.mark.parametrize("spec", [STATE, TEAM])
+def test_advantages_average_to_nothing_over_own_actions(
+    fabricate: Fabricate,
+    spec: EnvSpec,
+    policies: Literal["independent", "shared"],
+) -> None:
+    """sum_u pi(u) A(u) = 0 whatever the critic says: the baseline leaves the gradient as it is."""
+    learner = OnPolicyLearner(replace(COMA, policies=policies), spec, (1,), "cpu")
+    made = fabricate(spec, 6, 3, seed=0, absent=0.2)
+    chances = learner.behaviour.probabilities(Scene.of_steps(made))
+    mean = np.zeros(made.rewards.shape)
+    for u in range(3):
+        other = _always(made, 1, u)
+        mean[:, :, 1] += chances[:, :, 1, u] * _estimate(learner, other).advantages[:, :, 1]
+    np.testing.assert_allclose(mean, 0, atol=1e-12)
+    assert np.abs(_estimate(learner, made).advantages[:, :, 1]).max() > 1e-3
+
+
+def _always(made: Trajectory, agent: int, action: int) -> Trajectory:
+    """A copy in which the agent always takes that action."""
+    names = Trajectory.__dataclass_fields__
+    other = Trajectory(**{name: getattr(made, name).copy() for name in names})
+    other.actions[:, :, agent] = action
+    return other
+
+
+def _estimate(learner: OnPolicyLearner, made: Trajectory) -> Estimate:
+    return learner.critic.estimate(made, learner.behaviour, 1)
+
+
+def test_what_is_forbidden_has_no_part_in_the_baseline(fabricate: Fabricate) -> None:
+    """However highly the critic thinks of it."""
+    made = fabricate(STATE, 6, 2, seed=0)
+    made.action_masks[..., 2], made.action_masks[..., 0] = False, True
+    made.actions[:] = 0
+    learner = OnPolicyLearner(COMA, STATE, (1,), "cpu")
+    before = _estimate(learner, made)
+    assert isinstance(learner.critic, CounterfactualCritic)
+    assert (learner.behaviour.probabilities(Scene.of_steps(made))[..., 2] == 0).all()
+    with torch.no_grad():
+        for networks in (learner.critic.networks, learner.critic.target):
+            networks.network.biases[-1][:, 2] += 1e6
+    after = _estimate(learner, made)
+    np.testing.assert_array_equal(after.advantages, before.advantages)
+    np.testing.assert_array_equal(after.returns, before.returns)
+
+
+def _copied(learner: OnPolicyLearner) -> bool:
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic)
+    pairs = zip(critic.networks.network.weights, critic.target.network.weights, strict=True)
+    same = [torch.equal(a, b) for a, b in pairs]
+    assert all(same) or not any(same)
+    std, target_std = critic.networks.return_moments.std, critic.target.return_moments.std
+    assert torch.equal(std, target_std) == all(same)
+    return all(same)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_the_target_network_is_renewed_on_schedule_and_resumed_on_it(
+    fabricate: Fabricate, every: int
+) -> None:
+    config = replace(COMA, target_every=every)
+    learner = OnPolicyLearner(config, TEAM, (1, 2), "cpu")
+    copied = []
+    for iteration in range(1, 8):
+        learner.update(fabricate(TEAM, 6, 4, seed=iteration), iteration, 0.0)
+        copied.append(_copied(learner))
+        resumed = OnPolicyLearner(config, TEAM, (1, 2), "cpu")
+        resumed.load_state_dict(learner.state_dict())
+        assert _copied(resumed) == copied[-1]
+        learner = resumed
+    assert copied == [(iteration - 1) % every == 0 for iteration in range(1, 8)]
+
+
+def test_returns_come_from_the_target_network_and_advantages_from_the_critic(fabricate: Fabricate) -> None:
+    learner = OnPolicyLearner(COMA, TEAM, (1,), "cpu")
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic)
+    made = fabricate(TEAM, 6, 2, seed=0)
+    before = _estimate(learner, made)
+    with torch.no_grad():
+        critic.target.network.biases[-1] += 1
+    lagging = _estimate(learner, made)
+    np.testing.assert_array_equal(lagging.advantages, before.advantages)
+    assert (lagging.returns != before.returns).any()
+    with torch.no_grad():
+        critic.target.network.biases[-1] -= 1
+        critic.networks.network.weights[-1][:, 0] += 1
+    ahead = _estimate(learner, made)
+    np.testing.assert_allclose(ahead.returns, before.returns, rtol=0, atol=1e-12)
+    assert (ahead.advantages != before.advantages).any()
+
+
+def test_actions_without_end_are_refused() -> None:
+    with pytest.raises(ValueError, match="takes Discrete actions, and made has others; use critic: local or"):
+        OnPolicyLearner(COMA, BOX, (1,), "cpu")

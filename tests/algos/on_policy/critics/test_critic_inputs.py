@@ -1,0 +1,161 @@
+"""What critics are shown, from whose viewpoint, and the actions drawn where nobody chose any."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway_algos.batches.critic_batch import Scene
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
+from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.value import ValueCritic
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.recipes.coma import COMAConfig
+from headway_algos.recipes.mappo import MAPPOConfig
+
+Fabricate = Callable[..., Trajectory]
+Poison = Callable[[Trajectory], Trajectory]
+
+DISCRETE = EnvSpec(
+    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
+)
+STATE = replace(DISCRETE, state_size=5)
+TEAM = replace(STATE, shared_reward=True)
+TEAM_BLIND = replace(DISCRETE, shared_reward=True)
+BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
+SETTINGS: dict[str, Any] = {"model": ModelConfig(hidden=(7, 6), actor_gain=0.5), "precision": "float64"}
+COMA = COMAConfig(**SETTINGS)
+OTHERS = MAPPOConfig(**SETTINGS, critic_actions="others")
+STEPS = 9
+
+
+def _estimate(learner: OnPolicyLearner, made: Trajectory) -> Estimate:
+    return learner.critic.estimate(made, learner.behaviour, 1)
+
+
+def _inputs(learner: OnPolicyLearner, made: Trajectory) -> NDArray[np.float64]:
+    """(T, C, N, input_size)"""
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic | ValueCritic)
+    return critic.layout.by_agent(_estimate(learner, made).inputs, len(made.rewards))
+
+
+def _always(made: Trajectory, agent: int, action: int) -> Trajectory:
+    """A copy in which the agent always takes that action."""
+    names = Trajectory.__dataclass_fields__
+    other = Trajectory(**{name: getattr(made, name).copy() for name in names})
+    other.actions[:, :, agent] = action
+    return other
+
+
+@pytest.mark.parametrize("config", [COMA, OTHERS])
+@pytest.mark.parametrize("spec", [DISCRETE, TEAM])
+def test_a_viewpoint_shows_the_others_actions_and_not_its_own(
+    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    learner = OnPolicyLearner(config, spec, (1,), "cpu")
+    made = fabricate(spec, 5, 2, seed=0, absent=0.3)
+    made.actions[:, :, 1] = 0
+    before, after = (_inputs(learner, m) for m in (made, _always(made, 1, 2)))
+    changed = (before != after).any(axis=-1)
+    there = made.alive[:-1, :, 1]
+    assert not changed[:, :, 1].any()
+    for n in (0, 2, 3):
+        np.testing.assert_array_equal(changed[:, :, n], there)
+
+
+@pytest.mark.parametrize("config", [COMA, replace(OTHERS, policies="shared")])
+@pytest.mark.parametrize("spec", [STATE, TEAM_BLIND])
+def test_what_is_measured_is_normalised_and_what_indicates_is_not(
+    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
+) -> None:
+    learner = OnPolicyLearner(config, spec, (1,), "cpu")
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic | ValueCritic)
+    made = poisoned(fabricate(spec, STEPS, 3, seed=0, absent=0.3))
+    raw = _estimate(learner, made).inputs[0]
+    critic.absorb(made)
+    scaled = _estimate(learner, made).inputs[0]
+    here = torch.from_numpy(critic.layout.selection(made.alive[:-1])[0])
+    size, (rows, own_rows) = critic.view.seen_size, (scaled[here], raw[here])
+    mean, std = own_rows[:, :size].mean(0), own_rows[:, :size].std(0, correction=0)
+    torch.testing.assert_close(rows[:, :size], (own_rows[:, :size] - mean) / std, rtol=1e-6, atol=1e-6)
+    assert torch.equal(rows[:, size:], own_rows[:, size:])
+    assert rows.shape[1] == size + 4 * 3 + (4 if config is COMA else 0)
+
+
+def test_a_team_of_one_is_absent_where_its_agent_is(fabricate: Fabricate) -> None:
+    """There is no Q of an action that nobody took, though the team's return goes on."""
+    spec = replace(TEAM, agents=("a",), groups=("x",))
+    made = fabricate(spec, 6, 2, seed=0, absent=0.4)
+    for config in (COMA, OTHERS):
+        estimate = _estimate(OnPolicyLearner(config, spec, (1,), "cpu"), made)
+        np.testing.assert_array_equal(estimate.present, made.alive[:-1])
+        assert (estimate.advantages[~made.alive[:-1]] == 0).all()
+
+
+@pytest.mark.parametrize("spec", [STATE, BOX])
+def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvSpec) -> None:
+    """As often as the policy says, never what is forbidden, and nothing for who is away."""
+    learner = OnPolicyLearner(COMA if spec is STATE else OTHERS, spec, (1, 2), "cpu")
+    made = fabricate(spec, 1, 4, seed=0, absent=0.3)
+    one = Scene.after_the_last_step(made)
+    many = 4000
+
+    def repeated(array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - as it came
+        return None if array is None else np.repeat(array, many, axis=0)
+
+    scene = Scene(*(repeated(a) for a in (one.observations, one.states, one.present, one.masks)))
+    random = [generator(seed, "test") for seed in (1, 2)]
+    drawn = learner.behaviour.drawn(scene, random).actions
+    assert drawn is not None
+    assert (drawn[~scene.present] == 0).all()
+    if spec is STATE:
+        chances = learner.behaviour.probabilities(one)[0]
+        shares = (drawn[..., None] == np.arange(3)).mean(axis=0)
+        np.testing.assert_allclose(shares[one.present[0]], chances[one.present[0]], atol=0.04)
+        assert one.masks is not None
+        assert (shares[~one.masks[0] & one.present[0][..., None]] == 0).all()
+    else:
+        np.testing.assert_allclose(drawn.std(axis=0)[one.present[0]], np.exp(-0.5), rtol=0.05)
+
+
+def test_agents_of_one_policy_with_rewards_of_their_own_have_values_of_their_own(
+    fabricate: Fabricate,
+) -> None:
+    """V(s) alone would give all the same; with the own observation after it, who sees the same is worth
+    the same, and who sees something else is not."""
+    learner = OnPolicyLearner(MAPPOConfig(**SETTINGS, policies="shared"), STATE, (1,), "cpu")
+    made = fabricate(STATE, 5, 2, seed=0)
+    made.observations[:, :, 3] = made.observations[:, :, 0]
+    values = _estimate(learner, made).values
+    np.testing.assert_allclose(values[:, :, 3], values[:, :, 0], rtol=0, atol=1e-12)
+    assert (np.abs(values[:, :, 1] - values[:, :, 0]) > 1e-6).all()
+
+
+@pytest.mark.parametrize("policies", ["shared", "groups", "independent"])
+def test_a_team_s_central_critic_sees_the_state_alone(
+    fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
+) -> None:
+    config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
+    learner = OnPolicyLearner(config, TEAM, (1,), "cpu")
+    made = fabricate(TEAM, 5, 2, seed=0, absent=0.2)
+    np.testing.assert_array_equal(_inputs(learner, made), made.states[:-1, :, None])
+
+
+@pytest.mark.parametrize("policies", ["shared", "groups", "independent"])
+def test_with_rewards_of_their_own_the_own_observation_follows_the_state(
+    fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
+) -> None:
+    config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
+    learner = OnPolicyLearner(config, STATE, (1,), "cpu")
+    made = fabricate(STATE, 5, 2, seed=0)
+    inputs = _inputs(learner, made)
+    np.testing.assert_array_equal(inputs[..., :5], np.repeat(made.states[:-1, :, None], 4, axis=2))
+    np.testing.assert_array_equal(inputs[..., 5:], made.observations[:-1])

@@ -1,0 +1,489 @@
+"""Whole updates of the algorithms against one plain network after another, in float64.
+
+The naive learner knows agents, not stacks: torch.nn modules, torch.optim.Adam, torch.distributions and
+loops over (agent, step, copy). It shares with Headway its first weights and the order of minibatches.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.distributions import Categorical, Distribution, Independent, Normal, kl_divergence
+
+from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.recipes.happo import HAPPOConfig
+from headway_algos.recipes.hatrpo import HATRPOConfig
+from headway_algos.recipes.ia2c import IA2CConfig
+from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.recipes.itrpo import ITRPOConfig
+from headway_algos.recipes.maa2c import MAA2CConfig
+from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.recipes.matrpo import MATRPOConfig
+
+Row = tuple[int, int, int]
+"""Agent, step, copy."""
+Array = NDArray[np.float64]
+Oracle = Callable[..., Array]
+DOUBLE = torch.float64
+
+DISCRETE = EnvSpec(
+    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
+)
+BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False, state_size=5)
+TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
+SETTINGS: dict[str, Any] = {
+    "model": ModelConfig(hidden=(7, 6), actor_gain=0.5),
+    "precision": "float64",
+    "epochs": 2,
+    "minibatches": 3,
+    "lr": 3e-3,
+    "critic_lr": 1e-3,
+    "lr_end": 0.2,
+    "piece_samples": 40,
+}
+TRUST: dict[str, Any] = {**SETTINGS, "model": ModelConfig(hidden=(5,), actor_gain=0.5), "cg_iterations": 80}
+CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
+    "ippo": (IPPOConfig(**SETTINGS), DISCRETE),
+    "ippo with penalty and value clip": (IPPOConfig(**SETTINGS, kl_coeff=0.2, value_clip=0.5), DISCRETE),
+    "ippo box, relu": (
+        IPPOConfig(**{**SETTINGS, "model": ModelConfig((7,), "relu", 0.5)}, kl_coeff=0.2, grad_clip=None),
+        BOX,
+    ),
+    "ippo groups, nothing normalised": (
+        IPPOConfig(
+            **SETTINGS,
+            policies="groups",
+            normalise_advantages=False,
+            normalise_observations=False,
+            normalise_values=False,
+        ),
+        DISCRETE,
+    ),
+    "mappo": (MAPPOConfig(**SETTINGS), DISCRETE),
+    "mappo groups": (MAPPOConfig(**SETTINGS, policies="groups"), DISCRETE),
+    "mappo box with state, shared": (MAPPOConfig(**SETTINGS, policies="shared"), BOX),
+    "mappo team": (MAPPOConfig(**SETTINGS, policies="groups", value_clip=0.5), TEAM),
+    "ia2c": (IA2CConfig(**SETTINGS), DISCRETE),
+    "ia2c box groups": (IA2CConfig(**SETTINGS, policies="groups"), BOX),
+    "maa2c team": (MAA2CConfig(**SETTINGS), TEAM),
+    "itrpo": (ITRPOConfig(**TRUST), DISCRETE),
+    "itrpo box": (ITRPOConfig(**TRUST), BOX),
+    "matrpo team, shared, wide": (
+        MATRPOConfig(**TRUST, policies="shared", kl_bound=0.3, accept_ratio=0.7),
+        TEAM,
+    ),
+    "happo": (HAPPOConfig(**SETTINGS, kl_coeff=0.2), DISCRETE),
+    "happo box": (HAPPOConfig(**SETTINGS), BOX),
+    "happo groups": (HAPPOConfig(**SETTINGS, policies="groups"), DISCRETE),
+    "hatrpo groups, box": (HATRPOConfig(**TRUST, policies="groups"), BOX),
+    "hatrpo team": (HATRPOConfig(**TRUST), TEAM),
+    "hatrpo box": (HATRPOConfig(**TRUST), BOX),
+    "haa2c": (AlgoConfig(**SETTINGS, critic="central", update="a2c", order="sequential"), DISCRETE),
+}
+
+
+class Moments:
+    """Mean and standard deviation of everything seen, kept whole."""
+
+    def __init__(self) -> None:
+        self.seen: list[Array] = []
+
+    def include(self, rows: list[Array]) -> None:
+        self.seen += rows
+
+    def mean_std(self) -> tuple[Array | float, Array | float]:
+        if not self.seen:
+            return 0.0, np.sqrt(1 + 1e-8)
+        every = np.array(self.seen)
+        return every.mean(axis=0), np.sqrt(every.var(axis=0) + 1e-8)
+
+    def normalise(self, row: Array) -> Array:
+        mean, std = self.mean_std()
+        return np.clip((row - mean) / std, -10, 10)
+
+
+def _module(stacked: StackedMLP, p: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for weight, bias in zip(stacked.weights, stacked.biases, strict=True):
+        linear = nn.Linear(weight.shape[2], weight.shape[1], dtype=DOUBLE)
+        linear.weight.data, linear.bias.data = weight.data[p].clone(), bias.data[p, :, 0].clone()
+        layers += [linear, nn.Tanh() if stacked.activation == "tanh" else nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+def _vector(tensors: Sequence[Tensor]) -> Tensor:
+    return torch.cat([tensor.reshape(-1) for tensor in tensors])
+
+
+@dataclass
+class Policy:
+    agents: list[int]
+    network: nn.Sequential
+    log_std: nn.Parameter | None
+    adam: torch.optim.Adam
+    moments: Moments
+    kl_coeff: float
+
+    def parameters(self) -> list[nn.Parameter]:
+        return [*self.network.parameters(), *([] if self.log_std is None else [self.log_std])]
+
+    def distribution(self, inputs: Tensor, masks: Tensor | None) -> Any:  # noqa: ANN401 - torch leaves it untyped
+        outputs = self.network(inputs)
+        if self.log_std is not None:
+            return Independent(Normal(outputs, self.log_std.exp().expand_as(outputs)), 1)
+        return Categorical(logits=outputs if masks is None else outputs.masked_fill(~masks, -400.0))
+
+
+@dataclass
+class Value:
+    viewers: list[int]
+    """Agents whose value it gives; [0] for a team's critic."""
+    network: nn.Sequential
+    adam: torch.optim.Adam
+    inputs: Moments
+    returns: Moments
+
+
+class Naive:
+    """One replica, one agent and one row at a time."""
+
+    def __init__(
+        self, config: AlgoConfig, spec: EnvSpec, seed: int, like: OnPolicyLearner, oracle: Oracle
+    ) -> None:
+        self.config, self.spec, self.seed, self.oracle = config, spec, seed, oracle
+        n = spec.num_agents
+        groups = {
+            "independent": [[i] for i in range(n)],
+            "shared": [list(range(n))],
+            "groups": [[0, 2, 3], [1]],
+        }[config.policies]
+        self.team = config.critic == "central" and spec.shared_reward
+        self.policies = [self._policy(k, agents, like) for k, agents in enumerate(groups)]
+        self.values = [
+            self._value(k, viewers, like) for k, viewers in enumerate([[0]] if self.team else groups)
+        ]
+
+    def _policy(self, k: int, agents: list[int], like: OnPolicyLearner) -> Policy:
+        network, log_std = _module(like.actor.network, k), None
+        if like.actor.log_std is not None:
+            log_std = nn.Parameter(like.actor.log_std.data[k, :, 0].clone())
+        tensors = [*network.parameters(), *([] if log_std is None else [log_std])]
+        adam = torch.optim.Adam(tensors, self.config.lr, eps=1e-5)
+        return Policy(agents, network, log_std, adam, Moments(), self.config.kl_coeff)
+
+    def _value(self, k: int, viewers: list[int], like: OnPolicyLearner) -> Value:
+        network = _module(like.critic.networks.network, k)
+        adam = torch.optim.Adam(network.parameters(), self.config.critic_lr or 0.0, eps=1e-5)
+        return Value(viewers, network, adam, Moments(), Moments())
+
+    def update(self, made: Trajectory, iteration: int, progress: float) -> None:
+        share = 1 - (1 - self.config.lr_end) * progress
+        for policy in self.policies:
+            policy.adam.param_groups[0]["lr"] = self.config.lr * share
+        for value in self.values:
+            value.adam.param_groups[0]["lr"] = (self.config.critic_lr or 0.0) * share
+        advantages, values = self._advantages(made)
+        self.factor = np.ones(made.rewards.shape[:2])
+        order = list(range(len(self.policies)))
+        if self.config.order == "sequential":
+            order = generator(self.seed, "agent order", iteration).permutation(len(order)).tolist()
+        for k in order:
+            self._improve(k, self.policies[k], made, advantages, iteration, share)
+        for k, value in enumerate(self.values):
+            self._fit(k, value, made, advantages + values, iteration)
+        self._absorb(made)
+
+    def _seen(self, made: Trajectory, n: int, t: int, c: int, final: bool = False) -> Array:
+        """What agent n's critic sees at step t, or where step t ended the stream of some."""
+        over = (
+            (made.terminated[t, c] | made.truncated[t, c]) if final else np.zeros(self.spec.num_agents, bool)
+        )
+        at = t + 1 if final else t
+        each = [
+            made.final_observations[t, c, i] if over[i]
+            else made.observations[at, c, i] if made.alive[at, c, i]
+            else np.zeros(self.spec.observation_size)
+            for i in range(self.spec.num_agents)
+        ]  # fmt: skip
+        if self.config.critic == "local":
+            return each[n].astype(np.float64)
+        # Whose values differ, though one network gives them all, are shown who they are by what they see.
+        own = [each[n]] if not self.team else []
+        if self.spec.state_size:
+            state: Array = (made.final_states[t, c] if over.all() else made.states[at, c]).astype(np.float64)
+            return np.concatenate([state, *own])
+        return np.concatenate([*each, *own]).astype(np.float64)
+
+    def _worth(self, value: Value, seen: Array) -> float:
+        if self.config.normalise_observations:
+            seen = value.inputs.normalise(seen)
+        with torch.no_grad():
+            worth = float(value.network(torch.from_numpy(seen))[0])
+        if self.config.normalise_values:
+            mean, std = value.returns.mean_std()
+            worth = worth * float(std) + float(mean)
+        return worth
+
+    def _advantages(self, made: Trajectory) -> tuple[Array, Array]:
+        """(T, C, N) each; a team's in every column."""
+        steps, copies, agents = made.rewards.shape
+        advantages, kept = np.zeros((steps, copies, agents)), np.zeros((steps, copies, agents))
+        for value in self.values:
+            for n in value.viewers:
+                for c in range(copies):
+                    worth = np.array(
+                        [self._worth(value, self._seen(made, n, t, c)) for t in range(steps + 1)]
+                    )
+                    terminated, truncated = made.terminated[:, c, n], made.truncated[:, c, n]
+                    present = made.alive[:, c, n]
+                    if self.team:
+                        ended = (made.terminated[:, c] | made.truncated[:, c]).all(axis=1)
+                        terminated = np.array(made.terminated[:, c].all(axis=1))
+                        truncated, present = ended & ~terminated, np.ones(steps + 1, bool)
+                    cut = truncated & ~terminated
+                    final = np.array(
+                        [
+                            self._worth(value, self._seen(made, n, t, c, True)) if cut[t] else 0.0
+                            for t in range(steps)
+                        ]
+                    )
+                    columns = slice(None) if self.team else slice(n, n + 1)
+                    one = self.oracle(
+                        made.rewards[:, c, n].astype(np.float64), worth, final, terminated, truncated,
+                        present, self.config.gamma, self.config.gae_lambda,
+                    )  # fmt: skip
+                    advantages[:, c, columns] = one[:, None]
+                    kept[:, c, columns] = worth[:-1, None]
+        return advantages, kept
+
+    def _rows(self, agents: list[int], chosen: NDArray[np.bool_]) -> list[Row]:
+        """Agent by agent, then step, then copy."""
+        steps, copies = chosen.shape[:2]
+        return [(n, t, c) for n in agents for t in range(steps) for c in range(copies) if chosen[t, c, n]]
+
+    def _batches(self, rows: Sequence[object], purpose: str, k: int, iteration: int) -> list[list[int]]:
+        random, parts, batches = generator(self.seed, purpose, k, iteration), self.config.minibatches, []
+        for _ in range(self.config.epochs):
+            order = random.permutation(len(rows)).tolist()
+            edges = [len(rows) * part // parts for part in range(parts + 1)]
+            batches += [order[a:b] for a, b in pairwise(edges)]
+        return batches
+
+    def _improve(
+        self, k: int, policy: Policy, made: Trajectory, advantages: Array, iteration: int, share: float
+    ) -> None:
+        config = self.config
+        rows = self._rows(policy.agents, made.alive[:-1] & made.acting)
+        observations = [made.observations[t, c, n].astype(np.float64) for n, t, c in rows]
+        if config.normalise_observations:
+            observations = [policy.moments.normalise(row) for row in observations]
+        inputs = torch.tensor(np.array(observations))
+        actions = torch.tensor(np.array([made.actions[t, c, n] for n, t, c in rows]))
+        behaviour = torch.tensor([made.log_probs[t, c, n] for n, t, c in rows], dtype=DOUBLE)
+        weights = np.array([advantages[t, c, n] for n, t, c in rows])
+        if config.normalise_advantages:
+            weights = (weights - weights.mean()) / (weights.std() + 1e-8)
+        if config.order == "sequential":
+            weights = weights * [self.factor[t, c] for _, t, c in rows]
+        masks = None
+        if self.spec.has_action_mask:
+            masks = torch.tensor(np.array([made.action_masks[t, c, n] for n, t, c in rows]))
+        with torch.no_grad():
+            old = self._detached(policy.distribution(inputs, masks))
+        seen = (inputs, masks, actions, behaviour, torch.tensor(weights))
+        if config.update == "a2c":
+            self._one_step(policy, *seen)
+        elif config.update == "trpo":
+            self._trusted_step(policy, *seen, old, config.kl_bound * share**2)
+        else:
+            self._epochs(k, policy, *seen, old, iteration)
+        with torch.no_grad():
+            ratio = (policy.distribution(inputs, masks).log_prob(actions) - behaviour).exp()
+        for (_, t, c), one in zip(rows, ratio.tolist(), strict=True):
+            self.factor[t, c] *= one if config.order == "sequential" else 1
+
+    def _one_step(
+        self,
+        policy: Policy,
+        inputs: Tensor,
+        masks: Tensor | None,
+        actions: Tensor,
+        behaviour: Tensor,
+        weights: Tensor,
+    ) -> None:
+        loss = torch.zeros((), dtype=DOUBLE)
+        for i in range(len(inputs)):
+            one = policy.distribution(inputs[i : i + 1], None if masks is None else masks[i : i + 1])
+            loss = loss - (one.log_prob(actions[i : i + 1]) * weights[i])[0]
+            loss = loss - self.config.entropy_coeff * one.entropy()[0]
+        self._descend(policy.adam, policy.parameters(), loss / len(inputs))
+
+    def _trusted_step(
+        self,
+        policy: Policy,
+        inputs: Tensor,
+        masks: Tensor | None,
+        actions: Tensor,
+        behaviour: Tensor,
+        weights: Tensor,
+        old: Any,  # noqa: ANN401 - torch leaves it untyped
+        bound: float,
+    ) -> None:
+        """The Fisher matrix as the Hessian of the divergence, column by column, and a direct solution."""
+        config, parameters = self.config, policy.parameters()
+        start = _vector(parameters).detach()
+
+        def surrogate() -> Tensor:
+            now = policy.distribution(inputs, masks)
+            gained: Tensor = (now.log_prob(actions) - behaviour).exp() * weights
+            return (gained + config.entropy_coeff * now.entropy()).mean()
+
+        def divergence() -> Tensor:
+            result: Tensor = kl_divergence(old, policy.distribution(inputs, masks))
+            return result.mean()
+
+        first = surrogate()
+        gradient = _vector(torch.autograd.grad(first, parameters))
+        slope = _vector(torch.autograd.grad(divergence(), parameters, create_graph=True))
+        columns = [
+            torch.autograd.grad(s, parameters, retain_graph=True, materialize_grads=True) for s in slope
+        ]
+        fisher = torch.stack([_vector(column) for column in columns])
+        damped = fisher + config.cg_damping * torch.eye(len(start), dtype=DOUBLE)
+        direction = torch.linalg.solve(damped, gradient)
+        step = (2 * bound / (direction @ damped @ direction)).sqrt() * direction
+        with torch.no_grad():
+            for halvings in range(config.line_search_steps + 1):
+                size = 0.5**halvings
+                nn.utils.vector_to_parameters(start + size * step, parameters)
+                enough = surrogate() - first >= config.accept_ratio * size * (gradient @ step)
+                if enough and divergence() <= bound:
+                    return
+            nn.utils.vector_to_parameters(start, parameters)
+
+    def _epochs(
+        self,
+        k: int,
+        policy: Policy,
+        inputs: Tensor,
+        masks: Tensor | None,
+        actions: Tensor,
+        behaviour: Tensor,
+        weights: Tensor,
+        old: Any,  # noqa: ANN401 - torch leaves it untyped
+        iteration: int,
+    ) -> None:
+        config = self.config
+        rows = list(range(len(inputs)))
+        for batch in self._batches(rows, "actor minibatch", k, iteration):
+            loss = torch.zeros((), dtype=DOUBLE)
+            for i in batch:
+                one = policy.distribution(inputs[i : i + 1], None if masks is None else masks[i : i + 1])
+                ratio = (one.log_prob(actions[i : i + 1]) - behaviour[i]).exp()[0]
+                clipped = ratio.clamp(1 - config.clip, 1 + config.clip)
+                loss = loss - torch.minimum(ratio * weights[i], clipped * weights[i])
+                loss = loss - config.entropy_coeff * one.entropy()[0]
+                loss = loss + policy.kl_coeff * kl_divergence(self._row(old, i), one)[0]
+            self._descend(policy.adam, policy.parameters(), loss / len(batch))
+        with torch.no_grad():
+            kl = float(kl_divergence(old, policy.distribution(inputs, masks)).mean())
+        policy.kl_coeff *= 1.5 if kl > 2 * config.kl_target else 0.5 if kl < config.kl_target / 2 else 1
+
+    def _detached(self, distribution: Any) -> Any:  # noqa: ANN401 - torch leaves it untyped
+        if isinstance(distribution, Categorical):
+            return Categorical(logits=distribution.logits.clone())
+        normal = distribution.base_dist
+        return Independent(Normal(normal.loc.clone(), normal.scale.clone()), 1)
+
+    def _row(self, distribution: Any, i: int) -> Distribution:  # noqa: ANN401 - torch leaves it untyped
+        if isinstance(distribution, Categorical):
+            return Categorical(logits=distribution.logits[i : i + 1])
+        normal = distribution.base_dist
+        return Independent(Normal(normal.loc[i : i + 1], normal.scale[i : i + 1]), 1)
+
+    def _descend(self, adam: torch.optim.Adam, tensors: list[nn.Parameter], loss: Tensor) -> None:
+        for tensor, gradient in zip(tensors, torch.autograd.grad(loss, tensors), strict=True):
+            tensor.grad = gradient
+        if self.config.grad_clip is not None:
+            nn.utils.clip_grad_norm_(tensors, self.config.grad_clip)
+        adam.step()
+
+    def _present(self, made: Trajectory) -> NDArray[np.bool_]:
+        return np.ones_like(made.alive[:-1]) if self.team else made.alive[:-1]
+
+    def _fit(self, k: int, value: Value, made: Trajectory, returns: Array, iteration: int) -> None:
+        rows = self._rows(value.viewers, self._present(made))
+        seen = [self._seen(made, n, t, c) for n, t, c in rows]
+        if self.config.normalise_observations:
+            seen = [value.inputs.normalise(row) for row in seen]
+        targets = np.array([returns[t, c, n] for n, t, c in rows])
+        if self.config.normalise_values:
+            value.returns.include(list(targets))
+            mean, std = value.returns.mean_std()
+            targets = (targets - mean) / std
+        for batch in self._batches(rows, "critic minibatch", k, iteration):
+            loss = torch.zeros((), dtype=DOUBLE)
+            for i in batch:
+                error = (value.network(torch.from_numpy(seen[i]))[0] - targets[i]) ** 2
+                bound = self.config.value_clip
+                loss = loss + (error if bound is None else error.clamp(max=bound))
+            self._descend(value.adam, list(value.network.parameters()), loss / len(batch))
+
+    def _absorb(self, made: Trajectory) -> None:
+        for policy in self.policies:
+            rows = self._rows(policy.agents, made.alive[:-1])
+            policy.moments.include([made.observations[t, c, n].astype(np.float64) for n, t, c in rows])
+        for value in self.values:
+            rows = self._rows(value.viewers, self._present(made))
+            value.inputs.include([self._seen(made, n, t, c) for n, t, c in rows])
+
+
+def _assert_same(stacked: StackedMLP, p: int, network: nn.Sequential) -> None:
+    expected = list(network.parameters())
+    for i, (weight, bias) in enumerate(zip(stacked.weights, stacked.biases, strict=True)):
+        torch.testing.assert_close(weight[p], expected[2 * i], rtol=1e-10, atol=1e-10)
+        torch.testing.assert_close(bias[p, :, 0], expected[2 * i + 1], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+def test_an_update_equals_the_naive_one(
+    fabricate: Callable[..., Trajectory],
+    poisoned: Callable[[Trajectory], Trajectory],
+    naive_advantages: Oracle,
+    config: AlgoConfig,
+    spec: EnvSpec,
+) -> None:
+    seeds, copies = (4, 8), 2
+    learner = OnPolicyLearner(config, spec, seeds, "cpu")
+    replicas = []
+    for r, seed in enumerate(seeds):
+        alone = OnPolicyLearner(config, spec, (seed,), "cpu")
+        replicas.append((r, Naive(config, spec, seed, alone, naive_advantages)))
+    for iteration in (1, 2, 3):
+        made = fabricate(spec, 8, 2 * copies, seed=iteration, absent=0.2, idle=0.2, leaves=0.03)
+        learner.update(poisoned(made), iteration, iteration / 4)
+        for r, naive in replicas:
+            naive.update(made.of_copies(r * copies, copies), iteration, iteration / 4)
+    for r, naive in replicas:
+        for k, policy in enumerate(naive.policies):
+            p = r * len(naive.policies) + k
+            _assert_same(learner.actor.network, p, policy.network)
+            if config.kl_coeff > 0:
+                assert float(learner.policy_update.state_dict()["kl_coeff"][p]) == pytest.approx(
+                    policy.kl_coeff, rel=1e-12
+                )
+            if policy.log_std is not None and learner.actor.log_std is not None:
+                torch.testing.assert_close(
+                    learner.actor.log_std[p, :, 0], policy.log_std, rtol=1e-10, atol=1e-10
+                )
+        for k, value in enumerate(naive.values):
+            _assert_same(learner.critic.networks.network, r * len(naive.values) + k, value.network)

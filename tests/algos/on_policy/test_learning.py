@@ -1,0 +1,279 @@
+"""Learning bars: how near to a known optimum each algorithm comes in a few seconds."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.contracts import Learner
+from headway.events import Row
+from headway.rollout.episodes import evaluate_rule
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.serial_collector import SerialCollector
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.off_policy.config import NetworkConfig
+from headway_algos.registry import ENTRIES
+from headway_envs.toy.entry import ENTRIES as TOYS
+
+ROOT, EPISODES = 77, 20
+"""Evaluation seeds, the same for learners and rules."""
+CONFIGS = {name: entry.config() for name, entry in ENTRIES.items()}
+ON_POLICY = {
+    name: config
+    for name, config in CONFIGS.items()
+    if isinstance(config, AlgoConfig) and ENTRIES[name].contributor is None
+}
+"""Those that learn in step; of the others see `test_asynchronous`."""
+ALGORITHMS = list(ON_POLICY)
+CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
+"""Those that take Box actions."""
+UPDATE = {name: config.update for name, config in ON_POLICY.items()}
+IN_TURNS = {name for name, config in ON_POLICY.items() if config.order == "sequential"}
+"""They need a policy for each agent, which then learns from its own experience alone."""
+
+
+def _begun(
+    env: str,
+    env_args: Mapping[str, Any],
+    algorithm: str,
+    settings: Mapping[str, Any],
+    seeds: tuple[int, ...],
+    batch: tuple[int, int],
+) -> tuple[SerialCollector, Learner]:
+    copies, steps = batch
+    toy, entry = TOYS[env], ENTRIES[algorithm]
+    prepared = toy.prepare(toy.config(**env_args))
+    spec, config = toy.make(prepared, 1).spec, entry.config(**settings)
+    policy = entry.acting_policy(config, spec)
+    plan = RolloutPlan(toy.make, (), prepared, spec, policy, seeds, copies, steps, copies)
+    collector = SerialCollector(plan)
+    collector.begin()
+    return collector, entry.learner(config, spec, seeds, "cpu")
+
+
+def _train(
+    env: str,
+    env_args: Mapping[str, Any],
+    algorithm: str,
+    settings: Mapping[str, Any],
+    seeds: tuple[int, ...],
+    batch: tuple[int, int, int],
+) -> list[list[Row]]:
+    """Greedy evaluation episodes of every seed after training on `batch` = copies, steps, iterations."""
+    copies, steps, iterations = batch
+    collector, learner = _begun(env, env_args, algorithm, settings, seeds, (copies, steps))
+    for iteration in range(1, iterations + 1):
+        collector.collect(iteration, learner.acting_parameters())
+        learner.update(collector.trajectory, iteration, (iteration - 1) / iterations)
+    evaluated = collector.evaluate(ROOT, EPISODES, True, learner.acting_parameters())
+    collector.close()
+    return evaluated
+
+
+def _returns(evaluated: list[list[Row]]) -> list[float]:
+    return [float(np.mean([float(row["return"]) for row in rows])) for rows in evaluated]
+
+
+def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
+    toy = TOYS[env]
+    prepared = toy.prepare(toy.config(**env_args))
+    rows = evaluate_rule(toy.make, toy.rules[name].make, prepared, ROOT, EPISODES)
+    return float(np.mean([float(row["return"]) for row in rows]))
+
+
+MATRIX_SETTINGS = {
+    "policies": "independent",
+    "minibatches": 1,
+    "lr": 1e-2,
+    "lr_end": 0.1,
+    "entropy_coeff": 0.3,
+}
+NATURAL_LR = {"lr": 0.25}
+"""K-FAC's: a share of the natural gradient."""
+CLIMBING: dict[str, tuple[dict[str, float], int]] = {
+    "ppo": ({}, 45),
+    "a2c": ({"lr": 2e-2, "lr_end": 0.5, "entropy_coeff": 0.7}, 120),
+    "trpo": ({"kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
+    "kfac": ({**NATURAL_LR, "kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
+}
+"""By update: what else is set, and iterations."""
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
+    """11 of 11, where it is the only equilibrium."""
+    game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
+    settings = {**MATRIX_SETTINGS, **(NATURAL_LR if UPDATE[algorithm] == "kfac" else {})}
+    evaluated = _train("matrix", game, algorithm, settings, (0, 1, 2), (16, 16, 30))
+    assert _returns(evaluated) == [11.0] * 3
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None:
+    """7 of 11: who improves alone is kept from the best payoff by the penalty of -30 beside it, and
+    reaches 7 by way of 5 and 6 (Claus and Boutilier 1998). The entropy bonus keeps it from stopping at 6."""
+    changes, iterations = CLIMBING[UPDATE[algorithm]]
+    settings = {**MATRIX_SETTINGS, **changes}
+    evaluated = _train("matrix", {}, algorithm, settings, (0, 1, 2), (16, 16, iterations))
+    assert _returns(evaluated) == [7.0] * 3
+
+
+@pytest.mark.parametrize("algorithm", CONTINUOUS)
+def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorithm: str) -> None:
+    """At most 1.6 times the optimal cost with one policy for all, twice with a policy each; the untrained
+    policy's is hundreds of times the optimum's."""
+    in_turns = algorithm in IN_TURNS
+    settings: dict[str, Any] = {
+        "policies": "independent" if in_turns else "shared",
+        "model": ModelConfig(hidden=(32, 32), activation="relu"),
+        "gamma": 0.8,
+        "lr": 5e-3,
+        "lr_end": 0.02,
+        "entropy_coeff": 0.0,
+        "minibatches": 4,
+        "normalise_observations": False,
+    }
+    iterations = 60 if in_turns else 35
+    if UPDATE[algorithm] == "a2c":
+        settings, iterations = {**settings, "minibatches": 1, "lr": 1e-2}, 120
+    if UPDATE[algorithm] == "trpo":
+        settings["kl_bound"] = 0.1 if algorithm not in IN_TURNS else 0.05
+    if UPDATE[algorithm] == "kfac":
+        settings, iterations = {**settings, **NATURAL_LR, "minibatches": 1, "kl_bound": 0.03}, 60
+    episode = {"steps": 20}
+    evaluated = _train("tracking", episode, algorithm, settings, (0, 1), (8, 40, iterations))
+    best = _rule("tracking", episode, "optimal")
+    assert min(_returns(evaluated)) > (2.0 if in_turns else 1.6) * best
+    assert _returns(_train("tracking", episode, algorithm, settings, (0,), (8, 40, 1)))[0] < 100 * best
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(algorithm: str) -> None:
+    """Over agents that come, go and retire, at least 0.96 of the way from random to optimal; 0.88 with a
+    policy each."""
+    settings: dict[str, Any] = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
+    iterations = 10
+    if UPDATE[algorithm] == "a2c":
+        settings, iterations = {**settings, "lr": 5e-3, "epochs": 4}, 30
+    if UPDATE[algorithm] == "kfac":
+        settings |= NATURAL_LR
+    if algorithm in IN_TURNS:
+        settings, iterations = {**settings, "policies": "independent", "lr": 2e-3, "epochs": 3}, 20
+    evaluated = _train("visitors", {}, algorithm, settings, (0, 1), (4, 64, iterations))
+    random, best = _rule("visitors", {}, "random"), _rule("visitors", {}, "optimal")
+    shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
+    assert min(shares) > (0.88 if algorithm in IN_TURNS else 0.96)
+    assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("env", "algorithm"),
+    [
+        *(("visitors", name) for name in [*ALGORITHMS, "madqn"]),
+        *(("tracking", name) for name in [*CONTINUOUS, "ddpg"]),
+    ],
+)
+def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algorithm: str) -> None:
+    settings: dict[str, Any] = {"precision": "float64", "gamma": 0.9}
+    if algorithm not in ON_POLICY:
+        settings |= {"learning_starts": 10, "updates": 5, "batch_size": 16}
+    among, learner = _begun(env, {}, algorithm, settings, (3, 5, 7), (2, 20))
+    alone, single = _begun(env, {}, algorithm, settings, (5,), (2, 20))
+    for iteration in range(1, 4):
+        among.collect(iteration, learner.acting_parameters())
+        alone.collect(iteration, single.acting_parameters())
+        part = among.trajectory.of_copies(2, 2)
+        np.testing.assert_array_equal(part.observations[0], alone.trajectory.observations[0])
+        np.testing.assert_allclose(part.actions, alone.trajectory.actions, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(part.rewards, alone.trajectory.rewards, rtol=1e-4, atol=1e-5)
+        learner.update(among.trajectory, iteration, 0.0)
+        single.update(alone.trajectory, iteration, 0.0)
+        if iteration == 1:
+            for name, array in single.acting_parameters().items():
+                policies = len(array)
+                mine = learner.acting_parameters()[name][policies : 2 * policies]
+                np.testing.assert_allclose(mine, array, rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+RECALL: dict[str, tuple[dict[str, Any], int]] = {
+    "ippo": ({"minibatches": 4, "lr": 1e-2, "lr_end": 0.05}, 25),
+    "ia2c": ({"minibatches": 1, "lr": 2e-2, "lr_end": 0.1}, 40),
+    "matrpo": ({"minibatches": 4, "lr": 1e-2, "lr_end": 0.1}, 20),
+}
+"""By algorithm, one of each update: what is set, and iterations."""
+
+
+@pytest.mark.parametrize("algorithm", RECALL)
+def test_what_was_seen_at_first_is_named_at_last_by_those_who_remember(algorithm: str) -> None:
+    """Always, of two cues, by every seed; who sees no further than the present is as good as chance."""
+    settings, iterations = RECALL[algorithm]
+    task, model = {"agents": 2, "steps": 4}, ModelConfig(hidden=(16,), gru_size=16, sequence_length=12)
+    for core, bounds in (("gru", (1.0, 1.0)), ("none", (0.2, 0.8))):
+        chosen = {**settings, "model": replace(model, core=core)}
+        returns = _returns(_train("recall", task, algorithm, chosen, (0, 1, 2), (16, 24, iterations)))
+        assert bounds[0] <= min(returns) <= max(returns) <= bounds[1]
+
+
+def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> None:
+    """Ten agents are paid, alike, the share of them that are right: more than 0.75 of the way from random to
+    optimal, though nine tenths of the reward are the others' doing."""
+    team = {"agents": 10, "steps": 50}
+    settings = {"critic": "counterfactual", "policies": "shared", "gamma": 0.5, "gae_lambda": 0.5, "lr": 3e-3}
+    evaluated = _train("trivial", team, "custom", settings, (0, 1), (4, 50, 15))
+    random, best = _rule("trivial", team, "random"), _rule("trivial", team, "optimal")
+    shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
+    assert min(shares) > 0.75
+
+
+def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
+    """11 of 11, each agent by its own values, the other being part of what it finds."""
+    game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
+    settings = {"lr": 5e-2, "updates": 8, "batch_size": 32, "learning_starts": 64}
+    evaluated = _train("matrix", game, "madqn", settings, (0, 1, 2), (8, 8, 30))
+    assert _returns(evaluated) == [11.0] * 3
+
+
+REPLAYED = {
+    "policies": "shared",
+    "lr": 2e-3,
+    "updates": 30,
+    "batch_size": 64,
+    "learning_starts": 200,
+    "target_every": 50,
+}
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_q_learning_of_visitors_chooses_nearly_as_well_as_can_be(double: bool) -> None:
+    """At least 0.94 of the way from random to optimal, among agents that come and go; nothing forbidden."""
+    settings = {**REPLAYED, "gamma": 0.9, "double": double}
+    evaluated = _train("visitors", {}, "madqn", settings, (0, 1), (4, 32, 20))
+    random, best = _rule("visitors", {}, "random"), _rule("visitors", {}, "optimal")
+    assert min((mean - random) / (best - random) for mean in _returns(evaluated)) > 0.94
+    assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
+    """At least 0.85 of the way from random to optimal, from a team's reward of three agents."""
+    team = {"agents": 3, "steps": 50}
+    settings = {**REPLAYED, "gamma": 0.5, "n_step": n_step}
+    evaluated = _train("trivial", team, "madqn", settings, (0, 1), (4, 50, 20))
+    random, best = _rule("trivial", team, "random"), _rule("trivial", team, "optimal")
+    assert min((mean - random) / (best - random) for mean in _returns(evaluated)) > 0.85
+
+
+def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> None:
+    """At most 4 times the linear-quadratic regulator's; the untrained policy's is hundreds of times it."""
+    settings = {
+        "policies": "shared", "model": NetworkConfig((32, 32), "tanh"), "gamma": 0.6, "lr": 1e-3,
+        "critic_lr": 5e-3, "lr_end": 0.02, "updates": 40, "learning_starts": 200, "tau": 0.05,
+        "loss": "huber", "exploration_start": 0.5, "normalise_observations": False,
+    }  # fmt: skip
+    episode = {"steps": 20}
+    best = _rule("tracking", episode, "optimal")
+    returns = _returns(_train("tracking", episode, "ddpg", settings, (0, 1), (8, 20, 45)))
+    assert min(returns) > 4 * best
+    assert _returns(_train("tracking", episode, "ddpg", settings, (0,), (8, 20, 1)))[0] < 100 * best

@@ -1,0 +1,185 @@
+"""The sequential order: whose turn it is, and what the factor of each turn is."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway_algos.batches.grouping import Grouping
+from headway_algos.batches.layout import Layout
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.orders import ORDERS, sequential, simultaneous
+from headway_algos.on_policy.updates import UPDATES
+from headway_algos.on_policy.updates.ppo import PPO
+
+R, N, B, D, A = 2, 4, 18, 3, 3
+DOUBLE = torch.float64
+DISCRETE = EnvSpec("made", tuple("abcd"), D, Discrete(A))
+APART = Grouping.of("independent", DISCRETE)
+BOX = replace(DISCRETE, action_space=Box((-1.0,) * A, (1.0,) * A))
+CONFIG = AlgoConfig(
+    order="sequential", model=ModelConfig(hidden=(6,), actor_gain=1.0), precision="float64", epochs=2,
+    minibatches=3, lr=2e-2, piece_samples=16,
+)  # fmt: skip
+
+
+class Recording(PPO):
+    """PPO that notes every turn: who, with which advantages, and the log-probabilities it comes to."""
+
+    turns: list[tuple[list[int], Tensor, Tensor]]
+    policies: list[int]
+
+    def narrow(self, policies: Tensor) -> Self:
+        part = super().narrow(policies)
+        part.policies = policies.tolist()
+        return part
+
+    def improve(
+        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+    ) -> dict[str, Tensor]:
+        info = super().improve(rows, advantages, generators)
+        with torch.no_grad():
+            log_probs = self.actor(rows.observations, rows.masks).log_prob(rows.actions)
+        self.turns.append((self.policies, advantages.clone(), log_probs))
+        return {**info, "policy": torch.tensor(self.policies, dtype=DOUBLE)}
+
+
+def _update(kind: type[PPO], spec: EnvSpec, config: AlgoConfig = CONFIG) -> PPO:
+    layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
+    return kind(Actor(config.model, spec, range(R), N, DOUBLE), config, layout)
+
+
+def _rows(spec: EnvSpec) -> tuple[PolicyRows, Tensor, NDArray[np.bool_]]:
+    random = torch.Generator().manual_seed(1)
+    actions = (
+        torch.randint(A, (R * N, B), generator=random)
+        if spec is DISCRETE
+        else torch.randn(R * N, B, A, generator=random, dtype=DOUBLE)
+    )
+    selected = (torch.rand(R * N, B, generator=random) < 0.7).numpy()
+    observations = torch.randn(R * N, B, D, generator=random, dtype=DOUBLE)
+    log_probs, advantages = torch.randn(2, R * N, B, generator=random, dtype=DOUBLE)
+    log_probs[~torch.from_numpy(selected)] = 0
+    return PolicyRows(observations, None, actions, log_probs, selected), advantages, selected
+
+
+def _generators(purpose: str, count: int) -> list[np.random.Generator]:
+    return [generator(i, purpose, 5) for i in range(count)]
+
+
+@pytest.mark.parametrize("spec", [DISCRETE, BOX], ids=["discrete", "box"])
+def test_advantages_are_weighed_by_the_ratios_of_the_agents_before(spec: EnvSpec) -> None:
+    """A naive product over agents, row by row; 1 where an agent was not acting."""
+    update = _update(Recording, spec)
+    assert isinstance(update, Recording)
+    update.turns = []
+    rows, advantages, selected = _rows(spec)
+    info = sequential(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
+    assert len(update.turns) == N
+    for r, random in enumerate(_generators("order", R)):
+        order = [r * N + agent for agent in random.permutation(N).tolist()]
+        assert [policies[r] for policies, _, _ in update.turns] == order
+        for m, (_, given, _) in enumerate(update.turns):
+            for b in range(B):
+                factor = 1.0
+                for before, (_, _, log_probs) in zip(order[:m], update.turns, strict=False):
+                    if selected[before, b]:
+                        factor *= float((log_probs[r, b] - rows.log_probs[before, b]).exp())
+                assert float(given[r, b]) == pytest.approx(factor * float(advantages[order[m], b]), rel=1e-10)
+    assert info["policy"].tolist() == list(range(R * N))
+
+
+def test_whose_turn_comes_first_learns_as_if_all_learnt_at_once() -> None:
+    """And the others do not: with ratios off 1 their factors change what they learn."""
+    rows, advantages, _ = _rows(DISCRETE)
+    results = []
+    for order in (sequential, simultaneous):
+        update = _update(PPO, DISCRETE)
+        order(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
+        results.append([parameter.detach().clone() for parameter in update.actor.parameters()])
+    first = [r * N + int(random.permutation(N)[0]) for r, random in enumerate(_generators("order", R))]
+    for one, other in zip(*results, strict=True):
+        for p in range(R * N):
+            if p in first:
+                torch.testing.assert_close(one[p], other[p], rtol=1e-10, atol=1e-10)
+            else:
+                assert (one[p] - other[p]).abs().max() > 1e-4
+
+
+def test_what_an_update_carries_on_comes_back_from_its_turn() -> None:
+    """Moments and coefficients after two improvements are as if each policy had kept its own."""
+    rows, advantages, _ = _rows(DISCRETE)
+    config = replace(CONFIG, kl_coeff=0.3)
+    whole, parts = _update(PPO, DISCRETE, config), _update(PPO, DISCRETE, config)
+    for _ in range(2):
+        whole.improve(rows, advantages, _generators("rows", R * N))
+        for p in reversed(range(R * N)):
+            policies = torch.tensor([p])
+            part = parts.narrow(policies)
+            part.improve(rows.narrow(policies), advantages[policies], [_generators("rows", R * N)[p]])
+            parts.adopt(policies, part)
+    torch.testing.assert_close(parts.kl_coeff, whole.kl_coeff, rtol=1e-12, atol=0)
+    assert (whole.kl_coeff != 0.3).any()
+    assert parts.optimiser.counts.tolist() == whole.optimiser.counts.tolist() == [12] * (R * N)
+    pairs = zip(
+        [*parts.actor.parameters(), *parts.optimiser.means.parts, *parts.optimiser.squares.parts],
+        [*whole.actor.parameters(), *whole.optimiser.means.parts, *whole.optimiser.squares.parts],
+        strict=True,
+    )
+    for mine, theirs in pairs:
+        torch.testing.assert_close(mine, theirs, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("update", UPDATES)
+def test_a_part_is_a_copy_until_it_is_adopted(update: Any) -> None:  # noqa: ANN401 - a literal
+    config = replace(CONFIG, update=update, kl_bound=0.01)
+    layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
+    whole = UPDATES[update](Actor(config.model, DISCRETE, range(R), N, DOUBLE), config, layout)
+    rows, advantages, _ = _rows(DISCRETE)
+    before = [parameter.detach().clone() for parameter in whole.actor.parameters()]
+    policies = torch.tensor([6, 1])
+    part = whole.narrow(policies)
+    part.improve(rows.narrow(policies), advantages[policies], _generators("rows", 2))
+    for old, new in zip(before, whole.actor.parameters(), strict=True):
+        assert torch.equal(new, old)
+    whole.adopt(policies, part)
+    for old, new, own in zip(before, whole.actor.parameters(), part.actor.parameters(), strict=True):
+        assert torch.equal(new[[6, 1]], own)
+        assert not torch.equal(new[6], old[6])
+        for p in (0, 2, 3, 4, 5, 7):
+            assert torch.equal(new[p], old[p])
+
+
+def test_the_order_is_drawn_anew_for_each_replica_and_iteration(
+    fabricate: Callable[..., Trajectory], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[int, ...]] = []
+
+    def noting(
+        update: PPO,
+        grouping: Grouping,
+        rows: PolicyRows,
+        advantages: Tensor,
+        generators: Sequence[np.random.Generator],
+        order_generators: Sequence[np.random.Generator],
+    ) -> dict[str, Tensor]:
+        drawn.extend(tuple(random.permutation(N)) for random in order_generators)
+        return {}
+
+    monkeypatch.setitem(ORDERS, "sequential", noting)
+    learner = OnPolicyLearner(CONFIG, DISCRETE, (3, 8), "cpu")
+    for iteration in (1, 2, 3):
+        learner.update(fabricate(DISCRETE, 4, 2, seed=0), iteration, 0.0)
+    expected = [tuple(generator(s, "agent order", i).permutation(N)) for i in (1, 2, 3) for s in (3, 8)]
+    assert drawn == expected
+    assert drawn[0] != drawn[1]  # replicas
+    assert drawn[0] != drawn[2]  # iterations

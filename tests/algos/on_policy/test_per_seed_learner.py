@@ -1,0 +1,186 @@
+"""A seed learns bit for bit the same in any stack, however products round on the machine at hand."""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from headway.config.schema import build
+from headway.contracts import Box, Discrete, EnvSpec, Learner, ReplayingLearner, Trajectory
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.registry import ENTRIES
+
+Fabricate = Callable[..., Trajectory]
+SEEDS = (3, 5, 7)
+DISCRETE = EnvSpec("made", tuple("abcd"), 3, Discrete(3), has_action_mask=True, agents_come_and_go=True)
+TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
+BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
+SMALL: dict[str, Any] = {"model": {"hidden": (8, 8)}}
+# So small that every batch is cut into several pieces.
+ON_POLICY: dict[str, Any] = {**SMALL, "piece_samples": 60}
+STEPS: dict[str, Any] = {**ON_POLICY, "minibatches": 3, "epochs": 2}
+REPLAY: dict[str, Any] = {**SMALL, "capacity": 60, "learning_starts": 5, "batch_size": 7, "updates": 4}
+CASES: dict[str, tuple[str, dict[str, Any], EnvSpec]] = {
+    "ippo": ("ippo", {**STEPS, "kl_coeff": 0.2}, DISCRETE),
+    "ippo, float64": ("ippo", {**STEPS, "precision": "float64"}, BOX),
+    "ippo, shared until half": ("ippo", {**STEPS, "shared_until": 0.3}, BOX),
+    "ippo, recurrent": ("ippo", {**STEPS, "model": {"hidden": (8,), "core": "gru", "gru_size": 4}}, DISCRETE),
+    "mappo": ("mappo", {**STEPS, "policies": "shared", "critic_actions": "others"}, DISCRETE),
+    "happo": ("happo", STEPS, TEAM),
+    "ia2c": ("ia2c", ON_POLICY, BOX),
+    "maa2c": ("maa2c", ON_POLICY, TEAM),
+    "coma": ("coma", ON_POLICY, DISCRETE),
+    "itrpo": ("itrpo", ON_POLICY, BOX),
+    "itrpo, shared": ("itrpo", {**ON_POLICY, "policies": "shared"}, DISCRETE),
+    "matrpo": ("matrpo", ON_POLICY, TEAM),
+    "hatrpo": ("hatrpo", ON_POLICY, TEAM),
+    "maacktr": ("maacktr", ON_POLICY, DISCRETE),
+    "madqn": ("madqn", REPLAY, DISCRETE),
+    "ddpg": ("ddpg", REPLAY, BOX),
+}
+every_case = pytest.mark.parametrize(("name", "settings", "spec"), CASES.values(), ids=CASES)
+
+
+class RoundsByShape(TorchDispatchMode):
+    """Matrix products that are off by a share that depends on their shapes, as rounding does."""
+
+    PRODUCTS = ("aten::bmm", "aten::baddbmm", "aten::baddbmm_", "aten::mm", "aten::addmm")
+
+    def __init__(self, batch: bool) -> None:
+        """`batch`: also on the number of matrices multiplied at once."""
+        super().__init__()
+        self.batch = batch
+
+    def __torch_dispatch__(  # type: ignore[no-untyped-def]
+        self,
+        func,  # noqa: ANN001
+        types,  # noqa: ANN001
+        args=(),  # noqa: ANN001
+        kwargs=None,  # noqa: ANN001
+    ) -> Any:  # noqa: ANN401
+        result = func(*args, **(kwargs or {}))
+        if func.name().split(".")[0] in self.PRODUCTS:
+            left, right = args[-2:]
+            sizes = (*left.shape[-2:], right.shape[-1], len(left) if self.batch else 1)
+            result.mul_(1 + 1e-4 * (hash(sizes) % 97) / 97)
+        return result
+
+
+def _learner(name: str, settings: dict[str, Any], spec: EnvSpec, seeds: tuple[int, ...]) -> Learner:
+    entry = ENTRIES[name]
+    return entry.learner(build(entry.config, settings, "algo", name), spec, seeds, "cpu")
+
+
+def _joined(parts: list[Trajectory]) -> Trajectory:
+    return Trajectory(
+        *(np.concatenate([getattr(part, f.name) for part in parts], axis=1) for f in fields(Trajectory))
+    )
+
+
+def _experience(
+    fabricate: Fabricate, spec: EnvSpec, iteration: int, settings: dict[str, Any]
+) -> list[Trajectory]:
+    """One trajectory per seed: one of agents that are always there, one of few, one of hardly any."""
+    memory = settings["model"].get("gru_size", 0)
+    return [
+        fabricate(spec, 12, 3, 10 * iteration + r, absent=absent, idle=0.2, leaves=0.02, memory_size=memory)
+        for r, absent in enumerate((0.0, 0.5, 0.95))
+    ]
+
+
+def _arrays(state: Any, path: str = "") -> dict[str, NDArray[Any]]:  # noqa: ANN401 - tensors, nested
+    if isinstance(state, Tensor):
+        return {path: state.detach().numpy().copy()}
+    if not isinstance(state, dict | list):
+        return {}
+    items = state.items() if isinstance(state, dict) else enumerate(state)
+    return {name: value for key, part in items for name, value in _arrays(part, f"{path} {key}").items()}
+
+
+def _trained(
+    learner: Learner, tracks: list[Trajectory]
+) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """What learning leaves: the state's tensors and what acts; and the metrics of the last iteration."""
+    metrics: dict[str, NDArray[Any]] = {}
+    for i, track in enumerate(tracks):
+        metrics = learner.update(track, i + 1, 0.2 * i)
+    return {**_arrays(learner.state_dict()), **learner.acting_parameters()}, metrics
+
+
+@every_case
+def test_a_seed_learns_the_same_bits_in_any_stack(
+    fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
+) -> None:
+    tracks = [_experience(fabricate, spec, iteration, settings) for iteration in (1, 2, 3)]
+    with RoundsByShape(batch=name not in ("madqn", "ddpg")):
+        whole, of_all = _trained(_learner(name, settings, spec, SEEDS), [_joined(track) for track in tracks])
+        for r, seed in enumerate(SEEDS):
+            alone, of_one = _trained(_learner(name, settings, spec, (seed,)), [track[r] for track in tracks])
+            assert whole.keys() == alone.keys()
+            for key, array in alone.items():
+                np.testing.assert_array_equal(np.split(whole[key], len(SEEDS))[r], array, err_msg=key)
+            for key, value in of_one.items():
+                np.testing.assert_array_equal(of_all[key][r], value[0], err_msg=key)
+
+
+@pytest.mark.parametrize("name", ["ippo", "ia2c", "itrpo", "maacktr"])
+def test_products_that_hold_several_seeds_would_show(fabricate: Fabricate, name: str) -> None:
+    """The same comparison fails for a learner that stacks seeds, as it does on a GPU."""
+    settings = CASES[name][1]
+    tracks = [_experience(fabricate, DISCRETE, iteration, settings) for iteration in (1, 2)]
+    config = build(ENTRIES[name].config, settings, "algo", name)
+    with RoundsByShape(batch=False):
+        whole, _ = _trained(
+            OnPolicyLearner(config, DISCRETE, SEEDS, "cpu"), [_joined(track) for track in tracks]
+        )
+        alone, _ = _trained(OnPolicyLearner(config, DISCRETE, (5,), "cpu"), [track[1] for track in tracks])
+    assert not np.array_equal(np.split(whole["weight_0"], len(SEEDS))[1], alone["weight_0"])
+
+
+@every_case
+def test_a_state_of_all_seeds_at_once_is_gone_on_from(
+    fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
+) -> None:
+    first, second = (_learner(name, settings, spec, SEEDS) for _ in range(2))
+    tracks = [_joined(_experience(fabricate, spec, iteration, settings)) for iteration in (1, 2, 3)]
+    _trained(first, tracks[:2])
+    second.load_state_dict(first.state_dict())
+    if isinstance(first, ReplayingLearner) and isinstance(second, ReplayingLearner):
+        second.load_experience(first.experience())
+    for learner in (first, second):
+        learner.update(tracks[2], 3, 0.4)
+    expected = _arrays(first.state_dict())
+    for key, array in _arrays(second.state_dict()).items():
+        np.testing.assert_array_equal(array, expected[key], err_msg=key)
+
+
+def test_a_state_of_a_learner_that_stacks_seeds_is_taken_as_well(fabricate: Fabricate) -> None:
+    """Of a run begun on a GPU, or before seeds were kept apart."""
+    config = ENTRIES["mappo"].config(minibatches=3)
+    stacked = OnPolicyLearner(config, TEAM, SEEDS, "cpu")
+    stacked.update(_joined(_experience(fabricate, TEAM, 1, SMALL)), 1, 0.0)
+    apart = ENTRIES["mappo"].learner(config, TEAM, SEEDS, "cpu")
+    apart.load_state_dict(stacked.state_dict())
+    expected = stacked.acting_parameters()
+    for key, array in apart.acting_parameters().items():
+        np.testing.assert_array_equal(array, expected[key], err_msg=key)
+    state = _arrays(stacked.state_dict())
+    assert {key: array.shape for key, array in _arrays(apart.state_dict()).items()} == {
+        key: array.shape for key, array in state.items()
+    }
+
+
+def test_tensors_are_not_shared_with_the_state(fabricate: Fabricate) -> None:
+    learner = _learner("ippo", STEPS, DISCRETE, SEEDS)
+    before = learner.state_dict()
+    kept = {key: array.copy() for key, array in _arrays(before).items()}
+    other = _learner("ippo", STEPS, DISCRETE, SEEDS)
+    other.load_state_dict(before)
+    other.update(_joined(_experience(fabricate, DISCRETE, 1, STEPS)), 1, 0.0)
+    for key, array in _arrays(before).items():
+        np.testing.assert_array_equal(array, kept[key], err_msg=key)

@@ -1,0 +1,137 @@
+"""Policies that are one at first and part later."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from headway.contracts import Discrete, EnvSpec, Trajectory
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.split_learner import PartingLearner
+from headway_algos.recipes.coma import COMAConfig
+from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.recipes.matrpo import MATRPOConfig
+from headway_algos.registry import ENTRIES
+
+Fabricate = Callable[..., Trajectory]
+SPEC = EnvSpec(
+    "made", tuple("abcd"), 3, Discrete(3), state_size=5, groups=tuple("xyxx"), has_action_mask=True
+)
+TEAM = replace(SPEC, shared_reward=True)
+MODEL = ModelConfig(hidden=(8,), actor_gain=0.5)
+CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
+    "ippo": (IPPOConfig(model=MODEL, precision="float64", minibatches=2), SPEC),
+    "mappo of own rewards": (MAPPOConfig(model=MODEL, precision="float64"), SPEC),
+    "mappo of a team, groups": (MAPPOConfig(model=MODEL, precision="float64", policies="groups"), TEAM),
+    "matrpo": (MATRPOConfig(model=MODEL, precision="float64"), SPEC),
+    "coma": (COMAConfig(model=MODEL, precision="float64"), TEAM),
+}
+SEEDS = (3, 4)
+
+
+def _same(one: dict[str, NDArray[np.float64]], other: dict[str, NDArray[np.float64]]) -> bool:
+    return all(np.array_equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_they_are_the_shared_policy_until_they_part_and_go_on_from_it(
+    name: str, fabricate: Fabricate
+) -> None:
+    config, spec = CASES[name]
+    parting = PartingLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
+    shared = OnPolicyLearner(replace(config, policies="shared"), spec, SEEDS, "cpu")
+    policies = parting.policies
+    for iteration, progress in enumerate((0.0, 0.25, 0.49)):
+        trajectory = fabricate(spec, 20, 2 * len(SEEDS), seed=iteration)
+        parting.update(trajectory, iteration, progress)
+        shared.update(trajectory, iteration, progress)
+        expected = {
+            key: np.repeat(array, policies, axis=0) for key, array in shared.acting_parameters().items()
+        }
+        assert _same(parting.acting_parameters(), expected)
+    last = parting.acting_parameters()
+    parting.update(fabricate(spec, 20, 2 * len(SEEDS), seed=9), 3, 0.5)
+    weights = parting.acting_parameters()["weight_0"]
+    assert not np.array_equal(weights[0], weights[1]), "policies of their own learn from their own rows"
+    assert np.abs(weights - last["weight_0"]).max() < 0.5, "they go on from the shared policy"
+    metrics = parting.update(fabricate(spec, 20, 2 * len(SEEDS), seed=10), 4, 0.75)
+    assert all(value.shape == (len(SEEDS),) for value in metrics.values())
+
+
+@pytest.mark.parametrize("parts_at", [1, 2])
+@pytest.mark.parametrize("name", CASES)
+def test_a_learner_taken_up_again_goes_on_bit_for_bit(name: str, parts_at: int, fabricate: Fabricate) -> None:
+    """Also where it is kept just before, or just after, the policies part."""
+    config, spec = CASES[name]
+    config = replace(config, shared_until=parts_at / 4)
+    first = PartingLearner(config, spec, SEEDS, "cpu")
+    for iteration in range(2):
+        first.update(fabricate(spec, 20, 2 * len(SEEDS), seed=iteration), iteration, iteration / 4)
+    again = PartingLearner(config, spec, SEEDS, "cpu")
+    again.load_state_dict(first.state_dict())
+    for iteration in (2, 3):
+        trajectory = fabricate(spec, 20, 2 * len(SEEDS), seed=iteration)
+        first.update(trajectory, iteration, iteration / 4)
+        again.update(trajectory, iteration, iteration / 4)
+    assert _same(again.acting_parameters(), first.acting_parameters())
+
+
+def test_the_optimiser_goes_on_with_the_moments_of_the_shared_policy(fabricate: Fabricate) -> None:
+    config, spec = CASES["ippo"]
+    learner = PartingLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
+    learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
+    steps = learner.together.state_dict()["policy_update"]["optimiser"]["counts"]
+    learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
+    after = learner.apart.state_dict()["policy_update"]["optimiser"]["counts"]
+    assert (after == 2 * steps[0]).all()
+    assert len(after) == 4 * len(steps)
+
+
+@pytest.mark.parametrize("update", ["ppo", "a2c", "trpo"])
+def test_once_parted_they_learn_in_smaller_steps(update: str, fabricate: Fabricate) -> None:
+    """A hundredth of the learning rate: steps of Adam and TRPO are proportional to it."""
+
+    def step_apart(apart_lr: float) -> float:
+        config = IPPOConfig(
+            update=update,  # type: ignore[arg-type]  # a parameter of the test
+            model=MODEL, precision="float64", epochs=1, minibatches=1, shared_until=0.5, apart_lr=apart_lr,
+            normalise_observations=False,
+        )  # fmt: skip
+        learner = PartingLearner(config, SPEC, SEEDS, "cpu")
+        learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
+        before = learner.acting_parameters()
+        learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
+        after = learner.acting_parameters()
+        return float(np.mean([np.abs(after[name] - before[name]).mean() for name in after]))
+
+    ratio = step_apart(0.01) / step_apart(1.0)
+    assert 0.003 < ratio < 0.03, ratio
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"apart_lr": 0.5}, "apart_lr is for policies that part: set shared_until"),
+        ({"apart_lr": 0.0, "shared_until": 0.5}, "apart_lr must be above 0"),
+        ({"shared_until": 1.0}, r"shared_until must lie in \[0, 1\)"),
+        ({"shared_until": 0.5, "policies": "shared"}, "shared_until is for policies that are not shared"),
+        (
+            {"shared_until": 0.5, "order": "sequential"},
+            "shared_until must be 0 where policies are updated one",
+        ),
+    ],
+)
+def test_what_cannot_part_is_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        AlgoConfig(**changes)  # type: ignore[arg-type]  # as from YAML
+
+
+def test_the_registry_makes_it() -> None:
+    config = IPPOConfig(model=MODEL, shared_until=0.5)
+    assert isinstance(ENTRIES["ippo"].learner(config, SPEC, SEEDS[:1], "cpu"), PartingLearner)
+    plain = replace(config, shared_until=0.0)
+    assert isinstance(ENTRIES["ippo"].learner(plain, SPEC, SEEDS[:1], "cpu"), OnPolicyLearner)

@@ -1,0 +1,204 @@
+"""The pieces of PPO against loops over rows."""
+
+from dataclasses import replace
+from math import exp
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.distributions import Categorical, kl_divergence
+
+from headway.contracts import Discrete, EnvSpec, generator
+from headway_algos.batches.grouping import Grouping
+from headway_algos.batches.layout import Layout
+from headway_algos.batches.policy_batch import PolicyRows, standardise
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.on_policy.updates.ppo import PPO, slope_of_surrogate
+from headway_algos.optim.adam import StackedAdam
+
+P, B, D, A = 3, 24, 4, 3
+DOUBLE = torch.float64
+SPEC = EnvSpec("made", ("only",), D, Discrete(A))
+CONFIG = AlgoConfig(
+    model=ModelConfig(hidden=(6,), actor_gain=1.0), precision="float64", epochs=3, minibatches=2, lr=1e-2
+)
+
+
+def test_the_surrogates_slope_is_that_of_equation_7() -> None:
+    random = np.random.default_rng(0)
+    log_ratios = torch.from_numpy(0.3 * random.normal(size=200)).requires_grad_()
+    advantages = torch.from_numpy(random.normal(size=200))
+    ratios = log_ratios.exp()
+    surrogate = torch.minimum(ratios * advantages, ratios.clamp(0.8, 1.2) * advantages)
+    (expected,) = torch.autograd.grad(surrogate.sum(), log_ratios)
+    got = slope_of_surrogate(ratios.detach(), advantages, 0.2)
+    assert 20 < int((got == 0).sum()) < 180
+    torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_the_surrogates_slope_is_zero_only_where_the_clip_binds() -> None:
+    """Growth beyond the clip pays nothing, a loss is felt in full."""
+    cases = [(1.5, 1.0, 0.0), (1.5, -1.0, -1.5), (0.5, 1.0, 0.5), (0.5, -1.0, 0.0), (1.1, 2.0, 2.2)]
+    for ratio, advantage, slope in cases:
+        got = slope_of_surrogate(torch.tensor([ratio]), torch.tensor([advantage]), 0.2)
+        assert got.item() == pytest.approx(slope, rel=1e-6)
+
+
+def test_advantages_are_standardised_for_each_policy_over_its_selected_rows() -> None:
+    random = np.random.default_rng(1)
+    values = random.normal(size=(P, 50)) * [[1.0], [10.0], [100.0]] + [[5.0], [-7.0], [0.0]]
+    selected = random.random((P, 50)) < 0.5
+    got = standardise(torch.from_numpy(values), torch.from_numpy(selected)).numpy()
+    for p in range(P):
+        chosen = values[p, selected[p]]
+        expected = (chosen - chosen.mean()) / (chosen.std() + 1e-8)
+        np.testing.assert_allclose(got[p, selected[p]], expected, rtol=0, atol=1e-12)
+
+
+def _rows(stack: int, selected: NDArray[np.bool_], seed: int = 2) -> tuple[PolicyRows, Tensor]:
+    random = torch.Generator().manual_seed(seed)
+    observations = torch.randn(stack, B, D, generator=random, dtype=DOUBLE)
+    actions = torch.randint(A, (stack, B), generator=random)
+    log_probs = -np.log(A) + 0.3 * torch.randn(stack, B, generator=random, dtype=DOUBLE)
+    advantages = torch.randn(stack, B, generator=random, dtype=DOUBLE)
+    return PolicyRows(observations, None, actions, log_probs, selected), advantages
+
+
+def _run(
+    config: AlgoConfig, kl_coeff: Tensor, selected: NDArray[np.bool_]
+) -> tuple[Actor, Actor, PolicyRows, Tensor, dict[str, Tensor]]:
+    """One update: the actor before and after, what it learnt from, the coefficients and the info."""
+    before, after = (Actor(config.model, SPEC, range(P), 1, DOUBLE) for _ in range(2))
+    rows, advantages = _rows(P, selected)
+    layout = Layout(Grouping.of("shared", SPEC), P, torch.device("cpu"), DOUBLE)
+    update = PPO(after, config, layout)
+    update.kl_coeff = kl_coeff
+    info = update.improve(rows, advantages, [generator(p, "test") for p in range(P)])
+    return before, after, rows, update.kl_coeff, info
+
+
+def _mean_kl(before: Actor, after: Actor, rows: PolicyRows, p: int) -> float:
+    with torch.no_grad():
+        old, new = (Categorical(logits=actor.network(rows.observations)[p].T) for actor in (before, after))
+    kl: Tensor = kl_divergence(old, new)
+    return float(kl[torch.from_numpy(rows.selected[p])].mean())
+
+
+def test_the_kl_coefficient_adapts_for_each_policy_by_itself() -> None:
+    """x 1.5 where KL > 2 target, x 0.5 where KL < target / 2, else as it was."""
+    selected = np.random.default_rng(3).random((P, B)) < 0.7
+    start = torch.tensor([0.2, 0.3, 0.4], dtype=DOUBLE)
+    config = replace(CONFIG, kl_coeff=0.2, kl_target=1e-9)
+    before, after, rows, _, info = _run(config, start, selected)
+    kls = sorted(_mean_kl(before, after, rows, p) for p in range(P))
+    for p in range(P):
+        assert float(info["kl"][p]) == pytest.approx(_mean_kl(before, after, rows, p), rel=1e-9)
+    assert kls[2] > 1.05 * kls[0]
+    for target in (kls[0] / 2 * 0.99, kls[1] / 2, kls[2] * 2.02, kls[1] * 2, kls[1]):
+        _, _, _, adapted, info = _run(replace(config, kl_target=target), start, selected)
+        for p, kl in enumerate(info["kl"].tolist()):
+            factor = 1.5 if kl > 2 * target else 0.5 if kl < target / 2 else 1.0
+            assert float(adapted[p]) == pytest.approx(factor * float(start[p]), rel=1e-12)
+
+
+def test_a_kl_penalty_keeps_the_policy_nearer_to_what_it_was() -> None:
+    selected = np.ones((P, B), np.bool_)
+    moved = []
+    for coefficient in (1e-6, 10.0):
+        config = replace(CONFIG, kl_coeff=coefficient)
+        before, after, rows, _, _ = _run(config, torch.full((P,), coefficient, dtype=DOUBLE), selected)
+        moved.append([_mean_kl(before, after, rows, p) for p in range(P)])
+    assert (np.array(moved[1]) < 0.5 * np.array(moved[0])).all()
+
+
+def test_a_policy_without_rows_learns_nothing_and_harms_nobody() -> None:
+    some, none = np.ones((P, B), np.bool_), np.ones((P, B), np.bool_)
+    none[1] = False
+    start = torch.zeros(P, dtype=DOUBLE)
+    before, after, _, _, _ = _run(CONFIG, start, none)
+    _, full, _, _, _ = _run(CONFIG, start, some)
+    for old, new, whole in zip(before.parameters(), after.parameters(), full.parameters(), strict=True):
+        assert torch.equal(new[1], old[1])
+        torch.testing.assert_close(new[[0, 2]], whole[[0, 2]], rtol=1e-12, atol=1e-12)
+
+
+def test_a_policy_without_rows_keeps_its_kl_coefficient() -> None:
+    """A divergence of 0 that nobody measured says nothing; where it was measured, it halves."""
+    selected = np.ones((P, B), np.bool_)
+    selected[1] = False
+    config = replace(CONFIG, kl_coeff=0.2, kl_target=1e3)
+    _, _, _, adapted, _ = _run(config, torch.full((P,), 0.2, dtype=DOUBLE), selected)
+    assert adapted.tolist() == pytest.approx([0.1, 0.2, 0.1], rel=1e-12)
+
+
+def test_an_update_without_any_rows_changes_nothing() -> None:
+    before, after, _, _, info = _run(CONFIG, torch.zeros(P, dtype=DOUBLE), np.zeros((P, B), np.bool_))
+    for old, new in zip(before.parameters(), after.parameters(), strict=True):
+        assert torch.equal(new, old)
+    assert all(bool(torch.isfinite(value).all()) for value in info.values())
+
+
+def test_gradients_are_clipped_for_each_network_by_itself() -> None:
+    random = torch.Generator().manual_seed(4)
+    stacked = [
+        torch.nn.Parameter(torch.randn(s, generator=random, dtype=DOUBLE)) for s in ((2, 3, 4), (2, 3, 1))
+    ]
+    signals = [torch.randn(t.shape, generator=random, dtype=DOUBLE) for t in stacked]
+    for signal in signals:
+        signal[1] *= 1e-3
+    alone = [[torch.nn.Parameter(t[p].detach().clone()) for t in stacked] for p in range(2)]
+    ours = StackedAdam(stacked, 0.1, 0.5)
+    theirs = [torch.optim.Adam(tensors, lr=0.1, eps=1e-5) for tensors in alone]
+    for step in range(3):
+        ours.begin()
+        for tensor, signal in zip(stacked, signals, strict=True):
+            tensor.grad = (1 + step) * signal.clone()
+        norms = ours.step(np.ones(2, np.bool_))
+        for p in range(2):
+            for tensor, signal in zip(alone[p], signals, strict=True):
+                tensor.grad = (1 + step) * signal[p].clone()
+            norm = torch.nn.utils.clip_grad_norm_(alone[p], 0.5)
+            theirs[p].step()
+            assert float(norms[p]) == pytest.approx(float(norm), rel=1e-12)
+    for p in range(2):
+        for tensor, single in zip(stacked, alone[p], strict=True):
+            torch.testing.assert_close(tensor[p], single, rtol=1e-12, atol=1e-12)
+
+
+def test_the_clip_fraction_counts_rows_outside_the_clip() -> None:
+    config = replace(CONFIG, epochs=1, minibatches=1)
+    _, _, rows, _, info = _run(config, torch.zeros(P, dtype=DOUBLE), np.ones((P, B), np.bool_))
+    actor = Actor(config.model, SPEC, range(P), 1, DOUBLE)
+    with torch.no_grad():
+        log_probs = actor(rows.observations, None).log_prob(rows.actions)
+    for p in range(P):
+        ratios = [
+            exp(new - old) for new, old in zip(log_probs[p].tolist(), rows.log_probs[p].tolist(), strict=True)
+        ]
+        outside = sum(abs(ratio - 1) > config.clip for ratio in ratios) / B
+        assert float(info["clip_fraction"][p]) == pytest.approx(outside, abs=1e-12)
+
+
+def test_networks_without_rows_in_a_minibatch_do_not_move_on_by_their_momentum() -> None:
+    random = torch.Generator().manual_seed(5)
+    tensor = torch.nn.Parameter(torch.randn(3, 4, 2, generator=random, dtype=DOUBLE))
+    signals = torch.randn(6, 3, 4, 2, generator=random, dtype=DOUBLE)
+    stacked = StackedAdam([tensor], 0.1, None)
+    single = torch.nn.Parameter(tensor[1:2].detach().clone())
+    alone = StackedAdam([single], 0.1, None)
+    for step, active in enumerate([[1, 0, 1], [1, 1, 1], [1, 0, 1], [0, 0, 0], [0, 1, 0], [1, 1, 0]]):
+        before = tensor.detach().clone()
+        for optimiser, parameter, signal, mine in (
+            (stacked, tensor, signals[step], np.array(active, np.bool_)),
+            (alone, single, signals[step, 1:2], np.array(active[1:2], np.bool_)),
+        ):
+            optimiser.begin()
+            if mine.any():
+                parameter.grad = signal.clone()
+            optimiser.step(mine)
+        for p in range(3):
+            assert torch.equal(tensor[p], before[p]) == (not active[p])
+        torch.testing.assert_close(tensor[1:2], single, rtol=1e-12, atol=1e-12)

@@ -1,0 +1,264 @@
+"""Compiled steps of learning against torch's, which other tests hold to their definitions."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from headway.contracts import Box, Discrete, EnvSpec, generator
+from headway_algos.batches.grouping import Grouping
+from headway_algos.batches.layout import Layout
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.networks.gru import make_network
+from headway_algos.on_policy.critics.critic_inputs import VIEWS
+from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+from headway_algos.on_policy.updates.ppo import PPO
+from headway_algos.optim import fast_path, kernel
+from headway_algos.optim.adam import StackedAdam
+
+STACK, ROWS, SIZE, ACTIONS = 3, 700, 5, 3
+FLOAT, CPU = torch.float32, torch.device("cpu")
+SPACES = {"discrete": Discrete(ACTIONS), "box": Box((-3.0,) * ACTIONS, (3.0,) * ACTIONS)}
+# More rows than pass through the cache at once, layers that are no multiple of four.
+CONFIG = AlgoConfig(
+    policies="shared", model=ModelConfig(hidden=(7, 12), actor_gain=1.0), epochs=2, minibatches=3,
+    kl_coeff=0.4, entropy_coeff=0.05, clip=0.1,
+)  # fmt: skip
+
+
+@pytest.fixture
+def by_torch(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """What is made while it holds learns by torch."""
+    monkeypatch.setattr(fast_path, "MOST_PRODUCTS", -1)
+    return monkeypatch
+
+
+class Case:
+    """Policies and critics with something to learn."""
+
+    def __init__(self, config: AlgoConfig, space: str, masked: bool, seeds: tuple[int, ...]) -> None:
+        spec = EnvSpec("toy", ("a",), SIZE, SPACES[space], has_action_mask=masked)
+        self.config, self.seeds, self.spec = config, seeds, spec
+        self.layout = Layout(Grouping.of("shared", spec), len(seeds), CPU, FLOAT)
+        self.actor = Actor(config.model, spec, seeds, 1, FLOAT)
+        each = [self._rows(seed, space, masked) for seed in seeds]
+        observations, masks, actions, moved = (
+            torch.stack([rows[i] for rows in each]) if each[0][i] is not None else None for i in range(4)
+        )
+        assert observations is not None
+        assert actions is not None
+        assert moved is not None
+        with torch.no_grad():
+            log_probs = self.actor(observations, masks).log_prob(actions) + moved
+        # Seed 0 has all of its rows, others fewer.
+        selected = np.arange(ROWS) < np.array([ROWS - 123 * seed for seed in seeds])[:, None]
+        self.rows = PolicyRows(observations, masks, actions, log_probs, selected)
+        self.advantages = torch.stack([torch.as_tensor(rows[4], dtype=FLOAT) for rows in each])
+
+    def _rows(self, seed: int, space: str, masked: bool) -> list[Any]:
+        random = np.random.default_rng(seed)
+        observations = torch.as_tensor(random.normal(size=(ROWS, SIZE)), dtype=FLOAT)
+        masks, forbidden = None, random.integers(ACTIONS, size=ROWS)
+        if space == "discrete":
+            actions = torch.as_tensor((forbidden + random.integers(1, ACTIONS, size=ROWS)) % ACTIONS)
+            if masked:
+                masks = torch.as_tensor(np.arange(ACTIONS) != forbidden[:, None])
+        else:
+            actions = torch.as_tensor(random.normal(size=(ROWS, ACTIONS)), dtype=FLOAT)
+        moved = torch.as_tensor(random.normal(scale=0.2, size=ROWS), dtype=FLOAT)
+        return [observations, masks, actions, moved, random.normal(size=ROWS)]
+
+    def improve(self) -> tuple[PPO, dict[str, Tensor]]:
+        update = PPO(self.actor, self.config, self.layout)
+        return update, update.improve(self.rows, self.advantages, [generator(s, "t") for s in self.seeds])
+
+    def fit(self, outputs: int) -> tuple[Regression, dict[str, Any]]:
+        config, layout = self.config, self.layout
+        view = VIEWS["local"](config, self.spec, Grouping.of("shared", self.spec))
+        networks = ReturnNetworks(config, view, outputs, self.seeds, layout)
+        regression = Regression(config, view, self.seeds, networks, layout)
+        returns = np.stack([np.random.default_rng(s).normal(size=(ROWS, 1)) for s in self.seeds], axis=1)
+        taken = None
+        if outputs > 1:
+            taken = torch.stack(
+                [torch.from_numpy(np.random.default_rng(s).integers(outputs, size=ROWS)) for s in self.seeds]
+            )
+        present = self.rows.selected.T[..., None]
+        estimate = Estimate(
+            returns, returns, returns, present, self.rows.observations, memories=None, taken=taken
+        )
+        return regression, regression.fit(estimate, 0)
+
+
+def _state(learned: PPO | Regression) -> list[Tensor]:
+    optimiser = learned.optimiser
+    assert isinstance(optimiser, StackedAdam)
+    return [*optimiser.parameters, *optimiser.means.parts]
+
+
+@pytest.mark.parametrize(
+    "model",
+    [CONFIG.model, replace(CONFIG.model, activation="relu"), replace(CONFIG.model, hidden=())],
+    ids=["tanh", "relu", "linear"],
+)
+@pytest.mark.parametrize("kl_coeff", [0.0, 0.4])
+@pytest.mark.parametrize(("space", "masked"), [("discrete", False), ("discrete", True), ("box", False)])
+def test_policies_become_what_they_become_by_torch(
+    space: str,
+    masked: bool,
+    kl_coeff: float,
+    model: ModelConfig,
+    by_torch: pytest.MonkeyPatch,
+) -> None:
+    config = replace(CONFIG, kl_coeff=kl_coeff, model=model)
+    theirs, their_info = Case(config, space, masked, (0, 1, 2)).improve()
+    by_torch.undo()
+    ours, info = Case(config, space, masked, (0, 1, 2)).improve()
+    for mine, its in zip(_state(ours), _state(theirs), strict=True):
+        torch.testing.assert_close(mine, its, rtol=2e-4, atol=2e-6)
+    assert 0.05 < float(info["clip_fraction"].mean()) < 0.95
+    for name, value in their_info.items():
+        torch.testing.assert_close(info[name], value, rtol=1e-4, atol=1e-6, msg=name)
+
+
+@pytest.mark.parametrize("outputs", [1, 4])
+@pytest.mark.parametrize("value_clip", [None, 1.0])
+def test_critics_become_what_they_become_by_torch(
+    outputs: int, value_clip: float | None, by_torch: pytest.MonkeyPatch
+) -> None:
+    config = replace(CONFIG, value_clip=value_clip)
+    theirs, their_info = Case(config, "box", False, (0, 1, 2)).fit(outputs)
+    by_torch.undo()
+    ours, info = Case(config, "box", False, (0, 1, 2)).fit(outputs)
+    for mine, its in zip(_state(ours), _state(theirs), strict=True):
+        torch.testing.assert_close(mine, its, rtol=2e-4, atol=2e-6)
+    np.testing.assert_allclose(info["loss"], their_info["loss"], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("space", "masked"), [("discrete", True), ("box", False)])
+def test_a_network_learns_bit_for_bit_the_same_in_any_stack(space: str, masked: bool) -> None:
+    """Though others have more rows, so that its own end in padding, and there are more than a piece may be
+    of. One network has none at all. Without a penalty, whose outputs are products by torch: these round
+    differently in another stack on some processors, so that no stack of torch's holds two seeds on a CPU
+    (`headway_algos.on_policy.per_seed_learner`)."""
+    config, seeds = replace(CONFIG, piece_samples=300, kl_coeff=0.0), (0, 3, 6)
+    together, info = Case(config, space, masked, seeds).improve()
+    of_values, losses = Case(config, space, masked, seeds).fit(1)
+    for place, seed in enumerate(seeds):
+        alone, info_alone = Case(config, space, masked, (seed,)).improve()
+        values_alone, loss_alone = Case(config, space, masked, (seed,)).fit(1)
+        for whole, part in ((together, alone), (of_values, values_alone)):
+            pairs = zip(_state(whole), _state(part), strict=True)
+            assert all(torch.equal(its[place], mine[0]) for its, mine in pairs)
+        assert losses["loss"][place] == loss_alone["loss"][0]
+        assert float(info["entropy"][place]) == float(info_alone["entropy"][0])
+    assert together.optimiser.counts.tolist() == [6, 6, 0]
+
+
+def test_a_part_of_a_stack_learns_what_it_learns_in_the_whole() -> None:
+    """As where one policy is updated after another."""
+    whole, _ = Case(CONFIG, "box", False, (0, 1, 2)).improve()
+    case, policies = Case(CONFIG, "box", False, (0, 1, 2)), torch.tensor([1])
+    update = PPO(case.actor, CONFIG, case.layout)
+    before = [tensor.clone() for tensor in _state(update)]
+    part = update.narrow(policies)
+    part.improve(case.rows.narrow(policies), case.advantages[policies], [generator(1, "t")])
+    update.adopt(policies, part)
+    for mine, its, old in zip(_state(update), _state(whole), before, strict=True):
+        assert torch.equal(mine[1], its[1])
+        assert torch.equal(mine[[0, 2]], old[[0, 2]])
+
+
+def test_parameters_given_to_another_optimiser_are_not_learned_by_the_first() -> None:
+    case = Case(CONFIG, "box", False, (0, 1))
+    update = PPO(case.actor, CONFIG, case.layout)
+    StackedAdam(case.actor.learnable, 1e-3, None)
+    with pytest.raises(RuntimeError, match="given to another optimiser"):
+        update.improve(case.rows, case.advantages, [generator(seed, "t") for seed in case.seeds])
+
+
+_WARMED = """
+from headway_algos.optim import kernel
+kernel.warm()
+for name in ("adam", "learn_gaussian", "learn_categorical", "learn_returns"):
+    print(name, sorted(map(str, getattr(kernel, name).signatures)))
+"""
+
+
+def test_what_was_compiled_before_is_all_that_learning_needs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _WARMED], check=True, timeout=120, capture_output=True, text=True
+    )
+    for kl_coeff, value_clip in ((0.0, None), (0.4, 1.0)):
+        config = replace(CONFIG, kl_coeff=kl_coeff, value_clip=value_clip)
+        for space, masked in (("discrete", False), ("discrete", True), ("box", False)):
+            for seeds in ((0,), (0, 1, 2)):
+                Case(config, space, masked, seeds).improve()
+                for outputs in (1, 4):
+                    Case(config, space, masked, seeds).fit(outputs)
+    warmed = dict(line.split(" ", 1) for line in done.stdout.splitlines())
+    for name in ("learn_gaussian", "learn_categorical", "learn_returns"):
+        assert str(sorted(map(str, getattr(kernel, name).signatures))) == warmed[name]
+    of_adam: Any = kernel.adam
+    assert all(str(signature) in warmed["adam"] for signature in of_adam.signatures)
+
+
+_UNCACHED = """
+from headway_algos.optim import kernel
+import numpy as np
+row = np.array([0.5], np.float32)
+kernel._tanh(row, 1)
+assert abs(row[0] - np.tanh(0.5)) < 1e-6
+"""
+
+
+def test_where_no_cache_can_be_written_kernels_are_compiled_all_the_same() -> None:
+    nowhere = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
+    subprocess.run([sys.executable, "-c", _UNCACHED], check=True, timeout=120, env=nowhere)
+
+
+@pytest.mark.parametrize(
+    ("model", "dtype", "minibatches", "chosen"),
+    [
+        (CONFIG.model, FLOAT, 1, True),
+        (ModelConfig(hidden=(256, 256)), FLOAT, 100, True),
+        (ModelConfig(hidden=(256, 256)), FLOAT, 1, False),
+        (ModelConfig(hidden=(8,), core="gru"), FLOAT, 1, False),
+        (CONFIG.model, torch.float64, 1, False),
+    ],
+)
+def test_kernels_are_chosen_for_small_perceptrons_alone(
+    model: ModelConfig, dtype: torch.dtype, minibatches: int, chosen: bool
+) -> None:
+    network = make_network(model, (0, 1), 1, "actor", (SIZE, ACTIONS), 1.0, dtype)
+    optimiser = StackedAdam(network.parameters(), 1e-3, None)
+    assert (fast_path.Perceptrons.of(network, optimiser, 1000, minibatches) is not None) == chosen
+
+
+def test_a_parameter_that_is_not_a_number_stays_one_and_is_seen() -> None:
+    case = Case(CONFIG, "box", False, (0, 1))
+    case.actor.network.weights[0].data[1, 0, 0] = torch.nan
+    update, info = case.improve()
+    assert torch.isnan(info["gradient_norm"]).tolist() == [False, True]
+    assert torch.isfinite(update.optimiser.values.whole[0]).all()
+
+
+def test_tanh_is_exact_to_a_few_last_bits() -> None:
+    x = np.concatenate([np.linspace(-12, 12, 100_001), np.logspace(-30, 1, 1000)]).astype(np.float32)
+    ours = x.copy()
+    kernel._tanh(ours, len(x))
+    expected = np.tanh(x.astype(np.float64))
+    assert np.abs(ours - expected).max() < 5e-7
+    assert (np.abs(ours / np.where(x == 0, 1, expected) - 1)[x != 0] < 1e-6).all()
+    odd = np.array([np.nan, np.inf, -np.inf], np.float32)
+    kernel._tanh(odd, 3)
+    np.testing.assert_allclose(odd, [np.nan, 1, -1], rtol=5e-7)

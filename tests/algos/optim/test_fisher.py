@@ -1,0 +1,179 @@
+"""Fisher products against the explicit matrix, against automatic differentiation, and J against both."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.func import functional_call
+
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec
+from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.whole_batch import WholeBatch
+from headway_algos.config import ModelConfig
+from headway_algos.networks.actor import Actor
+from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.optim.fisher import double_backward, fisher_product, flat, gauss_newton, unflat
+from headway_algos.optim.linearised import LinearisedMLP
+
+P, B, D, A = 3, 14, 3, 4
+DOUBLE = torch.float64
+SPACES: dict[str, ActionSpace] = {"discrete": Discrete(A), "box": Box((-1.0,) * A, (1.0,) * A)}
+every_network = pytest.mark.parametrize(
+    ("hidden", "activation"), [((6, 5), "tanh"), ((6, 5), "relu"), ((7,), "tanh"), ((), "tanh")]
+)
+
+
+def _actor(space: str, hidden: tuple[int, ...] = (6, 5), activation: str = "tanh") -> Actor:
+    """Policies with every parameter away from its start."""
+    model = ModelConfig(hidden, "tanh" if activation == "tanh" else "relu", actor_gain=0.8)
+    actor = Actor(model, EnvSpec("made", ("only",), D, SPACES[space]), range(P), 1, DOUBLE)
+    random = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter += 0.3 * torch.randn(parameter.shape, generator=random, dtype=DOUBLE)
+    return actor
+
+
+def _batch(space: str, masked: bool = False) -> WholeBatch:
+    """Policy 1 has fewer rows than the others."""
+    random = torch.Generator().manual_seed(2)
+    selected = np.ones((P, B), np.bool_)
+    selected[1, ::3] = False
+    masks = torch.rand(P, B, A, generator=random) < 0.6
+    masks[..., 1] |= ~masks.any(-1)
+    actions = torch.zeros(P, B, dtype=torch.int64) if space == "discrete" else torch.zeros(P, B, A)
+    zeros = torch.zeros(P, B, dtype=DOUBLE)
+    rows = PolicyRows(
+        torch.randn(P, B, D, generator=random, dtype=DOUBLE),
+        masks if masked else None,
+        actions,
+        zeros,
+        selected,
+    )
+    return WholeBatch.of(rows, zeros)
+
+
+def _explicit(actor: Actor, batch: WholeBatch, p: int) -> Tensor:
+    """(V, V): mean over rows of J^T M J, J by autograd a row at a time, M from its definition as the
+    covariance of the score."""
+    alone = actor.narrow(torch.tensor([p]))
+    total = torch.zeros(())
+    for b in range(batch.weight.shape[1]):
+        outputs = alone.network(batch.observations[p : p + 1, b : b + 1])[0, :, 0]
+        jacobian = torch.stack(
+            [
+                flat(torch.autograd.grad(o, list(alone.network.parameters()), retain_graph=True))[0]
+                for o in outputs
+            ]
+        )
+        if alone.log_std is None:
+            logits = outputs.detach()
+            if batch.masks is not None:
+                logits = logits.masked_fill(~batch.masks[p, b], -1000.0)
+            chances = torch.softmax(logits, 0)
+            scores = torch.eye(A, dtype=DOUBLE) - chances
+            fisher = jacobian.T @ (scores.T * chances @ scores) @ jacobian
+        else:
+            of_mean = jacobian.T @ torch.diag(torch.exp(-2 * alone.log_std.detach()[0, :, 0])) @ jacobian
+            fisher = torch.block_diag(2 * torch.eye(A, dtype=DOUBLE), of_mean)
+        total = total + batch.weight[p, b] * fisher
+    return total
+
+
+@pytest.mark.parametrize(("space", "masked"), [("discrete", False), ("discrete", True), ("box", False)])
+def test_products_equal_the_explicit_matrix(space: str, masked: bool) -> None:
+    actor, batch = _actor(space), _batch(space, masked)
+    vector = torch.randn(
+        flat(actor.learnable).shape, generator=torch.Generator().manual_seed(3), dtype=DOUBLE
+    )
+    expected = torch.stack([_explicit(actor, batch, p) @ vector[p] for p in range(P)])
+    for product in (gauss_newton(actor, batch, 10), double_backward(actor, batch, 10)):
+        torch.testing.assert_close(product(vector), expected, rtol=1e-10, atol=1e-10)
+
+
+@every_network
+@pytest.mark.parametrize(("space", "masked"), [("discrete", False), ("discrete", True), ("box", False)])
+def test_both_forms_are_equal(space: str, masked: bool, hidden: tuple[int, ...], activation: str) -> None:
+    actor, batch = _actor(space, hidden, activation), _batch(space, masked)
+    random = torch.Generator().manual_seed(4)
+    for _ in range(3):
+        vector = torch.randn(flat(actor.learnable).shape, generator=random, dtype=DOUBLE)
+        one = gauss_newton(actor, batch, 10)(vector)
+        torch.testing.assert_close(one, double_backward(actor, batch, 50)(vector), rtol=1e-10, atol=1e-10)
+        assert torch.equal(one, fisher_product(actor, batch, 10)(vector))
+
+
+def test_a_policy_without_rows_has_no_fisher_information() -> None:
+    """Not even in its log standard deviation."""
+    actor, batch = _actor("box"), _batch("box")
+    weight = batch.weight.clone()
+    weight[1] = 0
+    batch = replace(batch, weight=weight)
+    vector = torch.ones_like(flat(actor.learnable))
+    for product in (gauss_newton(actor, batch, 10), double_backward(actor, batch, 10)):
+        assert (product(vector)[1] == 0).all()
+        assert (product(vector)[0] != 0).any()
+
+
+@every_network
+def test_pushing_and_pulling_are_the_jacobians(hidden: tuple[int, ...], activation: str) -> None:
+    network = _actor("discrete", hidden, activation).network
+    rows = torch.randn(P, B, D, generator=torch.Generator().manual_seed(5), dtype=DOUBLE)
+    linear = LinearisedMLP.of(network, rows)
+    named = {name: value.detach() for name, value in network.named_parameters()}
+    random = torch.Generator().manual_seed(6)
+    change = [torch.randn(t.shape, generator=random, dtype=DOUBLE) for t in named.values()]
+
+    def outputs(along: Tensor) -> Tensor:
+        moved = {n: t + along * c for (n, t), c in zip(named.items(), change, strict=True)}
+        result: Tensor = functional_call(network, moved, (rows,))
+        return result
+
+    step = torch.tensor(1e-6, dtype=DOUBLE)
+    slope = (outputs(step) - outputs(-step)) / (2 * step)
+    torch.testing.assert_close(linear.push(change), slope, rtol=1e-7, atol=1e-7)
+    signal = torch.randn(linear.outputs.shape, generator=random, dtype=DOUBLE)
+    expected = torch.autograd.grad(network(rows), list(network.parameters()), signal)
+    for mine, theirs in zip(linear.pull(signal), expected, strict=True):
+        torch.testing.assert_close(mine, theirs, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(linear.outputs, network(rows).detach(), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("kind", ["categorical", "masked", "gaussian"])
+def test_information_in_the_outputs_is_the_hessian_of_the_kl_divergence(kind: str) -> None:
+    """Of KL(old || new) in new, at old; torch.distributions' divergence, which ours is proven equal to."""
+    random = torch.Generator().manual_seed(7)
+    outputs, direction = (torch.randn(1, A, 1, generator=random, dtype=DOUBLE) for _ in range(2))
+    log_std = torch.randn(1, A, 1, generator=random, dtype=DOUBLE)
+    masks = torch.tensor([[[True, False, True, True]]]) if kind == "masked" else None
+
+    def distribution(values: Tensor) -> MaskedCategorical | DiagonalGaussian:
+        if kind == "gaussian":
+            return DiagonalGaussian(values, log_std)
+        return MaskedCategorical.of_logits(values, masks)
+
+    old = distribution(outputs)
+    hessian = torch.autograd.functional.hessian(
+        lambda values: distribution(values).kl_from(old).sum(),  # type: ignore[arg-type]  # both of one kind
+        outputs,
+    )
+    expected = hessian.reshape(A, A) @ direction.ravel()
+    torch.testing.assert_close(old.fisher_of_outputs(direction).ravel(), expected, rtol=1e-10, atol=1e-10)
+
+
+def test_information_in_a_log_standard_deviation_is_two() -> None:
+    mean, log_std = torch.zeros(1, A, 1, dtype=DOUBLE), torch.full((1, A, 1), 0.3, dtype=DOUBLE)
+    old = DiagonalGaussian(mean, log_std)
+    hessian = torch.autograd.functional.hessian(
+        lambda value: DiagonalGaussian(mean, value).kl_from(old).sum(), log_std
+    )
+    expected = DiagonalGaussian.LOG_STD_FISHER * torch.eye(A, dtype=DOUBLE)
+    torch.testing.assert_close(hessian.reshape(A, A), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_vectors_fall_apart_into_what_they_were_put_together_from() -> None:
+    tensors = [torch.randn(2, 3, 4), torch.randn(2, 3, 1)]
+    for part, tensor in zip(unflat(flat(tensors), tensors), tensors, strict=True):
+        assert torch.equal(part, tensor)

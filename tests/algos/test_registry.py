@@ -1,0 +1,236 @@
+"""Names, refusals and what importing them costs."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, MultiDiscrete, Observed
+from headway_algos.acting.mlp import StackedActingPolicy
+from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.recipes.coma import COMAConfig
+from headway_algos.registry import ENTRIES
+
+ON_POLICY = [name for name, entry in ENTRIES.items() if isinstance(entry.config(), AlgoConfig)]
+SPEC = EnvSpec("made", ("a", "b", "c"), 3, Discrete(2), groups=("x", "y", "x"))
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "headway_algos.registry",
+        "headway_algos.acting.mlp",
+        "headway_algos.config",
+        "headway_algos.batches.grouping",
+    ],
+)
+def test_importing_what_workers_need_imports_no_torch(module: str) -> None:
+    code = f"import sys, {module}; print('torch' in sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "False"
+
+
+def test_making_an_acting_policy_and_using_it_imports_no_torch() -> None:
+    code = """
+import pickle, sys
+import numpy as np
+from headway.contracts import Discrete, EnvSpec, Observed
+from headway_algos.registry import ENTRIES
+spec = EnvSpec("made", ("a", "b"), 3, Discrete(2))
+entry = ENTRIES["mappo"]
+policy = pickle.loads(pickle.dumps(entry.acting_policy(entry.config(), spec)))
+parameters = {name: np.ones(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
+observed = Observed(np.zeros((4, 2, 3), np.float32), np.zeros((4, 0), np.float32), np.ones((4, 2), bool))
+actions, log_probs = policy.act(parameters, observed, policy.noise(np.random.default_rng(0), 4))
+print(actions.shape, 'torch' in sys.modules)
+"""
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "(4, 2) False"
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
+    entry = ENTRIES[name]
+    assert entry.config().name == name
+    assert "arXiv:" in entry.source
+    assert "\n" not in entry.summary
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
+@pytest.mark.parametrize("space", [Discrete(2), Box((-1.0,), (1.0,))])
+def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
+    entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
+    config = entry.config(policies=policies)
+    in_turns = config.order == "sequential" and policies == "shared"
+    if in_turns or (name == "coma" and isinstance(space, Box)):
+        assert entry.refuses(config, spec) is not None
+        return
+    assert entry.refuses(config, spec) is None
+    learner, acting = entry.learner(config, spec, (0, 1), "cpu"), entry.acting_policy(config, spec)
+    given = learner.acting_parameters()
+    assert {name: (a.shape, a.dtype) for name, a in given.items()} == acting.parameter_shapes(2)
+    assert all(a.flags.c_contiguous for a in given.values())
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+def test_what_cannot_be_run_is_refused_in_one_line(name: str) -> None:
+    entry = ENTRIES[name]
+    several = replace(SPEC, action_space=MultiDiscrete((2, 3)))
+    line = entry.refuses(entry.config(), several)
+    assert line is not None
+    assert "MultiDiscrete" in line
+    assert name in line
+    with pytest.raises(HeadwayError, match="Discrete or Box"):
+        entry.acting_policy(entry.config(), several)
+    line = entry.refuses(entry.config(policies="groups"), replace(SPEC, groups=()))
+    assert line is not None
+    assert "algo.policies=shared" in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize("config", [COMAConfig(), AlgoConfig(critic="counterfactual")])
+def test_a_counterfactual_critic_refuses_all_but_discrete_actions(config: AlgoConfig) -> None:
+    entry = ENTRIES[config.name]
+    line = entry.refuses(config, replace(SPEC, action_space=Box((-1.0,), (1.0,))))
+    assert line is not None
+    assert f"{config.name} takes Discrete actions" in line
+    assert "made has Box ones; use an algorithm with a local or central critic" in line
+    assert "\n" not in line
+    line = entry.refuses(config, replace(SPEC, action_space=MultiDiscrete((2, 3))))
+    assert line == f"{config.name} takes Discrete actions, and made has MultiDiscrete ones"
+
+
+@pytest.mark.parametrize("critic", ["local", "counterfactual"])
+def test_only_a_central_critic_is_asked_to_see_the_others_actions(critic: Any) -> None:  # noqa: ANN401 - a literal
+    with pytest.raises(ValueError, match="critic_actions must be none unless critic is central"):
+        AlgoConfig(critic=critic, critic_actions="others")
+    assert AlgoConfig(critic="central", critic_actions="others").critic_actions == "others"
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "instead"),
+    [
+        ("happo", {}, "algo=mappo"),
+        ("hatrpo", {}, "algo=matrpo"),
+        ("custom", {"update": "a2c", "order": "sequential"}, "algo.order=simultaneous"),
+    ],
+)
+def test_turns_need_several_policies(name: str, changes: dict[str, Any], instead: str) -> None:
+    entry = ENTRIES[name]
+    for policies in ("independent", "groups"):
+        assert entry.refuses(entry.config(**changes, policies=policies), SPEC) is None
+    shared = entry.config(**changes, policies="shared")
+    ungrouped, one_group = replace(SPEC, groups=()), replace(SPEC, groups=("x",) * 3)
+    of_one = entry.config(**changes, policies="groups")
+    for config, spec, several in (
+        (shared, SPEC, "independent, algo.policies=groups,"),
+        (shared, ungrouped, "independent,"),
+        (of_one, one_group, "independent,"),
+    ):
+        line = entry.refuses(config, spec)
+        assert line is not None
+        for part in (name, f"use algo.policies={several} or {instead}"):
+            assert part in line
+        assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("name", "composition"),
+    [
+        ("ia2c", ("local", "a2c", "simultaneous")),
+        ("ippo", ("local", "ppo", "simultaneous")),
+        ("itrpo", ("local", "trpo", "simultaneous")),
+        ("maa2c", ("central", "a2c", "simultaneous")),
+        ("maacktr", ("local", "kfac", "simultaneous")),
+        ("coma", ("counterfactual", "a2c", "simultaneous")),
+        ("mappo", ("central", "ppo", "simultaneous")),
+        ("matrpo", ("central", "trpo", "simultaneous")),
+        ("happo", ("central", "ppo", "sequential")),
+        ("hatrpo", ("central", "trpo", "sequential")),
+    ],
+)
+def test_a_name_is_a_composition(name: str, composition: tuple[str, str, str]) -> None:
+    """The table of the algorithms: critic, update, order."""
+    config = ENTRIES[name].config()
+    assert (config.critic, config.update, config.order) == composition
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"target_every": 0}, "target_every"),
+        ({"gamma": 1.1}, "gamma"),
+        ({"gae_lambda": -0.1}, "gae_lambda"),
+        ({"lr": 0.0}, "lr"),
+        ({"critic_lr": 0.0}, "critic_lr"),
+        ({"lr_end": 2.0}, "lr_end"),
+        ({"epochs": 0}, "epochs"),
+        ({"minibatches": 0}, "minibatches"),
+        ({"clip": 0.0}, "clip"),
+        ({"kl_coeff": -1.0}, "kl_coeff"),
+        ({"kl_target": 0.0}, "kl_target"),
+        ({"kl_bound": 0.0}, "kl_bound"),
+        ({"accept_ratio": 1.0}, "accept_ratio"),
+        ({"accept_ratio": -0.1}, "accept_ratio"),
+        ({"cg_iterations": 0}, "cg_iterations"),
+        ({"cg_damping": 0.0}, "cg_damping"),
+        ({"line_search_steps": -1}, "line_search_steps"),
+        ({"fisher_share": 0.0}, "fisher_share"),
+        ({"fisher_share": 1.5}, "fisher_share"),
+        ({"kfac_damping": 0.0}, "kfac_damping"),
+        ({"kfac_decay": 1.0}, "kfac_decay"),
+        ({"kfac_every": 0}, "kfac_every"),
+        ({"kfac_momentum": 1.0}, "kfac_momentum"),
+        ({"critic_kl_bound": 0.0}, "critic_kl_bound"),
+        ({"value_clip": 0.0}, "value_clip"),
+        ({"grad_clip": 0.0}, "grad_clip"),
+        ({"piece_samples": 0}, "piece_samples"),
+    ],
+)
+def test_impossible_numbers_are_named(wrong: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=f"^{named} must"):
+        AlgoConfig(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"hidden": (8, 0)}, {"actor_gain": 0.0}])
+def test_impossible_networks_are_named(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"^{next(iter(wrong))}"):
+        ModelConfig(**wrong)
+
+
+def test_a_network_without_hidden_layers_is_linear() -> None:
+    config = AlgoConfig(model=ModelConfig(hidden=()))
+    learner, acting = OnPolicyLearner(config, SPEC, (0,), "cpu"), StackedActingPolicy.of(config, SPEC)
+    assert learner.acting_parameters().keys() == acting.parameter_shapes(1).keys()
+    assert "weight_1" not in learner.acting_parameters()
+
+
+@pytest.mark.parametrize("policies", ["independent", "shared"])
+def test_policies_start_near_the_initial_logits(policies: Any) -> None:  # noqa: ANN401 - a literal
+    config = AlgoConfig(
+        policies=policies, model=ModelConfig(initial_logits=(0.0, 1.0), actor_gain=1e-9), precision="float64"
+    )
+    learner, acting = OnPolicyLearner(config, SPEC, (0, 1), "cpu"), StackedActingPolicy.of(config, SPEC)
+    observed = Observed(
+        np.ones((2, 3, 3), np.float32), np.zeros((2, 0), np.float32), np.ones((2, 3), np.bool_)
+    )
+    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
+    assert (actions == 1).all()
+    np.testing.assert_allclose(np.exp(log_probs), 1 / (1 + np.exp(-1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("space", [Discrete(3), Box((-1.0,), (1.0,))])
+def test_initial_logits_that_do_not_fit_are_refused(space: Any) -> None:  # noqa: ANN401 - any space
+    entry = ENTRIES["ippo"]
+    config = entry.config(model=ModelConfig(initial_logits=(0.0, 1.0)))
+    assert entry.refuses(config, SPEC) is None
+    line = entry.refuses(config, replace(SPEC, action_space=space))
+    assert line is not None
+    assert "initial_logits has 2 entries" in line
+    assert "leave it out" in line
+    assert ("give one an action" in line) == isinstance(space, Discrete)

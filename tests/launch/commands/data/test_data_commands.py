@@ -1,0 +1,249 @@
+"""`headway data`: what each command says, writes and refuses."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.prepared import prepare
+from headway_envs.bus.scenario.fitted import DOI
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
+
+PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
+HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_every_help_shows_examples_and_imports_nothing_heavy(part: str) -> None:
+    code = (
+        f"import sys; from headway_launch.commands.main import run; run(['data', '{part}', '--help']); "
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert f"usage: headway data {part}" in shown
+    assert f"examples:\n  headway data {part} " in shown
+    assert shown.splitlines()[-1] == "[]"
+
+
+def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["data"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"\n  {part} " in shown for part in PARTS)
+    assert "examples:" in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["synthetc"], ["'synthetc' is no command of headway data", "headway data synthetic"]),
+        (["synthetic"], ["OUT", "headway data synthetic --help"]),
+        (["synthetic", "x", "--size", "village"], ["--size", "village"]),
+        (["synthetic", "x", "--seed", "-1"], ["--seed must be at least 0"]),
+        (["describe", "nowhere"], ["scenario 'nowhere' is none of line, corridor, district, city"]),
+        (["plot", "nowhere"], ["scenario 'nowhere' is none of"]),
+        (["plot", "line", "--output", "x.nothing"], ["--output: x.nothing cannot be written"]),
+        (["plot", "line", "--output", "x"], ["--output: x does not say which kind", "as x.png or .svg"]),
+        (["plot", "line", "--output", "no/x.png"], ["--output: no/x.png cannot", "there is no folder no;"]),
+        (["plot", "line", "--day-type", "monday"], ["--day-type", "monday"]),
+        (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
+        (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is no date YYYY-MM-DD"]),
+        (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must lie above 0"]),
+        (["sunt", "nowhere", "x"], ["RAW: nowhere is no folder"]),
+        (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is no date"]),
+        (["describe", "corridr"], ["did you mean 'corridor'?"]),
+        (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),
+        (["realism", "nowhere"], ["there is no folder nowhere"]),
+        (["realism", "line"], ["SCENARIO: its trips are made up, nothing was measured there; give"]),
+        (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
+        (["realism", "line", "env.args.scenario_seed=1"], ["env.args.scenario_seed: a replay fixes it"]),
+        (["realism", "line", "algo.lr=3"], ["algo.lr: only env.args.* of the bus environment"]),
+        (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type instead"]),
+        (["realism", "line", "env.args.start_hour=6"], ["env.args.start_hour: a replay fixes it; leave it"]),
+        (["realism", "line", "env.args.end_hour=20"], ["env.args.end_hour: a replay fixes it"]),
+        (["realism", "line", "env.args.recovery_share=1"], ["env.args.recovery_share: a replay fixes it"]),
+        (["realism", "line", "env.args.dispatch_window_s=9"], ["dispatch_window_s: a replay fixes it"]),
+        (
+            ["realism", "line", "env.args.noise.dispatch_s=9"],
+            ["env.args.noise.dispatch_s: a replay fixes it"],
+        ),
+        (["realism", "line", "env.args.upkeep.uptime_hours=9"], ["upkeep.uptime_hours: a replay fixes it"]),
+        (["realism", "line", "env.args.noise={dispatch_s: 9}"], ["fixes noise.dispatch_s; give its other"]),
+        (["realism", "line", "env.args.boardin_s=3"], ["did you mean env.args.boarding_s?"]),
+    ],
+)
+def test_errors_are_one_line_with_the_fix(
+    arguments: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["data", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("headway: ")
+    assert error.count("\n") == 1
+    for part in parts:
+        assert part in error
+
+
+def test_a_written_scenario_is_the_built_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "towns" / "mine"
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    assert run(["data", "synthetic", str(out), "--size", "line", "--seed", "5"]) == 0
+    shown, told = capsys.readouterr()
+    assert "\rlines with a timetable: 1 of 1\x1b[K" in told
+    assert "\rday types described: 2 of 2\x1b[K" in told
+    assert "of 1" not in shown
+    assert "1 lines, 2 patterns" in shown
+    assert f"env.args.scenario={out}" in shown
+    assert json.loads((out / "meta.json").read_text())["seed"] == 5
+    assert sorted(file.name for file in out.parent.iterdir()) == ["mine"]
+    there, here = prepare(BusConfig(scenario=str(out))), prepare(BusConfig(scenario_seed=5))
+    for mine, theirs in zip(here.network, there.network, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize(("size", "algorithm", "copies"), [("line", "mappo", 8), ("corridor", "ippo", 1)])
+def test_the_command_that_is_recommended_trains_with_values_that_learn(
+    size: str, algorithm: str, copies: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    assert run(["data", "synthetic", str(out), "--size", size]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    describe, train = last.removeprefix("next: ").split("; ")
+    assert describe == f"headway data describe {out}"
+    experiment = compose(train.removeprefix("headway run ").split())
+    assert experiment.env_config.scenario == str(out)
+    assert (experiment.algo_name, experiment.config.rollout.copies) == (algorithm, copies)
+    assert experiment.config.preset == "bus"
+
+
+def test_what_lies_there_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mine"
+    assert run(["data", "synthetic", str(out)]) == 0
+    assert run(["data", "synthetic", str(out), "--seed", "1"]) == 2
+    assert "holds a scenario; --replace writes over it" in capsys.readouterr().err
+    assert json.loads((out / "meta.json").read_text())["seed"] == 0
+    assert run(["data", "synthetic", str(out), "--seed", "1", "--replace"]) == 0
+    assert json.loads((out / "meta.json").read_text())["seed"] == 1
+    (tmp_path / "notes.txt").write_text("mine")
+    capsys.readouterr()
+    assert run(["data", "synthetic", str(tmp_path), "--replace"]) == 2
+    assert "holds other files" in capsys.readouterr().err
+    assert run(["data", "synthetic", str(tmp_path / "notes.txt")]) == 2
+    assert "is a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", ["src/a.py", "notes.txt"])
+def test_a_folder_that_holds_more_than_a_scenario_is_never_replaced(
+    other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project = tmp_path / "project"
+    assert run(["data", "synthetic", str(project)]) == 0
+    mine = project / other
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine")
+    assert run(["data", "synthetic", str(project), "--seed", "1", "--replace"]) == 2
+    assert f"holds other files ({other.split('/')[0]}); name a new folder" in capsys.readouterr().err
+    assert mine.read_text() == "mine"
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (alone / "meta.json").write_text("mine")
+    assert run(["data", "synthetic", str(alone), "--replace"]) == 2
+    assert (alone / "meta.json").read_text() == "mine"
+
+
+def test_the_old_scenario_comes_back_if_the_new_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    assert run(["data", "synthetic", str(out)]) == 0
+    rename = Path.rename
+
+    def failing(self: Path, target: Path) -> Path:
+        if self.name == "new":
+            raise OSError("no room")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    assert run(["data", "synthetic", str(out), "--seed", "1", "--replace"]) == 2
+    assert "cannot be written (no room)" in capsys.readouterr().err
+    assert json.loads((out / "meta.json").read_text())["seed"] == 0
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("out", ["city", "./line/"])
+def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(
+    out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["data", "synthetic", out]) == 2
+    name = Path(out).name
+    assert f"OUT: env.args.scenario={name} is the built-in scenario; give the" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert run(["data", "synthetic", f"towns/{name}"]) == 0
+
+
+def test_the_working_directory_and_those_above_are_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for out in (".", "", "..", "towns/..", str(tmp_path)):
+        assert run(["data", "gtfs", "no feed", out]) == 2
+        assert "is the working directory or lies above it; name a folder in it" in capsys.readouterr().err
+
+
+def test_a_link_to_a_scenario_stays_one_and_names_the_new_one(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "mine")
+    for seed in ("0", "1"):
+        assert run(["data", "synthetic", str(tmp_path / "link"), "--seed", seed, "--replace"]) == 0
+        assert json.loads((tmp_path / "mine" / "meta.json").read_text())["seed"] == int(seed)
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_a_description_counts_what_the_environment_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["data", "describe", "corridor", "--lines", "3", "--day-type", "weekday"]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if line]
+    values = {row[0]: row[1:] for row in rows}
+    assert values["lines"] == ["10"]
+    assert values["agents (slots), 5 to 24 h"][0] == "110"
+    assert values["link_times_include_dwell"] == ["True"]
+    listed = [row for row in rows if row[0].startswith("line") and len(row) == 9]
+    assert len(listed) == 3 + 1  # and the names of the columns
+    trips = [int(row[4]) for row in listed[1:]]
+    assert trips == sorted(trips, reverse=True)
+
+
+def test_realism_prints_simulated_beside_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "recorded"
+    assert run(["data", "synthetic", str(out)]) == 0
+    (out / "meta.json").write_text('{"source": "records of a test"}')
+    capsys.readouterr()
+    assert run(["data", "realism", str(out), "--days", "1", "--format", "csv"]) == 0
+    header, *rows = csv.reader(capsys.readouterr().out.splitlines())
+    assert header[0] == "figure"
+    first = dict(zip(header, next(row for row in rows if row[0] == "headway CV, first call"), strict=True))
+    assert first["simulated"] == first["measured"]
+    assert first["holds"] == "yes"
+    assert first["measured on"] == "its own tables"
+    assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
+    assert capsys.readouterr().out.endswith(" figures hold\n")
+    (out / "meta.json").write_text(json.dumps({"source": f"records of a test of doi:{DOI}"}))
+    assert run(["data", "realism", str(out), "--days", "1"]) == 0
+    *rows, counted, left_out = capsys.readouterr().out.splitlines()
+    cells = [row.split("\t") for row in rows[1:]]
+    own = [row for row in cells if row[7] == "its own tables"]
+    assert {row[6] for row in cells if row not in own} == {""}
+    assert counted == f"{sum(row[6] == 'yes' for row in own)} of {len(own)} figures hold"
+    assert left_out.startswith(f"not judged: {len(cells) - len(own)} figures that were measured over all 382")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("\rdays simulated: 0 of 1\x1b[K")
+    assert "there is no file od-YYYY-MM-DD.parquet below" in told

@@ -1,0 +1,95 @@
+"""`headway compare` of rules alone: nothing was trained, and no store is asked for."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from headway.registry import env_entry
+from headway.rollout.episodes import evaluate_rule
+from headway_launch.commands.main import run
+
+GAME = ("env=tracking", "env.args.steps=7")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("words", [GAME, ("experiment=toy_tracking", "env.args.steps=7")])
+def test_rules_are_compared_on_the_days_of_an_environment(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["compare", *words, "--episodes", "4", "--seed", "9", "--metrics", "return,distance"]) == 0
+    shown = capsys.readouterr()
+    rows = {
+        (row["metric"], row["controller"]): row
+        for row in csv.DictReader(shown.out.splitlines(), delimiter="\t")
+    }
+    entry = env_entry("tracking")
+    prepared = entry.prepare(entry.config(steps=7))
+    for rule in ("random", "optimal"):
+        played = evaluate_rule(entry.make, entry.rules[rule].make, prepared, 9, 4)
+        for metric in ("return", "distance"):
+            mean = sum(float(row[metric]) for row in played) / 4
+            assert float(rows[metric, f"rule {rule}"]["mean"]) == pytest.approx(mean, rel=1e-4)
+    assert len(rows) == 4
+    assert float(rows["return", "rule random"]["95% to"]) < 0
+    assert rows["return", "rule optimal"]["minus optimal"] == ""
+    assert "train at least" not in shown.err
+    assert "4 days: the intervals take days to differ by a normal law" in shown.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["bus", "env.args.steps=3"], "a study is compared as it was trained"),
+        (["tracking"], "there is no store in 'runs'"),
+        (["tracking"], "for rules alone: headway compare env=tracking"),
+        (["toy_tracking"], "for rules alone: headway compare experiment=toy_tracking"),
+        (
+            [*GAME, "evaluation.episodes=2"],
+            "'evaluation.episodes=2' changes nothing where rules are compared",
+        ),
+        (["algo=ippo", "env=tracking"], "'algo=ippo' changes nothing where rules are compared"),
+        ([*GAME, "env.training_args.noise=0"], "changes nothing where rules are compared"),
+        (["env.args.steps=7"], "which environment? Give env=ENV or experiment=EXPERIMENT"),
+        (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
+        (["env=trackin"], "tracking"),
+        ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
+        ([*GAME, "--against", "ippo"], "--against: 'ippo' is no rule here"),
+        ([*GAME, "--metrics", "distanse"], "'distanse' is no metric here; did you mean distance?"),
+        ([*GAME, "--episodes", "1"], "must be at least 2"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(
+    words: list[str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["compare", *words]) == 2
+    told = capsys.readouterr().err
+    assert line in told
+    assert told.count("\n") == 1
+
+
+def test_the_reference_is_played_too_and_no_rule_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--episodes", "2", "--rules", "random,random", "--against", "optimal"]
+    assert run(["compare", *GAME, *words]) == 0
+    rows = capsys.readouterr().out.splitlines()[1:]
+    assert [row.split("\t")[1] for row in rows] == ["rule optimal", "rule random"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--episodes", "19"], True),
+        (["--episodes", "20"], False),
+        (["--episodes", "3", "--rules", "random"], False),
+    ],
+)
+def test_few_days_are_told_where_there_is_an_interval_over_them(
+    words: list[str], told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["compare", *GAME, *words]) == 0
+    assert ("play at least 20 before" in capsys.readouterr().err) == told

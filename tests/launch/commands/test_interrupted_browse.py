@@ -1,0 +1,91 @@
+"""Readers who go away while a session runs, and training processes that die in the middle of a word."""
+
+import os
+import subprocess
+import sys
+from multiprocessing import get_context
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from headway.events import Failed
+from headway.store import Run
+from headway.store.index import RunIndex
+from headway_launch.commands import browse
+from headway_launch.commands.main import run as run_command
+from headway_launch.runner.recorder import JobRecording
+from headway_launch.runner.training_process import TrainingProcess
+
+TINY = (
+    "env=trivial",
+    "algo=ippo",
+    "energy=off",
+    "backend=serial",
+    "rollout.copies=4",
+    "rollout.steps=16",
+    "env_steps=256",
+    "evaluation.final_episodes=2",
+)
+
+
+def _unheard(*arguments: str, folder: Path) -> int:
+    """Exit code of a `headway` that nobody listens to."""
+    ours, its = os.pipe()
+    os.close(ours)
+    command = [sys.executable, "-m", "headway_launch", *arguments]
+    try:
+        return subprocess.run(
+            command, cwd=folder, stdout=its, stderr=its, timeout=120, check=False
+        ).returncode
+    finally:
+        os.close(its)
+
+
+def test_a_session_without_listeners_trains_to_its_end(tmp_path: Path) -> None:
+    assert _unheard("run", *TINY, "evaluation.rules=[optimal]", folder=tmp_path) == 0
+    assert [row.status for row in RunIndex(tmp_path / "runs").rows()] == ["FINISHED"]
+    assert _unheard("runs", folder=tmp_path) == 0
+
+
+def test_a_session_that_fails_unheard_has_not_succeeded(tmp_path: Path) -> None:
+    assert _unheard("run", *TINY, "algo.lrr=1", folder=tmp_path) == 2
+    assert _unheard("run", "--help", folder=tmp_path) == 0
+
+
+@pytest.mark.parametrize("word", [b"", b"\x00", (100).to_bytes(4, "big") + b"the beginning"])
+def test_a_process_killed_in_the_middle_of_an_event_is_at_its_end(word: bytes) -> None:
+    ours, its = get_context("spawn").Pipe()
+    process = object.__new__(TrainingProcess)
+    process._events, process._at_end = ours, False
+    os.write(its.fileno(), word)
+    its.close()
+    assert process.receive() is None
+    assert not process.has_event()
+    assert process.has_ended()
+    ours.close()
+
+
+def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = SimpleNamespace(directory=tmp_path / "absent", record=SimpleNamespace(durable_iteration=0))
+    recording = JobRecording([cast(Run, run)])
+    recording.take(Failed("it broke", "Traceback"))
+    assert recording.status == "FAILED"
+    assert "traceback.txt" in capsys.readouterr().err
+
+
+def test_pages_that_never_answer_are_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server = tmp_path / "python"
+    server.write_text("#!/bin/sh\necho still thinking\nexec sleep 60\n")
+    server.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(server))
+    monkeypatch.setattr(browse, "_READY_S", 0.5)
+    assert run_command(["browse", "--store", str(tmp_path), "--port", "50517"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "did not answer within 0.5 s: still thinking" in told.err

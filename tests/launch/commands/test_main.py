@@ -1,0 +1,213 @@
+import json
+import re
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from headway.config.schema import describe
+from headway.registry import env_entries, env_entry
+from headway_launch.commands import compare, evaluate
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["rnu"], ["'rnu' is no command", "did you mean headway run?"]),
+        (["list", "experimens"], ["did you mean headway list experiments?"]),
+        (["list", "envs", "trivail"], ["did you mean trivial?"]),
+        (["list", "algos", "mapo"], ["did you mean mappo?"]),
+        (["list", "experiments", "bus_mapo"], ["did you mean bus_mappo?"]),
+        (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
+        (
+            ["list", "metrics", "mpe2.simple_spread_v3"],
+            ["does not say what its metrics mean: its EnvEntry needs `metrics`", "those that do: bus, "],
+        ),
+        (["list", "metrics", "buss"], ["buss", "bus"]),
+        (["list"], ["KIND", "headway list --help"]),
+        (["run", "--fast"], ["--fast", "headway run --help"]),
+        (["run", "experiment=bus_mapo"], ["did you mean experiment=bus_mappo?"]),
+        (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
+        (["evaluate", "x", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
+        (["resume", "--store", "."], ["name a run or --study"]),
+        (["resume", "s0", "algo.lr=3"], ["algo.lr=3: a run goes on as it was configured; leave it out"]),
+        (["search"], ["required: SEARCH; see headway search --help"]),
+        (["render"], ["required: RUN|ENV; see headway render --help"]),
+        (["data", "realism"], ["required: SCENARIO; see headway data realism --help"]),
+    ],
+)
+def test_errors_are_one_line_with_the_fix_and_exit_code_2(
+    arguments: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("headway: ")
+    assert captured.err.count("\n") == 1
+    for part in parts:
+        assert part in captured.err
+
+
+@pytest.mark.parametrize(
+    "command", ["run", "sweep", "resume", "runs", "evaluate", "compare", "plot", "report", "browse", "list"]
+)
+def test_every_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert f"usage: headway {command}" in shown
+    assert "examples:" in shown
+
+
+_HELP = """
+import sys
+before = set(sys.modules)
+from headway_launch.commands.main import run
+assert run(["--help"]) == 0
+imported = {name.partition(".")[0] for name in set(sys.modules) - before}
+of_numpy = {name for name in imported if name.startswith(("_", "cython_"))}
+print("imported:", *sorted(imported - of_numpy - sys.stdlib_module_names))
+"""
+
+
+def test_help_imports_numpy_alone() -> None:
+    """Of what is not ours or Python's: so it is quick."""
+    shown = subprocess.run([sys.executable, "-c", _HELP], capture_output=True, text=True, check=True).stdout
+    assert "headway run" in shown
+    assert shown.splitlines()[-1] == "imported: headway headway_launch numpy"
+
+
+def test_lists_are_tables_with_tabs_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["list", "algos", "mappo"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split("\t") == ["key", "type", "default", "meaning"]
+    assert any(line.startswith("algo.lr\tnumber\t") for line in lines)
+
+
+def test_debug_shows_the_traceback() -> None:
+    with pytest.raises(Exception, match="no command"):
+        run(["--debug", "rnu"])
+
+
+def test_an_empty_store_has_no_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["runs", "--store", str(tmp_path), "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out) == []
+
+
+@pytest.mark.parametrize("command", [compare, evaluate], ids=["compare", "evaluate"])
+def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
+    """Of the environment that an example gives, else of the buses."""
+    examples = re.findall(r"^ +headway .*--(?:rules|against) .*$", command.EXAMPLES, re.MULTILINE)
+    assert examples
+    for example in examples:
+        given = re.findall(r"(?:env|experiment)=\S+", example)
+        there = compose(given).env.rules if given else env_entry("bus").rules
+        named = re.findall(r"--(?:rules|against) (\S+)", example)
+        assert {rule for names in named for rule in names.split(",")} <= set(there), example
+
+
+def test_environments_that_a_file_makes_of_others_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    """All that `env=` takes by name."""
+    assert run(["list", "envs"]) == 0
+    rules = {
+        name: own for name, _, own in (line.split("\t") for line in capsys.readouterr().out.splitlines())
+    }
+    assert "virtual_signal_0.5" in rules["intersection"]
+    assert rules["intersection_paper"] == rules["intersection"]
+    assert rules["pettingzoo"] == "random"
+    assert run(["list", "envs", "intersection_paper"]) == 0
+    assert "id: intersection\n" in capsys.readouterr().out
+
+
+def test_a_dry_run_whose_reader_has_gone_ends_quietly(tmp_path: Path) -> None:
+    words = ["sweep", "env=trivial", "algo=ippo", "seed=0..3", "energy=off", f"store.root={tmp_path}"]
+    command = [sys.executable, "-m", "headway_launch", *words, "--dry-run"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    assert process.returncode == 0
+    assert said == ""
+
+
+def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["data", "realism", "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "folder with recorded trips" in shown
+    assert "--seed" not in shown
+    assert "corridor" not in shown
+
+
+@pytest.mark.parametrize("name", env_entries())
+def test_what_metrics_are_is_listed_for_each_of_an_episode(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["list", "metrics", name]) == 0
+    header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert header == ["environment", "metric", "what it is"]
+    entry = env_entry(name)
+    with closing(entry.make(entry.prepare(entry.config()), 1)) as env:
+        assert [row[1] for row in rows] == ["length", "return", *env.spec.metrics]
+    assert all(row[0] == name and row[2] for row in rows)
+
+
+def test_what_every_rule_does_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    """In a line that is no other rule's of the same environment."""
+    assert run(["list", "rules"]) == 0
+    header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert header == ["environment", "rule", "what it does"]
+    listed = [(name, rule) for name, rule, _ in rows]
+    registered = [(name, rule) for name, entry in env_entries().items() for rule in entry.rules]
+    assert listed[: len(registered)] == registered
+    assert ("intersection_paper", "reservation") in listed[len(registered) :]
+    assert all(len(what.split()) > 1 and len(what) <= 110 for _, _, what in rows)
+    assert len({(name, what) for name, _, what in rows}) == len(rows)
+    assert run(["list", "rules", "bus"]) == 0
+    of_bus = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert of_bus == [header, *(row for row in rows if row[0] == "bus")]
+    assert "under 0.7 of the target" in dict(row[1:] for row in of_bus)["headway_holding_0.7"]
+
+
+def test_an_environment_that_a_module_will_name_has_the_rule_random(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shown = []
+    for name in ("pettingzoo", "mpe2.simple_spread_v3"):
+        assert run(["list", "rules", name]) == 0
+        shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
+    assert [row[0] for row in shown[0]] == ["rule", "random"]
+    assert shown[0] == shown[1]
+    assert run(["list", "metrics", "pettingzoo"]) == 2  # whose they would be is not known yet
+    assert run(["list", "rules", "buss"]) == 2
+
+
+@pytest.mark.parametrize("what", ["envs", "metrics", "rules"])
+def test_a_wrong_name_is_told_the_nearest_of_what_a_file_configures_too(
+    what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["list", what, "intersection_papr"]) == 2
+    assert "did you mean intersection_paper?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["metrics", "rules"])
+def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
+    what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = []
+    for name in ("intersection", "intersection_paper"):
+        assert run(["list", what, name]) == 0
+        shown.append([line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()])
+    assert len(shown[0]) > 5
+    assert shown[0] == shown[1]
+
+
+@pytest.mark.parametrize("name", env_entries())
+def test_arguments_that_the_meanings_of_metrics_name_are_there(name: str) -> None:
+    entry = env_entry(name)
+    known = {description.key for description in describe(entry.config, "env.args")}
+    named = {key for what in entry.metrics.values() for key in re.findall(r"env\.args(?:\.\w+)+", what)}
+    assert named <= known

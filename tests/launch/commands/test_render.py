@@ -1,0 +1,209 @@
+"""`headway render`: episodes by a rule and by a trained policy, and what it refuses."""
+
+import json
+import weakref
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from headway_envs.merge.picture import MergePainter
+from headway_launch.commands.main import run
+from headway_launch.console.video import caption_strip
+
+
+def frames(path: Path) -> list[tuple[int, int]]:
+    with Image.open(path) as picture:
+        sizes = []
+        for index in range(getattr(picture, "n_frames", 1)):
+            picture.seek(index)
+            sizes.append(picture.size)
+        return sizes
+
+
+def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
+    """The picture of a moment is one of the frames, and the episode is as long as it was told to be."""
+    moving, still = tmp_path / "idle.gif", tmp_path / "idle.png"
+    words = ["render", "merge", "--rule", "random", "env.args.steps=6"]
+    assert run([*words, "--output", str(moving)]) == 0
+    assert run([*words, "--output", str(still), "--step", "3"]) == 0
+    assert len(frames(moving)) == 7
+    assert frames(still) == frames(moving)[:1]
+    with Image.open(moving) as picture, Image.open(still) as moment:
+        picture.seek(3)
+        apart = np.abs(np.asarray(picture.convert("RGB"), int) - np.asarray(moment, int))
+    assert np.quantile(apart, 0.9999) < 40  # the palette has the few yellow pixels of the obstacle, too
+
+
+@pytest.mark.parametrize("suffix", [".png", ".gif"])
+def test_a_picture_says_whose_it_is(tmp_path: Path, suffix: str) -> None:
+    """In its text and, beneath the episode, for people to read."""
+    strips = {}
+    for seed in ("5", "6"):
+        output = tmp_path / f"{seed}{suffix}"
+        words = ["render", "merge", "--rule", "idle", "env.args.steps=2", "--seed", seed, "--episode", "1"]
+        assert run([*words, "--output", str(output)]) == 0
+        with Image.open(output) as picture:
+            said = picture.info["Title"] if suffix == ".png" else picture.info["comment"].decode()
+            strips[seed] = np.asarray(picture.convert("L"))[-25:] < 128
+        assert said == f"rule idle on merge, env.args.steps=2: evaluation episode 1 of seed {seed}"
+    assert strips["5"].sum() > 500  # there is something to read
+    assert 0 < (strips["5"] != strips["6"]).any(axis=0).sum() < 15  # columns: one digit differs
+
+
+@pytest.mark.parametrize("word", ["word ", "WWW", "ill "])
+def test_a_long_caption_takes_more_lines_and_loses_nothing(word: str) -> None:
+    one, many = (caption_strip(word * count, 200) for count in (2, 160))
+    assert one.shape[1] == many.shape[1] == 200
+    assert many.shape[0] > 5 * one.shape[0]
+    assert (many[:, -3:] == 255).all()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".gif"])
+def test_the_frames_of_an_episode_are_not_all_held_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    painted: list[weakref.ref[Any]] = []
+    most = 0
+
+    def paint(self: object, env: object, at_end: bool) -> np.ndarray:
+        nonlocal most
+        frame = np.full((40, 40, 3), len(painted), np.uint8)
+        painted.append(weakref.ref(frame))
+        most = max(most, sum(one() is not None for one in painted))
+        return frame
+
+    monkeypatch.setattr(MergePainter, "paint", paint)
+    output = tmp_path / f"idle{suffix}"
+    words = ["render", "merge", "--rule", "idle", "env.args.density=1", "env.args.steps=30"]
+    assert run([*words, "--output", str(output)]) == 0
+    assert len(painted) == 31
+    assert most <= 3
+
+
+def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    painted, paint = [], MergePainter.paint
+    monkeypatch.setattr(
+        MergePainter, "paint", lambda *words, **named: painted.append(1) or paint(*words, **named)
+    )
+    words = ["render", "merge", "--rule", "idle", "env.args.steps=20", "--step", "2"]
+    assert run([*words, "--output", str(tmp_path / "moment.png")]) == 0
+    assert len(painted) == 3
+
+
+def test_a_trained_policy_is_drawn_behind_its_wrappers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = ["env_steps=64", "rollout.copies=2", "rollout.steps=32", "rollout.block=2", "seed=0"]
+    quick = ["backend=serial", "energy=off", "preset=none", "evaluation.episodes=1"]
+    where = ["evaluation.final_episodes=1", "evaluation.rules=[]", f"store.root={tmp_path / 'runs'}"]
+    model = [
+        "env.args.steps=5",
+        "algo.model.hidden=[8]",
+        "env.wrappers=[{name: frame_stack_v1, stack_size: 2}]",
+    ]
+    assert run(["run", "experiment=merge_mappo", *small, *quick, *where, *model]) == 0
+    moving = tmp_path / "policy.gif"
+    assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
+    assert len(frames(moving)) == 6
+    [record] = (tmp_path / "runs").glob("*/*/run.json")
+    assert json.loads(record.read_text())["preset"] == "none"
+    with Image.open(moving) as picture:
+        said = picture.info["comment"].decode()
+    assert said.startswith(
+        f"run {record.parent.name} after 1 iteration, greedy: evaluation episode 0 of seed"
+    )
+    keep = ["render", "s0", "--store", str(tmp_path / "runs"), "--output", "end.png", "--keep"]
+    assert run([*keep, "--step", "9"]) == 2
+    assert list((tmp_path / "runs").glob("**/pictures")) == []  # made for a picture only
+    assert run(keep) == 0
+    [kept] = (tmp_path / "runs").glob("**/pictures/end.png")
+    assert frames(kept) == frames(moving)[:1]
+    kept.unlink()
+    kept.parent.rmdir()
+    kept.parent.write_text("in the way")
+    capsys.readouterr()
+    assert run(keep) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith(f"headway: --output: {kept} cannot be written")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
+        (["s0"], "there is no store in 'runs'"),
+        (["buss"], "'buss' is no run and no environment; did you mean bus, with --rule RULE?"),
+        (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
+        (["trivial", "--rule", "random"], "trivial cannot be drawn; those that can are: bus, intersection"),
+        (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
+        (["merge", "--rule", "idle", "--step", "3"], "--step picks the moment of a picture"),
+        (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
+        (
+            ["merge", "--rule", "idle", "--keep"],
+            "--keep is for the pictures of a run; leave it or --rule out",
+        ),
+        (
+            ["s0", "--output", "a/b.png", "--keep"],
+            "--output: with --keep give a name without a folder, b.png, not a/b.png",
+        ),
+        (["merge", "--rule", "idle", "--fps", "0"], "--fps must lie between 0.1 and 50, not 0"),
+        (["merge", "--rule", "idle", "--output", "no/where.gif"], "--output: no/where.gif cannot be written"),
+        (["s0", "env.args.density=3"], "env.args.density=3: a run is played as it was trained"),
+        (
+            ["merge", "--rule", "idle", "--output", "a.png", "--step", "9", "env.args.steps=4"],
+            "--step: the episode ends after 4 steps, before 9",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(
+    words: list[str],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["render", *words]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("headway: ")
+    assert line in error
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("output", ["no/where.gif", "taken.gif", "file/inside.png"])
+def test_where_nothing_can_be_written_nothing_is_played(
+    output: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("taken.gif").mkdir()
+    Path("file").write_text("")
+    painted: list[int] = []
+    monkeypatch.setattr(MergePainter, "paint", lambda *words, **named: painted.append(1))
+    assert run(["render", "merge", "--rule", "idle", "--output", output]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"headway: --output: {output} cannot be written (")
+    assert "Errno" not in told
+    assert ("there is no folder no; make it first" in told) == output.startswith("no/")
+    assert painted == []
+
+
+def test_a_terminal_is_told_how_far_an_episode_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    words = ["render", "merge", "--rule", "idle", "env.args.steps=4", "--output", str(tmp_path / "a.gif")]
+    assert run(words) == 0
+    told = capsys.readouterr().err
+    assert "\rsteps played: 0\x1b[K" in told
+    assert "\rframes written: 5 of 5\x1b[K" in told
+
+
+def test_a_bus_day_is_drawn_as_map_and_diagram(tmp_path: Path) -> None:
+    output = tmp_path / "day.png"
+    words = ["render", "bus", "--rule", "always_move", "env.args.end_hour=6", "--output", str(output)]
+    assert run(words) == 0
+    assert frames(output)[0][0] == 1180

@@ -1,0 +1,117 @@
+"""`headway runs` and `headway diff`: conditions, order, two runs beside each other."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from headway.store import RunRecord
+from headway.store.parquet_log import RunLog
+from headway.store.run_folder import Process, create_run_folder, now
+from headway_launch.commands.main import run
+
+REWARDS = {0: 310.0, 1: 355.5, 2: None, 3: 290.0}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    for seed, reward in REWARDS.items():
+        algorithm = "ippo" if seed < 2 else "mappo"
+        run_id, directory = create_run_folder(tmp_path, "bus", f"bus-{algorithm}-1f2e3d", seed)
+        record = RunRecord(
+            run_id, "bus", "bus", algorithm, seed, 10, now(), Process.current(), "FINISHED",
+            parameters={"algo.lr": "0.001" if seed else "3e-05"}, tags={"git.revision": "abc"},
+        )  # fmt: skip
+        record = record if reward else replace(record, status="KILLED")
+        record.write(directory)
+        mapping = {"seed": [seed], "env": {"id": "bus"}, "algo": {"name": algorithm, "lr": 0.001}}
+        (directory / "config.yaml").write_text(yaml.safe_dump(mapping))
+        (directory / "plan.json").write_text(json.dumps({"stack": [seed]}))
+        summary = {"final_reward": reward, "auc": 0.5, "cpu_seconds": 100.0 + seed, "kwh": 0.25}
+        (directory / "summary.json").write_text(json.dumps(summary))
+        log = RunLog(directory)
+        for iteration in (0, 10):
+            for day in range(2):
+                row = {"iteration": iteration, "mode": "greedy", "final": 1, "episode_seed": day}
+                log.append("evaluation", [{**row, "return": 100.0 * seed + day + iteration}])
+        log.commit(10)
+    return tmp_path
+
+
+def seeds(capsys: pytest.CaptureFixture[str]) -> list[int]:
+    return [int(row["seed"]) for row in csv.DictReader(io.StringIO(capsys.readouterr().out))]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--where", "final_reward>300"], [0, 1]),
+        (["--where", "final_reward <= 310 and seed!=3"], [0]),
+        (["--where", "algorithm=mappo"], [2, 3]),
+        (["--where", "algo.lr<1e-4"], [0]),
+        (["--where", "final_reward>0", "--where", "algo.lr=1e-3"], [1, 3]),
+        (["--where", "cpu_seconds>=102"], [2, 3]),
+        (["--sort", "final_reward"], [3, 0, 1, 2]),
+        (["--sort", "final_reward desc"], [1, 0, 3, 2]),
+        (["--sort", "algorithm desc, final_reward"], [3, 2, 0, 1]),
+        (["--sort", "algo.lr, seed desc"], [0, 3, 2, 1]),
+    ],
+)
+def test_conditions_and_order(
+    store: Path, arguments: list[str], expected: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["runs", "--store", str(store), "--format", "csv", *arguments]) == 0
+    assert seeds(capsys) == expected
+
+
+def test_lines_of_csv_end_as_those_of_other_commands_do(
+    store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`cut`, `sort` and `while read` take a carriage return for a part of the last column."""
+    assert run(["runs", "--store", str(store), "--format", "csv"]) == 0
+    told = capsys.readouterr().out
+    assert told.count("\n") == 5
+    assert "\r" not in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["--where", "final_rewrd>3"], "did you mean final_reward?"),
+        (["--where", "algo.lrr<1"], "--where: no run has the parameter 'algo.lrr'; did you mean algo.lr?"),
+        (["--sort", "seed, algo.lrr desc"], "--sort: no run has the parameter 'algo.lrr'"),
+        (["--where", "status>3"], "status>3 compares text (FINISHED) by its size"),
+        (["--where", "final_reward<abc"], "final_reward<abc compares a number, and 'abc' is none; write"),
+        (["--seed", "99"], "--seed 99: no run has that"),
+        (["--where", "final_reward"], "'final_reward' is no condition; write FIELD<VALUE"),
+        (["--sort", "sede"], "did you mean seed?"),
+        (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),
+    ],
+)
+def test_bad_conditions_are_one_line(
+    store: Path, arguments: list[str], part: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["runs", "--store", str(store), *arguments]) == 2
+    told = capsys.readouterr().err
+    assert part in told
+    assert told.count("\n") == 1
+
+
+def test_two_runs_beside_each_other(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diff", "ippo-1f2e3d-s0", "mappo-1f2e3d-s3", "--store", str(store)]) == 0
+    lines = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert lines[:3] == [["setting", "A", "B"], ["algo.name", "ippo", "mappo"], ["seed", "[0]", "[3]"]]
+    figures = {line[0]: line[1:] for line in lines[5:]}
+    assert figures["final_reward"] == ["310", "290", "-20"]
+    assert figures["cpu_seconds"] == ["100", "103", "3"]
+    # Of the last evaluation only: the means of 10, 11 and 310, 311.
+    assert figures["last evaluation, greedy: return"] == ["10.5", "310.5", "300"]
+
+
+def test_a_run_beside_one_that_is_not_there(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diff", "ippo-1f2e3d-s0", "nothing", "--store", str(store)]) == 2
+    assert "no run 'nothing'" in capsys.readouterr().err

@@ -1,0 +1,140 @@
+"""Tables as a terminal of any width, and a pipe, show them."""
+
+import csv
+import io
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from headway.store import RunRecord
+from headway.store.run_folder import Process, create_run_folder, now
+from headway_launch.commands.main import run as run_command
+from headway_launch.console.tables import print_table
+
+COLUMNS = ("name", "what it is", "first", "second figure")
+ROWS = (("alpha", "a long description of a thing", 123456, 0.0001234), ("beta", "short", 7, None))
+
+
+def at_terminal(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("TERM", "xterm")
+
+
+def shown_lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines()
+
+
+@pytest.mark.parametrize("width", [200, 60, 50])
+def test_numbers_never_break_and_text_gives(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_terminal(monkeypatch, width)
+    print_table(COLUMNS, ROWS, spare=("second figure",))
+    lines = shown_lines(capsys)
+    assert max(map(len, lines)) <= width
+    assert any("123,456" in line and "0.0001234" in line for line in lines)
+    assert "left out" not in lines[-1]
+
+
+def test_spare_columns_go_first_and_that_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_terminal(monkeypatch, 40)
+    print_table(COLUMNS, ROWS, spare=("second figure", "first"))
+    lines = shown_lines(capsys)
+    assert any("123,456" in line for line in lines)
+    assert not any("0.0001234" in line for line in lines)
+    assert lines[-1] == "left out, the terminal is narrow: second figure"
+
+
+def test_what_cannot_fit_is_printed_as_lists(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_terminal(monkeypatch, 24)
+    print_table(COLUMNS, ROWS, title="things", spare=("second figure",))
+    lines = shown_lines(capsys)
+    assert lines[:2] == ["things", "name           alpha"]
+    assert "second figure  0.0001234" in lines  # lists have room for all
+    assert not any("left out" in line for line in lines)
+
+
+def test_before_rows_become_lists_whole_columns_break(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_terminal(monkeypatch, 40)
+    identity = "merge_two_lane-mappo-bda0c7-s0-20261122-110412-cc57"
+    print_table(("run", "reward"), [(identity, 0.123)], whole=("run",))
+    lines = shown_lines(capsys)
+    assert max(map(len, lines)) <= 40
+    cells = [[cell.strip() for cell in line.split("│")[1:3]] for line in lines if line.startswith("│")]
+    assert "".join(cell for cell, _ in cells) == identity
+    assert [number for _, number in cells if number] == ["0.123"]
+
+
+def test_a_pipe_gets_every_column_and_six_digits(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table(
+        ("a", "b", "c", "d", "e"), [(2 / 3, 20480.0, 1234567.0, 123456789, None), (1e-9, "x\ny", 0.0, 1, 2)]
+    )
+    assert [line.split("\t") for line in capsys.readouterr().out.splitlines()] == [
+        ["a", "b", "c", "d", "e"],
+        ["0.666667", "20480", "1234567", "123456789", ""],
+        ["1e-09", "x y", "0", "1", "2"],
+    ]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    run_id, directory = create_run_folder(tmp_path, "bus", "bus-mappo-1f2e3d", 0)
+    record = RunRecord(run_id, "bus", "bus", "mappo", 0, 147, now(), Process.current(), "FINISHED", "shared")
+    replace(record, durable_iteration=147, durable_env_steps=602112).write(directory)
+    summary = {"final_reward": 2 / 3, "auc": 1 / 3, "kwh": 1.2345678e-5, "kg_co2": 2.3456789e-6}
+    (directory / "summary.json").write_text(json.dumps(summary))
+    return tmp_path
+
+
+@pytest.mark.parametrize("width", [200, 100, 90, 80, 70])
+def test_runs_keep_identity_status_and_result_whole(
+    width: int, store: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_terminal(monkeypatch, width)
+    assert run_command(["runs", "--store", str(store)]) == 0
+    lines = shown_lines(capsys)
+    assert max(map(len, lines[:-1])) <= width  # the last line may tell what is left out
+    row = next(line for line in lines if "bus-mappo-1f2e3d-s0" in line)
+    assert re.search(r"-[0-9a-f]{4} .*FINISHED .*0\.6667 ", row)
+    for name, figure in (("env steps", "602,112"), ("AUC", "0.3333"), ("kWh", "1.235e-05")):
+        assert figure in row or ("left out" in lines[-1] and name in lines[-1])
+    if width >= 80:
+        assert re.search(r"│ mappo +│", row)
+
+
+def test_runs_have_a_column_of_co2_where_some_is_known(
+    store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["runs", "--store", str(store)]) == 0
+    assert "kg CO2eq" in capsys.readouterr().out.splitlines()[0].split("\t")
+    [summary] = store.rglob("summary.json")
+    summary.write_text(json.dumps({"kwh": 1e-5, "kg_co2": None}))
+    assert run_command(["runs", "--store", str(store)]) == 0
+    header = capsys.readouterr().out.splitlines()[0].split("\t")
+    assert "kWh" in header
+    assert "kg CO2eq" not in header
+    assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
+    assert "kg_co2" in capsys.readouterr().out.splitlines()[0].split(",")
+
+
+def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(
+    store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["runs", "--store", str(store)]) == 0
+    header, row = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert row[header.index("AUC (own range)")] == "0.333333"
+    assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
+    [fields] = csv.DictReader(io.StringIO(capsys.readouterr().out))
+    assert float(fields["auc"]) == 1 / 3
+    assert float(fields["final_reward"]) == 2 / 3

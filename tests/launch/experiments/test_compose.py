@@ -1,0 +1,372 @@
+import json
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from headway.config.experiment import ExperimentConfig
+from headway.config.schema import describe
+from headway.contracts import HeadwayError
+from headway.registry import algo_entries, env_entries
+from headway_launch.experiments.compose import compose, groups, resolve, summary_of
+from headway_launch.experiments.search import read_search
+from headway_launch.experiments.sweep import compose_sweep
+from headway_launch.runner.jobs import (
+    Shares,
+    cell_parameters,
+    full_mapping,
+    new_jobs,
+    plan_jobs,
+    share_cores,
+)
+from headway_launch.studies.plan import distinct
+
+
+def test_overrides_reach_keys_that_no_file_has() -> None:
+    experiment = compose(
+        ["env=trivial", "algo=ippo", "algo.lr=3e-4", "env.args.agents=3", "rollout.steps=1e2", "seed=0..2"]
+    )
+    assert experiment.algo_config.lr == 3e-4
+    assert experiment.env_config.agents == 3
+    assert experiment.config.rollout.steps == 100
+    assert experiment.config.seed == (0, 1, 2)
+
+
+def test_what_no_named_algorithm_is_can_be_composed() -> None:
+    composed = compose(["env=trivial", "algo=custom", "algo.critic=central"])
+    assert composed.algo_config.critic == "central"
+    with pytest.raises(
+        HeadwayError, match=r"ippo has local: .*With V\(s\) it is algo=mappo; algo=custom takes"
+    ):
+        compose(["env=trivial", "algo=ippo", "algo.critic=central"])
+
+
+def test_a_preset_of_another_environment_is_named() -> None:
+    with pytest.raises(
+        HeadwayError, match=r"preset=bus_tuned is not for this: env\.args\.state is not a key of"
+    ):
+        compose(["experiment=merge_study", "preset=bus_tuned"])
+    with pytest.raises(HeadwayError, match=r"^env\.args\.state is not a key of merge"):
+        compose(["experiment=merge_study", "env.args.state=whole"])
+
+
+def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
+    experiment = compose(["env=trivial", "preset=paper", "algo.clip=0.1", "rollout=short"])
+    assert experiment.config.preset == "paper"
+    assert compose(["env=trivial"]).config.preset == "none"
+    assert experiment.algo_config.gae_lambda == 1.0
+    assert experiment.algo_config.clip == 0.1
+    assert experiment.config.rollout.steps == 128
+
+
+@pytest.mark.parametrize(
+    ("override", "meant"),
+    [
+        ("supervisor=maybe", "env.args.supervisor=maybe"),
+        ("reward.scope=own", "env.args.reward.scope=own"),
+        ("gae_lambda=0.9", "algo.gae_lambda=0.9"),
+        ("copies=4", "rollout.copies=4"),
+        ("steps=50", "rollout.steps or env.args.steps=50"),
+    ],
+)
+def test_a_key_without_its_first_parts_is_named_whole(override: str, meant: str) -> None:
+    key = override.partition("=")[0]
+    with pytest.raises(HeadwayError) as caught:
+        compose(["env=merge", "algo=mappo", override, "seed=1"])
+    assert str(caught.value) == f"{key} is not a key of the experiment; did you mean {meant}?"
+
+
+def test_the_bus_network_by_itself_takes_values_that_learn_on_it() -> None:
+    """Of an algorithm that has none there, the defaults; and its task is the same with and without."""
+    by_itself, tuned = compose(["env=bus"]), compose(["env=bus", "preset=bus_tuned"])
+    assert by_itself.config.preset == "bus"
+    assert by_itself.algo_config == tuned.algo_config
+    assert by_itself.training_env_config == tuned.training_env_config
+    assert by_itself.config.rollout == tuned.config.rollout
+    assert compose(["env=bus", "algo.clip=0.07"]).algo_config.clip == 0.07
+    untuned = compose(["env=bus", "algo=madqn"])
+    assert untuned.config.preset == compose(["env=bus", "preset=none"]).config.preset == "none"
+    assert untuned.algo_config == compose(["env=trivial", "algo=madqn"]).algo_config
+    assert replace(untuned.env_config, state="aggregate") == by_itself.env_config
+    with pytest.raises(HeadwayError, match="the preset has no values for algo=madqn"):
+        compose(["env=bus", "algo=madqn", "preset=bus_tuned"])
+    assert compose(["experiment=bus_city"]).config.preset == "bus_lines"
+
+
+@pytest.mark.parametrize("overrides", [(), ("algo=ippo",), ("seed=0..3", "algo.lr=3e-4"), ("env=none",)])
+def test_without_an_experiment_one_is_asked_for(overrides: tuple[str, ...]) -> None:
+    with pytest.raises(HeadwayError, match=r"^no experiment is named; write experiment=NAME") as caught:
+        compose(overrides)
+    assert "env=NAME and algo=NAME" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("~algo.lr=3", "'algo.lr' does not exist"),
+        ("~seed=3", "'seed' does not exist"),
+        ("~nothing", "'nothing' does not exist"),
+        ("~env=3", "value must be a string"),
+        ("~", "'~' is not an override"),
+        ("~=3", "'~=3' is not an override"),
+        ("=3", "'=3' is not an override"),
+        ("+=3", r"'\+=3' is not an override"),
+        ("~~algo.lr=3", "'~~algo.lr=3' is not an override"),
+        ("+++algo.lr=3", r"'\+\+\+algo.lr=3' is not an override"),
+    ],
+)
+def test_what_cannot_be_taken_away_or_set_is_one_line(override: str, line: str) -> None:
+    with pytest.raises(HeadwayError, match=line) as caught:
+        compose(["env=trivial", override])
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_file_sets_can_be_taken_away() -> None:
+    short = compose(["env=trivial", "rollout=short", "~rollout.steps"])
+    assert (short.config.rollout.steps, short.config.rollout.copies) == (512, 8)
+    assert short == compose(["env=trivial", "rollout=short", "~rollout.steps=128"])
+
+
+@pytest.mark.parametrize("seeds", ["0,1,2", "[0,1,2]", "0..2", "range(0,3)"])
+def test_every_seed_form_works_as_an_override(seeds: str) -> None:
+    assert compose(["env=trivial", f"seed={seeds}"]).config.seed == (0, 1, 2)
+
+
+def test_a_key_of_an_earlier_version_is_named_with_what_it_is_now() -> None:
+    line = r"^env.args.reward.shared: 'shared' is now scope: team \(for true\), line or own \(for false\)$"
+    with pytest.raises(HeadwayError, match=line):
+        compose(["env=bus", "env.args.reward.shared=false"])
+
+
+@pytest.mark.parametrize(
+    ("override", "parts"),
+    [
+        ("algo.lrr=3e-4", ["algo.lrr is not a key of mappo", "did you mean algo.lr?"]),
+        ("rolout.steps=3", ["rolout is not a key", "did you mean rollout?"]),
+        ("expriment=toy_tracking", ["did you mean experiment=toy_tracking?", "experiment, preset"]),
+        ("nonsense=3", ["nonsense is not a key of the experiment", "experiment", "preset"]),
+        ("rollout.stesp=3", ["did you mean rollout.steps?"]),
+        ("env.args.agent=3", ["env.args.agent is not a key of trivial", "did you mean env.args.agents?"]),
+        ("algo.lr=fast", ["algo.lr='fast' is text, where a number is wanted"]),
+        ("rollout.steps=true", ["rollout.steps=true is true or false"]),
+        ("algo.gamma=2", ["algo.gamma must lie in [0, 1]"]),
+        ("algo.model.core=lstm", ["algo.model.core='lstm'", "gru, none"]),
+        ("algo.model.gru_size=0", ["algo.model.gru_size must be at least 1"]),
+        ("algo.model.sequence_length=0", ["algo.model.sequence_length must be at least 1"]),
+        ("rollout.block=3", ["rollout.block 3 must divide copies 8"]),
+        ("algo=mapo", ["algo=mapo", "did you mean algo=mappo?"]),
+        ("experiment=bus_mapo", ["did you mean experiment=bus_mappo?"]),
+        ("env=trivail", ["did you mean env=trivial?"]),
+        ("algo=ippo,mappo", ["one option at a time"]),
+        (
+            "algo.critic=local",
+            ["algo.critic='local' is not possible, mappo has central", "algo=ippo", "custom"],
+        ),
+        ("env.id=bsu", ["'bsu' is no environment"]),
+        ("algo.name=ipo", ["'ipo' is no algorithm", "did you mean ippo?"]),
+        ("seed=1..x", ["seed=1..x is not a list of seeds", "0..49"]),
+        ("seed=-1", ["seed=-1: seeds must not be negative", "0..49"]),
+        ("seed=0,-1", ["seed=-1: seeds must not be negative"]),
+        ("seed=-1..3", ["seed=-1..3: seeds must not be negative"]),
+        ("seed=-x", ["seed=-x is not a list of seeds"]),
+        ("seed=1,1", ["seeds must differ"]),
+        ("bus_mappo", ["write key=value", "did you mean experiment=bus_mappo?"]),
+        ("algo.model.hidden=[32", ["the configuration cannot be composed"]),
+        ("algo.lr=${nowhere}", ["the configuration cannot be composed", "nowhere"]),
+        ("env.args._target_=os.system", ["_target_ is not allowed"]),
+        ("env.training_args.stpes=3", ["env.training_args.stpes is not a key", "did you mean"]),
+        ("env.training_args.steps=0", ["env.training_args.steps must be at least 1"]),
+        ("device=gpu", ["device", "cuda"]),
+        ("study=2024", ["study=2024 is a whole number", "\"study='2024'\""]),
+        ("study=''", ["study '' has no letter or digit", "such as study=bus_line"]),
+        ("study=' '", ["study ' ' has no letter or digit"]),
+        ("study=..", ["study '..' has no letter or digit"]),
+        ("study=a..b", ["study 'a..b' has '..' in it"]),
+        ("study='a '", ["study 'a ' begins or ends with a blank"]),
+        ("study=../elsewhere", ["study '../elsewhere' has '/' in it"]),
+        ("study='a\\b'", ["in it"]),
+        ("study='a\tb'", ["study 'a\\tb' has '\\t' in it"]),
+        ("study='a\x1b[1mb'", ["study 'a\\x1b[1mb' has '\\x1b' in it"]),
+        (f"study={'a' * 101}", ["study 'aaaaaaaaaaaaaaaaaaaa'... is longer than 100"]),
+    ],
+)
+def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> None:
+    with pytest.raises(HeadwayError) as caught:
+        compose(["env=trivial", override])
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message
+
+
+def test_a_rule_that_is_not_there_is_refused_before_anything_starts() -> None:
+    experiment = compose(["env=trivial", "evaluation.rules=[optimum]"])
+    with pytest.raises(HeadwayError, match=r"'optimum' is no rule of trivial; did you mean optimal\?"):
+        experiment.prepare()
+
+
+def test_training_arguments_lie_over_those_that_are_reported_on() -> None:
+    found = compose(["env=bus", "env.args.capacity=50", "env.training_args.reward.scope=own"]).prepare()
+    assert found.prepared.config.reward.scope == "team"
+    assert found.training.config.reward.scope == "own"
+    assert found.prepared.config.capacity == found.training.config.capacity == 50
+    assert not found.spec.shared_reward
+    same = compose(["env=trivial"]).prepare()
+    assert same.training is same.prepared
+
+
+@pytest.mark.parametrize("overrides", [("preset=bus_tuned",), ("env.training_args.reward.scope=own",)])
+def test_without_training_arguments_what_is_reported_on_is_learned_from(overrides: tuple[str, ...]) -> None:
+    """`null` takes away what a preset has, which `{}` cannot: mappings are laid over each other."""
+    words = ("env=bus", "algo=ippo", *overrides)
+    assert compose(words).config.env.training_args
+    assert compose([*words, "env.training_args={}"]).config.env.training_args
+    cleared = compose([*words, "env.training_args=null"])
+    assert cleared.training_env_config == cleared.env_config
+    stored = full_mapping(cleared, [0])
+    assert stored["env"]["training_args"] == {}
+    assert cell_parameters(resolve(stored)) == cell_parameters(cleared)
+
+
+def test_what_is_reported_on_leaves_out_what_only_learning_sees() -> None:
+    plain = compose(["env=trivial"])
+    for words in (
+        ["env.training_args.steps=9"],
+        ["env.wrappers=[clip_reward_v0]"],
+        ["algo=ippo", "rollout=short"],
+    ):
+        assert compose(["env=trivial", *words]).reported_on == plain.reported_on
+    spread = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3"]
+    assert compose([*spread, "env.max_copies_per_process=4"]).reported_on != compose(spread).reported_on
+    for words in (["env.args.steps=9"], ["env.wrappers=[clip_reward_v0, agent_indicator_v0]"]):
+        assert compose(["env=trivial", *words]).reported_on != plain.reported_on
+    assert compose(["env=matrix"]).reported_on != plain.reported_on
+
+
+def test_training_arguments_cannot_change_what_agents_observe() -> None:
+    experiment = compose(["env=trivial", "env.training_args.agents=3"])
+    with pytest.raises(HeadwayError, match=r"env\.training_args may change rewards and dynamics, not what"):
+        experiment.prepare()
+
+
+@pytest.mark.parametrize("study", ["bus", "bus line 2", "étude-1.0_b"])
+def test_names_of_studies_that_are_names_of_folders_are_taken(study: str) -> None:
+    assert compose(["env=trivial", f"study='{study}'"]).config.study == study
+
+
+def test_without_a_word_on_rules_all_of_the_environment_are_played() -> None:
+    experiment = compose(["env=trivial"])
+    assert experiment.rules == ("random", "optimal")
+    # As they are now: a rule added later changes no stored run.
+    assert full_mapping(experiment, ())["evaluation"]["rules"] == ["random", "optimal"]
+    assert compose(["env=trivial", "evaluation.rules=[]"]).rules == ()
+    assert compose(["env=trivial", "evaluation.rules=[optimal]"]).rules == ("optimal",)
+
+
+def test_a_stored_configuration_gives_the_same_experiment() -> None:
+    experiment = compose(["env=trivial", "preset=paper", "seed=0..3", "env.training_args.steps=9"])
+    again = resolve(full_mapping(experiment, [2]))
+    assert again.algo_config == experiment.algo_config
+    assert again.env_config == experiment.env_config
+    assert again.training_env_config == experiment.training_env_config != experiment.env_config
+    assert again.config.seed == (2,)
+    assert cell_parameters(again) == cell_parameters(experiment)
+
+
+def test_every_key_says_what_it_is() -> None:
+    records = [entry.config for entry in (*algo_entries().values(), *env_entries().values())]
+    for record in (ExperimentConfig, *records):
+        for key in describe(record):
+            assert key.doc, f"{record.__name__}.{key.key} has no docstring"
+
+
+@pytest.mark.parametrize(
+    "algorithm", ["ia2c", "ippo", "itrpo", "maa2c", "coma", "mappo", "matrpo", "happo", "hatrpo"]
+)
+def test_the_papers_preset_knows_the_nine_that_the_paper_compares(algorithm: str) -> None:
+    experiment = compose(["env=trivial", f"algo={algorithm}", "preset=paper"])
+    assert experiment.algo_name == algorithm
+    assert experiment.algo_config.model.hidden == (128, 128)
+    assert experiment.algo_config.gae_lambda == 1.0
+    assert experiment.config.rollout.copies * experiment.config.rollout.steps == 1000
+    experiment.prepare()
+
+
+@pytest.mark.parametrize("env", ["merge", "merge_two_lane"])
+@pytest.mark.parametrize("preset", ["merge_paper", "merge_tuned"])
+@pytest.mark.parametrize("algorithm", ["mappo", "ippo", "maacktr", "madqn"])
+def test_the_merging_study_has_values_for_its_algorithms(algorithm: str, preset: str, env: str) -> None:
+    experiment = compose(["experiment=merge_study", f"algo={algorithm}", f"preset={preset}", f"env={env}"])
+    experiment.prepare()
+    config, algo = experiment.config, experiment.algo_config
+    assert algo.policies == "shared"
+    assert config.evaluation.every == 20 * 100
+    assert config.env_steps == 10_000 * 100
+    assert not experiment.env_config.supervisor
+    # Whatever learners are paid, what is reported is the mean of all.
+    assert experiment.env_config.reward.scope == "global"
+    if preset == "merge_paper":
+        assert (algo.gamma, algo.model.hidden, algo.model.activation) == (0.99, (128, 128), "relu")
+        assert config.rollout.copies * config.rollout.steps == 100
+        assert not algo.normalise_observations
+        assert experiment.training_env_config.reward.scope == {"mappo": "global", "ippo": "global"}.get(
+            algorithm, "regional"
+        )
+
+
+def test_the_merging_study_has_no_other_protocol_in_one_sweep() -> None:
+    """All its cells in one study: with and without supervisor are environments of their own."""
+    words = ["experiment=merge_study", "algo=mappo,maacktr,madqn", "env=merge,merge_two_lane"]
+    cells = compose_sweep([*words, "env.args.supervisor=false,true"])
+    assert len(cells) == len(distinct(cells)) == 12
+    assert {cell.config.study for cell in cells} == {"merge_study"}
+    assert len({json.dumps(cell.reported_on, sort_keys=True) for cell in cells}) == 4
+
+
+def test_a_composition_without_a_name_runs_as_custom() -> None:
+    """HAA2C, for one; and what its order refuses is refused before anything starts."""
+    composed = compose(
+        ["env=trivial", "algo=custom", "algo.critic=central", "algo.update=a2c", "algo.order=sequential"]
+    )
+    composed.prepare()
+    with pytest.raises(
+        HeadwayError, match=r"algo\.policies=shared is but one on trivial; use algo\.policies=independent"
+    ):
+        compose(["env=trivial", "algo=custom", "algo.order=sequential", "algo.policies=shared"]).prepare()
+
+
+@pytest.mark.parametrize("option", groups()["experiment"])
+def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
+    assert summary_of("experiment", option).endswith(".")
+    assert compose([f"experiment={option}"]).config.study
+
+
+@pytest.mark.parametrize("name", groups()["search"])
+def test_every_search_composes_on_seeds_that_no_study_reports(name: str) -> None:
+    reported = {seed for option in groups()["experiment"] for seed in _seeds(f"experiment={option}")}
+    for experiment in read_search(name).points().values():
+        assert reported.isdisjoint(experiment.config.seed)
+        assert experiment.config.study.startswith("search_")
+
+
+@cache
+def _seeds(experiment: str) -> tuple[int, ...]:
+    return compose([experiment]).config.seed
+
+
+def test_jobs_are_stacks_of_seeds_in_order() -> None:
+    jobs = plan_jobs(compose(["env=trivial", "seed=0..4", "backend.stack=2"]))
+    assert [job.seeds for job in jobs] == [(0, 1), (2, 3), (4,)]
+
+
+def test_cores_go_to_training_processes_first() -> None:
+    experiment = compose(["env=trivial"])
+    for seeds, cores, expected in ((50, 16, Shares(16, 1)), (4, 16, Shares(4, 4)), (1, 2, Shares(1, 2))):
+        jobs = new_jobs(experiment, range(seeds))
+        assert share_cores(experiment.config.backend, jobs, cores) == expected
+
+
+def test_the_summary_of_a_file_is_the_first_sentence_of_its_comment() -> None:
+    assert summary_of("experiment", "toy_recall").endswith("with algo.model.core=none it stays at chance.")
+    assert summary_of("experiment", "merge_mappo").endswith("beside rules and human drivers.")
+    assert summary_of("preset", "bus_tuned").endswith("policies of their own).")

@@ -1,0 +1,353 @@
+"""PettingZoo environments and wrappers from the command line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from headway.config.experiment import StoreConfig
+from headway.contracts import HeadwayError
+from headway.store.checkpoint import load_latest, save_checkpoint
+from headway.store.index import RunIndex, RunRow
+from headway.store.parquet_log import read_curve
+from headway.store.run_folder import CHECKPOINTS
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import Experiment, compose, resolve
+from headway_launch.runner.jobs import cell_parameters, full_mapping
+
+SPREAD = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.args.N=3")
+STACK = "env.wrappers=[{name: frame_stack_v1, stack_size: 2}, clip_reward_v0]"
+TINY = (
+    "algo=ippo",
+    "energy=off",
+    "backend=serial",
+    "rollout.copies=4",
+    "rollout.block=2",
+    "rollout.steps=25",
+    "env_steps=300",
+    "evaluation.episodes=1",
+    "evaluation.final_episodes=2",
+    "store.checkpoint_every=1",
+)
+
+
+@pytest.fixture(autouse=True)
+def _a_folder_and_two_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("headway_launch.runner.runner.usable_cores", lambda: 2)
+
+
+def _runs() -> list[RunRow]:
+    return RunIndex(Path(StoreConfig().root)).rows()
+
+
+def _size(experiment: Experiment) -> int:
+    return experiment.prepare().spec.observation_size
+
+
+def test_a_pettingzoo_environment_composes_by_its_module() -> None:
+    experiment = compose([*SPREAD, "algo=ippo"])
+    assert experiment.env_config.N == 3
+    assert experiment.prepare().spec.agents == ("agent_0", "agent_1", "agent_2")
+    assert _size(compose(["env=mpe2.simple_spread_v3", "env.args.N=2"])) == 12
+    args = full_mapping(experiment, [0])["env"]["args"]
+    assert args["local_ratio"] == 0.5  # a default, spelt out
+    assert "wrappers" not in full_mapping(experiment, [0])["env"]
+
+
+@pytest.mark.parametrize("environment", [("env=trivial",), SPREAD], ids=["native", "PettingZoo"])
+def test_wrappers_are_part_of_what_is_stored_and_of_what_makes_a_cell(environment: tuple[str, ...]) -> None:
+    plain, wrapped = compose([*environment, "algo=ippo"]), compose([*environment, "algo=ippo", STACK])
+    assert _size(wrapped) == 2 * _size(plain)
+    mapping = full_mapping(wrapped, [0])
+    assert mapping["env"]["wrappers"] == [
+        {"name": "frame_stack_v1", "stack_size": 2, "stack_dim": -1},
+        {"name": "clip_reward_v0", "lower_bound": -1.0, "upper_bound": 1.0},
+    ]
+    again = resolve(yaml.safe_load(yaml.safe_dump(mapping)))
+    assert full_mapping(again, [0]) == mapping
+    assert _size(again) == _size(wrapped)
+    assert cell_parameters(again) == cell_parameters(wrapped) != cell_parameters(plain)
+    assert "env.wrappers" in cell_parameters(wrapped)
+    assert "env.wrappers" not in cell_parameters(plain)
+
+
+@pytest.mark.parametrize(
+    "environment", [("env=trivial",), ("env=matrix",), SPREAD], ids=lambda words: words[-1]
+)
+def test_rewards_are_changed_while_learning_and_reported_as_they_are(environment: tuple[str, ...]) -> None:
+    """A learner that is paid a tenth is reported on in full, and its rules are paid in full."""
+    experiment = compose([*environment, "env.wrappers=[{name: scale_reward_v0, scale: 0.1}, flatten_v0]"])
+    found = experiment.prepare()
+    plain = compose([*environment]).prepare()
+    seeds, paid = np.arange(2, dtype=np.uint64), []
+    for shared in (found.prepared, found.training):
+        env = experiment.env.make(shared, 2)
+        env.reset(seeds)
+        actions = np.zeros((2, env.spec.num_agents), dtype=np.int64)
+        paid.append(env.step(actions)[0].rewards.copy())
+    assert paid[0].any()
+    np.testing.assert_allclose(paid[1], 0.1 * paid[0], rtol=1e-6)
+    assert found.spec == plain.spec
+
+
+def test_a_rule_that_cannot_look_behind_wrappers_is_named_before_training() -> None:
+    experiment = compose(["env=trivial", "env.wrappers=[{name: max_observation_v0, memory: 2}]"])
+    with pytest.raises(HeadwayError, match=r"^evaluation\.rules: rule 'optimal' of trivial cannot look"):
+        experiment.prepare()
+
+
+def test_the_key_that_is_named_is_that_of_the_whole_list() -> None:
+    """Also where what is reported on goes without the first."""
+    experiment = compose(["env=trivial", "env.wrappers=[clip_reward_v0, color_reduction_v0]"])
+    with pytest.raises(HeadwayError, match=r"^env.wrappers\[1\]: color_reduction_v0 cannot wrap trivial"):
+        experiment.prepare()
+
+
+def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
+    wrappers = "[{name: frame_stack_v1, stack_size: 3}, agent_indicator_v0]"
+    assert _size(compose(["env=trivial", f"env.wrappers={wrappers}"])) == 3 * 4 + 10
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("env=pettingzoo",), "^env.id is missing and has no default; write env.id=VALUE$"),
+        (("env=pettingzoo", "env.id=mpe2.simple_sprae_v3"), "did you mean mpe2.simple_spread_v3"),
+        (("env=mpe2.simple_sprae_v3",), "did you mean mpe2.simple_spread_v3"),
+        (
+            (*SPREAD, "env.args.max_cycle=3"),
+            "env.args.max_cycle is not a key of mpe2.simple_spread_v3; did you",
+        ),
+        (
+            ("env=trivial", "env.shared_reward=true"),
+            "env.shared_reward is for PettingZoo environments by module",
+        ),
+        ((*SPREAD, "env.max_copies_per_process=0"), "env.max_copies_per_process must be at least 1, or null"),
+        (
+            ("env=trivial", "env.wrappers=[frame_stak_v1]"),
+            r"env.wrappers\[0\]: 'frame_stak_v1' is no wrapper",
+        ),
+        (
+            ("env=trivial", "env.wrappers=frame_stack_v1"),
+            "env.wrappers='frame_stack_v1' is text, where a list",
+        ),
+        (("env=trivial", "env.wrappers=[{name: os.system}]"), "'os.system' is no wrapper"),
+        (
+            ("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: os.system}]"),
+            "_target_.* is not allowed",
+        ),
+        (("env=os.path",), "os is not an installed package that depends on PettingZoo"),
+        (("env=../../evil.yaml",), "is no public module"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(overrides: tuple[str, ...], message: str) -> None:
+    with pytest.raises(HeadwayError, match=message):
+        compose(overrides)
+
+
+def test_what_the_adapter_is_told_is_stored_and_reaches_it() -> None:
+    told = compose(
+        [*SPREAD, "env.args.local_ratio=0", "env.shared_reward=true", "env.max_copies_per_process=4"]
+    )
+    spec = told.prepare().spec
+    assert spec.shared_reward
+    assert spec.max_copies_per_process == 4
+    env = full_mapping(told, [0])["env"]
+    assert env["shared_reward"] is True
+    assert resolve(full_mapping(told, [0])).prepare().spec == spec
+
+
+def test_what_only_learning_is_given_is_asked_of_learning_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a factory whose signature tells nothing, the arguments that are given are all that is known."""
+    monkeypatch.setattr("headway.adapters.modules._described", lambda module, name: None)
+    for wrappers in ("[]", "[clip_reward_v0]"):
+        words = ("env.training_args.local_ratio=0.1", f"env.wrappers={wrappers}")
+        experiment = compose([*SPREAD, *words])
+        found = experiment.prepare()
+        given = [getattr(each, "prepared", each).arguments for each in (found.prepared, found.training)]
+        assert given == [{"N": 3}, {"N": 3, "local_ratio": 0.1}]
+        again = resolve(full_mapping(experiment, [0]))
+        assert cell_parameters(again) == cell_parameters(experiment)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        SPREAD,
+        (*SPREAD, STACK),
+        (
+            *SPREAD,
+            "env.wrappers=[pad_observations_v0, {name: sticky_actions_v0, repeat_action_probability: 0.1}]",
+        ),
+        ("env=mpe2.simple_adversary_v3", "env.wrappers=[pad_observations_v0, agent_indicator_v0]"),
+        (*SPREAD, "env.args.continuous_actions=true", "env.wrappers=[{name: scale_actions_v0, scale: 0.5}]"),
+    ],
+    ids=["plain", "twins", "SuperSuit", "padded", "Box"],
+)
+def test_a_pettingzoo_environment_trains_beside_random_play(
+    overrides: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["run", *overrides, *TINY, "evaluation.rules=[random]"]) == 0, capsys.readouterr().err
+    shown = capsys.readouterr().out
+    assert "FINISHED" in shown
+    assert "rule random" in shown
+
+
+def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
+    """Everything that they are given can be pickled."""
+    tiny = [word for word in TINY if word != "backend=serial"]
+    wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}, agent_indicator_v0]"
+    for overrides in ((*SPREAD, wrappers), ("env=trivial", wrappers), ("env=trivial", STACK)):
+        words = ("backend=process", "backend.workers=2", "evaluation.rules=[random]")
+        assert run(["run", *overrides, *tiny, *words]) == 0
+    assert [row.status for row in _runs()] == ["FINISHED"] * 3
+
+
+def test_the_price_of_a_wrapper_without_a_twin_is_said_in_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}]"
+    assert run(["run", "env=matrix", wrappers, *TINY]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "no batched form" in line]
+    assert lines == [
+        "headway: delay_observations_v0 has no batched form: matrix is played as a ParallelEnv, one copy "
+        "after another; it has no snapshots: episodes start anew on resume"
+    ]
+
+
+def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stack's memory is in the checkpoint: the curve is that of a run that was never stopped."""
+    assert run(["run", "env=visitors", STACK, *TINY]) == 0
+    row = _runs()[0]
+    directory = Path(row.directory)
+    curves = [f"{group}/return" for group in ("training", "evaluation_greedy", "evaluation_sampled")]
+    before = [read_curve(directory, name) for name in curves]
+    newest = sorted((directory / CHECKPOINTS).iterdir())[-1]
+    newest.unlink()
+    record = directory / "run.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "KILLED"}))
+    assert run(["resume", row.run_id]) == 0, capsys.readouterr().err
+    assert [read_curve(directory, name) for name in curves] == before
+    capsys.readouterr()
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    assert run(["evaluate", row.run_id, "--episodes", "2"]) == 0
+    shown, told = capsys.readouterr()
+    assert "\repisodes played: 0 of 6\x1b[K" in told
+    assert "\repisodes played: 6 of 6 (rule " in told
+    assert "episodes played" not in shown
+    assert "rule optimal" in shown
+    assert "rule random" in shown
+
+
+def test_cells_that_differ_in_what_they_learn_from_are_compared(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By training arguments and by a wrapper of rewards, which makes another kind of environment. What is
+    played is counted over rules, cells and their seeds."""
+    for words in (("env.wrappers=[clip_reward_v0]",), ("seed=0,1",), ("env.training_args.steps=9",)):
+        assert run(["run", "env=trivial", *TINY, "env.args.agents=2", *words]) == 0, capsys.readouterr().err
+    capsys.readouterr()
+    with monkeypatch.context() as terminal:
+        terminal.setattr("sys.stderr.isatty", lambda: True, raising=False)
+        assert run(["compare", "default", "--episodes", "2"]) == 0, capsys.readouterr().err
+    shown, told = capsys.readouterr()
+    assert "\repisodes played: 0 of 12\x1b[K" in told  # two rules and four seeds
+    assert "\repisodes played: 12 of 12 (" in told
+    assert "episodes played" not in shown
+    rows = [line.split("\t") for line in shown.splitlines() if "\t" in line]
+    cells = [row[1] for row in rows[1:] if not row[1].startswith("rule ")]
+    assert len(cells) == 3
+    assert any("env.training_args.steps=9" in cell for cell in cells)
+    assert sum("clip_reward_v0" in cell for cell in cells) == 1
+    assert run(["run", "env=trivial", *TINY, "env.args.agents=3"]) == 0
+    capsys.readouterr()
+    assert run(["compare", "default", "--episodes", "2"]) == 2
+    assert "holds several environments" in capsys.readouterr().err
+
+
+def test_rules_that_wrappers_hide_are_left_out_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hiding = "env.wrappers=[{name: max_observation_v0, memory: 2}]"
+    assert run(["run", "env=trivial", hiding, *TINY, "evaluation.rules=[random]"]) == 0
+    capsys.readouterr()
+    name = _runs()[0].run_id
+    for words in (["compare", "default"], ["evaluate", name]):
+        assert run([*words, "--episodes", "2"]) == 0, capsys.readouterr().err
+        told = capsys.readouterr()
+        assert "rule random" in told.out
+        assert "rule optimal" not in told.out
+        [line] = [line for line in told.err.splitlines() if "optimal" in line]
+        assert line.startswith("headway: left out: rule 'optimal' of trivial cannot look behind")
+
+    def play(*_: object) -> None:
+        raise AssertionError("it played before it knew the rules")
+
+    monkeypatch.setattr("headway_launch.runner.checkpointed_policy.policy_episodes", play)
+    for words in (["compare", "default"], ["evaluate", name]):
+        assert run([*words, "--episodes", "2", "--rules", "random,optimal"]) == 2
+        line = capsys.readouterr().err.splitlines()[-1]
+        assert line.startswith("headway: --rules: rule 'optimal' of trivial cannot look behind")
+        assert "evaluation.rules" not in line
+
+
+def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["run", "env=trivial", *TINY]) == 0
+    capsys.readouterr()
+    assert run(["compare", "default", "--episodes", "2", "--rules", "random"]) == 0
+    shown = capsys.readouterr().out
+    assert "minus random" in shown
+    assert "optimal" not in shown
+    for words, line in (
+        (["--rules", "optimum"], "--rules: 'optimum' is no rule here; did you mean optimal?"),
+        (["--rules", ","], "--rules names none"),
+        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
+        (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
+        (["--rules", "random", "--against", "optimum"], "--against: 'optimum' is no rule here"),
+    ):
+        assert run(["compare", "default", "--episodes", "2", *words]) == 2
+        assert line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "compare", "resume"])
+def test_a_run_of_an_environment_that_observed_otherwise_is_one_line(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As if this version of the environment showed one number less."""
+    assert run(["run", "env=trivial", *TINY]) == 0
+    row = _runs()[0]
+    folder = Path(row.directory) / CHECKPOINTS
+    iteration, state, _ = load_latest(folder)
+    for name in ("observation_mean", "observation_scale"):
+        state["acting"][name] = np.repeat(state["acting"][name], 2, axis=-1)
+    save_checkpoint(folder, iteration, state)
+    if command == "resume":
+        record = Path(row.directory) / "run.json"
+        record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "KILLED"}))
+    capsys.readouterr()
+    assert run([command, "default" if command == "compare" else row.run_id]) == 2
+    told = capsys.readouterr().err
+    assert f"run {row.run_id} was made by a version of trivial with other observations" in told
+    assert "train it again" in told
+    assert "ValueError" not in told
+
+
+def test_wrappers_are_listed_with_their_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["list", "wrappers"]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert rows[0] == ["wrapper", "arguments", "batched", "what it does"]
+    by_name = {row[0]: row[1:3] for row in rows}
+    assert by_name["frame_stack_v1"] == ["stack_size=4, stack_dim=-1", "yes"]
+    assert by_name["sticky_actions_v0"] == ["repeat_action_probability", "no"]
+    assert "reward_lambda_v0" not in by_name
+    assert run(["list", "wrappers", "clip_reward_v0"]) == 0
+    assert "lower_bound\tnumber\t-1.0\tSmallest reward, at most 0." in capsys.readouterr().out
+    assert run(["list", "wrappers", "clip_rewards"]) == 2
+    assert "did you mean clip_reward_v0?" in capsys.readouterr().err
+    assert run(["list", "envs", "mpe2.simple_tag_v3"]) == 0
+    assert "env.args.num_adversaries\twhole number\t3" in capsys.readouterr().out

@@ -1,0 +1,61 @@
+"""What is learned from and what is reported on are prepared together, and share what is the same."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import headway_envs.bus.scenario.synthetic as synthetic
+from headway.wrappers.wrapping import Wrapped
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.prepared import Prepared, prepare
+from headway_envs.bus.scenario.tables import Tables
+from headway_launch.experiments.compose import compose
+from headway_launch.runner.jobs import plan_jobs
+
+BUS = ["env=bus", "algo=ippo", "seed=0..2"]
+OWN = "env.training_args.reward.scope=own"
+WRAPPERS = "env.wrappers=[{name: clip_reward_v0, lower_bound: -1, upper_bound: 1}]"
+
+
+@pytest.fixture
+def generated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Scenarios that were generated."""
+    generate, calls = synthetic.generate, []
+
+    def counted(scenario: str, seed: int) -> Tables:
+        calls.append((scenario, seed))
+        return generate(scenario, seed)
+
+    monkeypatch.setattr(synthetic, "generate", counted)
+    return calls
+
+
+@pytest.mark.parametrize("others", [[], [OWN], [OWN, WRAPPERS], [WRAPPERS]])
+def test_a_scenario_is_generated_once(generated: list[tuple[str, int]], others: list[str]) -> None:
+    jobs = plan_jobs(compose([*BUS, *others]))
+    assert generated == [("line", 0)]
+    for job in jobs:
+        reported, learned = (_inner(each) for each in (job.prepared, job.training_prepared))
+        assert reported.network is learned.network
+        assert reported.config.reward.scope == "team"
+        assert learned.config.reward.scope == ("own" if OWN in others else "team")
+    # And so in a training process: what is shared is pickled once.
+    prepared, training = pickle.loads(pickle.dumps((jobs[0].prepared, jobs[0].training_prepared)))
+    assert _inner(prepared).network.running is _inner(training).network.running
+
+
+def test_what_more_than_rewards_changes_is_prepared_anew(generated: list[tuple[str, int]]) -> None:
+    (job,) = plan_jobs(compose(["env=bus", "algo=ippo", "seed=0", "env.training_args.capacity=50"]))
+    assert generated == [("line", 0)] * 2
+    alone = prepare(BusConfig(capacity=50))
+    assert job.training_prepared.config == alone.config
+    for shared, own in zip(job.training_prepared.network, alone.network, strict=True):
+        assert np.array_equal(shared, own)
+
+
+def _inner(prepared: object) -> Prepared:
+    """Without the wrappers, if there are any."""
+    inner = prepared.prepared if isinstance(prepared, Wrapped) else prepared
+    assert isinstance(inner, Prepared)
+    return inner

@@ -1,0 +1,311 @@
+"""Whole sessions whose workers are actors of a Ray cluster: the same curves, and nothing left behind."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "platform" / "rollout"))
+from ray_processes import assert_gone, ray_processes
+
+from headway.config.experiment import BackendConfig
+from headway.events import CheckpointSaved, Failed, Finished, IterationFinished, Started, Usage
+from headway.store import CHECKPOINTS
+from headway.store.checkpoint import latest_iteration
+from headway.store.index import RunIndex, RunRow
+from headway.store.parquet_log import TABLES, read_rows
+from headway_launch.commands.main import run
+from headway_launch.runner.cluster.ray_cluster import SessionCluster
+from headway_launch.runner.jobs import Shares, gpus_of, share_cores
+
+needs_ray = pytest.mark.skipif(
+    find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
+)
+TINY = (
+    "env=visitors",
+    "algo=ippo",
+    "energy=off",
+    "seed=3",
+    "rollout.copies=4",
+    "rollout.block=2",
+    "rollout.steps=32",
+    "evaluation.episodes=1",
+    "evaluation.final_episodes=2",
+    "store.checkpoint_every=4",
+    "backend.workers=2",
+)
+LONG = (*TINY, "env_steps=5120")
+PATIENCE_S = 180.0
+
+
+def _started(*words: str, folder: Path) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "headway_launch", *words]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, cwd=folder, text=True, start_new_session=True, **pipes)
+
+
+def _runs(folder: Path) -> dict[int, RunRow]:
+    return {row.seed: row for row in RunIndex(folder / "runs").rows()}
+
+
+def _tables(row: RunRow) -> dict[str, list[dict[str, str]]]:
+    """All that a run logged but times, to the last bit."""
+    return {
+        table: [
+            {
+                name: float(value).hex() if isinstance(value, float) else str(value)
+                for name, value in line.items()
+                if name != "wall_s" and not name.startswith("time/")
+            }
+            for line in read_rows(Path(row.directory), table)
+        ]
+        for table in TABLES
+    }
+
+
+def _kept(folder: Path) -> int:
+    """Iteration of the newest checkpoint of the only run; 0: there is none."""
+    return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
+
+
+def _until_kept(process: "subprocess.Popen[str]", folder: Path) -> None:
+    """Wait for the first checkpoint."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not _kept(folder):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the same was trained by processes."""
+    folder = tmp_path_factory.mktemp("process")
+    with _started("run", *LONG, folder=folder) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    return folder
+
+
+@needs_ray
+def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
+    by_processes: Path, tmp_path: Path
+) -> None:
+    before = ray_processes()
+    with _started("run", *LONG, "backend=ray", folder=tmp_path) as process:
+        _until_kept(process, tmp_path)
+        process.kill()
+        process.communicate(timeout=PATIENCE_S)
+    assert_gone(before)
+    killed = _runs(tmp_path)
+    assert 0 < _kept(tmp_path) < 40
+    with _started("resume", *(row.run_id for row in killed.values()), folder=tmp_path) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    assert "(raylet)" not in told
+    ended, expected = _runs(tmp_path), _runs(by_processes)
+    assert [row.status for row in ended.values()] == ["FINISHED"]
+    assert _tables(ended[3]) == _tables(expected[3])
+    assert_gone(before)
+
+
+@needs_ray
+def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
+    by_processes: Path, tmp_path: Path
+) -> None:
+    before = ray_processes()
+    sweep = (
+        "sweep",
+        *LONG,
+        "algo=ippo,ia2c",
+        "backend=ray",
+        "backend.learners=cluster",
+        "backend.parallel=1",
+    )
+    with _started(*sweep, folder=tmp_path) as process:
+        _until_kept(process, tmp_path)
+        hosts = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
+        (host,) = hosts
+        children = host.children(recursive=True)
+        host.kill()
+        _, told = process.communicate(timeout=2 * PATIENCE_S)
+        assert process.returncode == 0, told
+    assert (
+        told.count("its training process was lost (its worker process has died); it goes on elsewhere") == 1
+    )
+    assert not any(child.is_running() for child in children)
+    ended = {row.algorithm: row for row in RunIndex(tmp_path / "runs").rows()}
+    assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
+    assert _tables(ended["ippo"]) == _tables(_runs(by_processes)[3])
+    assert_gone(before)
+
+
+@needs_ray
+def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
+    """The key reaches the whole group of processes, Ray's too."""
+    before = ray_processes()
+    with _started(
+        "run", *TINY, "backend=ray", "backend.workers=2", "env_steps=1e8", folder=tmp_path
+    ) as process:
+        _until_kept(process, tmp_path)
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 130, told
+    assert "with a checkpoint" in told
+    assert "failed" not in told
+    (row,) = _runs(tmp_path).values()
+    assert row.status == "KILLED"
+    assert latest_iteration(Path(row.directory, CHECKPOINTS)) == row.iterations
+    assert_gone(before)
+
+
+@pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
+def test_without_ray_nothing_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["run", *TINY, "backend=ray"]) == 2
+    assert (
+        capsys.readouterr().err
+        == 'headway: backend=ray needs Ray, which is an extra: pip install "headway[ray]"\n'
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@needs_ray
+@pytest.mark.parametrize("words", [("run",), ("sweep",)])
+def test_an_address_without_a_cluster_starts_nothing(
+    words: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([*words, *TINY, "backend=ray", "backend.address=127.0.0.1:1"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(
+        "headway: no Ray cluster answers at backend.address=127.0.0.1:1 (Connection refused)"
+    )
+    assert told.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_address_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["run", *TINY, "backend=ray", "backend.address=nonsense"]) == 2
+    assert (
+        capsys.readouterr().err
+        == "headway: backend.address must be auto, local or HOST:PORT, not 'nonsense'\n"
+    )
+
+
+def test_a_session_without_ray_has_no_cluster() -> None:
+    cluster = SessionCluster.open([BackendConfig("process"), BackendConfig("serial")])
+    assert cluster == SessionCluster()
+    assert cluster.backend(BackendConfig("ray")) == BackendConfig("ray")
+    cluster.close()
+
+
+@pytest.mark.parametrize(
+    ("cluster", "asked", "given"),
+    [
+        (SessionCluster("head:1", shared_out=True), {}, ("head:1", 0.0)),
+        (SessionCluster("head:1", shared_out=True), {"worker_cpus": 2.0}, ("head:1", 2.0)),
+        (SessionCluster("head:1", cpus=64), {"address": "auto"}, ("head:1", None)),
+    ],
+)
+def test_training_processes_are_given_the_cluster_of_the_session(
+    cluster: SessionCluster, asked: dict[str, float | str], given: tuple[str, float | None]
+) -> None:
+    backend = cluster.backend(BackendConfig("ray", **asked))
+    assert (backend.address, backend.worker_cpus) == given
+
+
+@pytest.mark.parametrize(
+    ("jobs", "cores", "cpus", "expected"),
+    [
+        (1, 2, 64, Shares(1, 64)),
+        (50, 4, 64, Shares(4, 16)),
+        (50, 16, 8, Shares(8, 1)),
+        (3, 2, None, Shares(2, 1)),
+    ],
+)
+def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_here(
+    jobs: int, cores: int, cpus: int | None, expected: Shares
+) -> None:
+    from headway_launch.experiments.compose import compose
+    from headway_launch.runner.jobs import plan_jobs
+
+    planned = plan_jobs(compose(["env=trivial", "algo=ippo", f"seed=0..{jobs - 1}", "backend=ray"]))
+    assert share_cores(BackendConfig("ray"), planned, cores, cpus) == expected
+    whole = SessionCluster("head:1", cpus=64, node_cpus=8, learners=True)
+    assert whole.share_cores(BackendConfig("ray"), planned, cores) == Shares(jobs, min(64 // jobs, 8))
+
+
+@needs_ray
+@pytest.mark.parametrize(
+    ("words", "workers", "node_cpus", "asked", "parallel"),
+    [
+        (("backend.stack=5", "env.max_copies_per_process=1"), 10, 4, 2, 2),
+        (("backend.stack=5", "env.max_copies_per_process=1"), 10, 1, 1, 2),
+        (("backend.workers=6", "rollout.copies=6", "rollout.block=1"), 6, 4, 4, 2),
+        (("backend.workers=6", "rollout.copies=6", "rollout.block=1"), 6, 8, 6, 1),
+        (("backend.stack=5", "env.max_copies_per_process=1"), 10, None, 0, 2),
+    ],
+)
+def test_a_run_that_is_placed_whole_asks_for_what_a_node_has(
+    words: tuple[str, ...], workers: int, node_cpus: int | None, asked: int, parallel: int
+) -> None:
+    from headway_launch.experiments.compose import compose
+    from headway_launch.runner.cluster.ray_training import Placement
+    from headway_launch.runner.jobs import plan_jobs, workers_of
+
+    bare = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "algo=ippo", "seed=0..9", "backend=ray"]
+    composed = compose([*bare, "rollout.copies=2", "rollout.block=2", *words])
+    jobs = plan_jobs(composed)
+    cpus = None if node_cpus is None else 8
+    cluster = SessionCluster("head:1", node_cpus is None, cpus, node_cpus, learners=True)
+    shares = cluster.share_cores(composed.config.backend, jobs, cores=4)
+    job = jobs[0].training_job(composed.config, workers_of(jobs[0], shares), ())
+    assert job.workers == workers
+    assert Placement.of(job, node_cpus, 0.0) == Placement(asked)
+    assert shares.parallel == parallel
+
+
+@pytest.mark.parametrize(
+    ("device", "there", "asked"),
+    [("cpu", 4, 0), ("auto", 0, 0), ("auto", 4, 1), ("cuda", 4, 1), ("cuda:1", 0, 1)],
+)
+def test_a_learner_asks_for_the_gpu_that_it_trains_on(device: str, there: float, asked: float) -> None:
+    assert gpus_of(device, there) == asked
+
+
+@needs_ray
+def test_what_is_used_on_another_machine_is_not_counted_here() -> None:
+    from headway_launch.runner.cluster.ray_training import without_usage
+
+    used = Usage(3.0, 5)
+    assert without_usage(Started(2, (7, 8))) == Started(2, ())
+    assert without_usage(IterationFinished(1, 2, used, ())) == IterationFinished(1, 2, Usage(), ())
+    assert without_usage(Finished(1, False, used, 2.0)) == Finished(1, False, Usage(), 2.0)
+    assert without_usage(CheckpointSaved(4)) == CheckpointSaved(4)
+
+
+@needs_ray
+def test_a_machine_that_does_not_see_the_store_is_told_in_one_line(tmp_path: Path) -> None:
+    from headway_launch.runner.cluster.ray_training import TrainingHost
+
+    host = TrainingHost()
+    host.train(pickle.dumps(SimpleNamespace(directories=(str(tmp_path), "/nowhere/run"))))
+    failed, end = host.next_events()
+    assert end is None
+    assert isinstance(failed, Failed)
+    assert (
+        "has no folder /nowhere/run: a sweep over a cluster needs store.root on a file system" in failed.line
+    )

@@ -1,0 +1,60 @@
+"""The rules beside a cell, kept from one session to the next."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from headway.config.experiment import StoreConfig
+from headway.events import Row
+from headway.store.session import SessionStore
+from headway_launch.console.progress_display import Counted
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.runner import cell as cell_module
+from headway_launch.runner.cell import CellWork
+from headway_launch.runner.jobs import CellPlan
+
+RULES = ("evaluation.rules=[optimal]", "evaluation.episodes=3", "evaluation.final_episodes=3")
+TINY = ("env=trivial", "algo=ippo", "env.args.agents=2", "env.args.steps=20", "study=kept", *RULES)
+
+
+def test_rules_of_other_days_are_played_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Days are counted from 0 whatever seed they follow from, and cells do not differ by that seed."""
+    roots: list[int] = []
+    play = cell_module.rule_episodes
+
+    def counted(
+        experiment: Experiment,
+        prepared: object,
+        rules: Sequence[str],
+        root: int,
+        episodes: int,
+        so_far: Counted,
+    ) -> dict[str, list[Row]]:
+        roots.append(root)
+        return play(experiment, prepared, rules, root, episodes, so_far)
+
+    monkeypatch.setattr(cell_module, "rule_episodes", counted)
+    store = SessionStore(StoreConfig(root=str(tmp_path)))
+    cell = store.begin_cell("kept", "trivial", "ippo", {})
+    run = cell.begin_run(0, "seed: 0\n", {}, iterations=1)
+    run.finish("FINISHED", {})
+
+    def rules_after(*overrides: str) -> int:
+        plan = CellPlan(
+            compose((*TINY, f"store.root={tmp_path}", *overrides)), jobs=(), finished=(run.directory,)
+        )
+        work = CellWork(store, plan)
+        work.play_rules({})
+        return len(work.rules["optimal"])
+
+    assert rules_after() == 3
+    assert rules_after() == 3
+    assert len(roots) == 1
+    assert rules_after("evaluation.seed=77") == 3
+    assert roots[1:] == [77]
+    assert rules_after("evaluation.seed=77") == 3
+    assert len(roots) == 2
+    assert rules_after() == 3
+    assert len(roots) == 3
+    store.close()

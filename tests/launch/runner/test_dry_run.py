@@ -1,0 +1,157 @@
+"""What a dry run says: the runs, and what they would take."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from headway.energy import Energy, EnergyMeter, JobUsage
+from headway.events import EvaluationFinished, IterationFinished, Started, Usage
+from headway.training.loop import TrainingJob
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
+from headway_launch.runner.calibration import Pace, Trial, calibrate
+from headway_launch.runner.dry_run import makespan, spans
+from headway_launch.runner.jobs import CellPlan, Shares
+from headway_launch.runner.training_process import TrainingProcess, Work
+
+PACE = Pace(
+    start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
+    kwh=1e-6, kg_co2=1e-7,
+)  # fmt: skip
+
+
+def test_jobs_take_the_places_that_become_free() -> None:
+    assert makespan([3.0, 1.0, 1.0, 1.0], 2) == 3.0
+    assert makespan([1.0, 1.0, 1.0, 3.0], 2) == 4.0
+    assert makespan([], 2) == 0.0
+
+
+def test_a_job_takes_its_start_iterations_and_evaluations() -> None:
+    config = compose(
+        ["env=trivial", "rollout.copies=4", "rollout.steps=25", "env_steps=1000", "evaluation.every=300"]
+    ).config
+    config = replace(config, evaluation=replace(config.evaluation, episodes=10, final_episodes=30))
+    # Ten iterations of 100 steps; evaluations before them (whose CPU seconds are the start's), at 300, 600
+    # and 900, and the last of three times the episodes.
+    whole = PACE.of_job(config, 0)
+    assert whole.seconds == pytest.approx(3.0 + 10 * 0.5 + (1 + 3 + 3) * 2.0)
+    assert whole.cpu_s == pytest.approx(4.0 + 10 * 1.0 + (3 + 3) * 2.0 * 2.0)
+    assert whole.kwh == pytest.approx(whole.cpu_s * 1e-6)
+    rest = PACE.of_job(config, 7)
+    assert rest.seconds == pytest.approx(3.0 + 3 * 0.5 + (1 + 3) * 2.0)
+    assert replace(PACE, kwh=None).of_job(config, 0).kwh is None
+
+
+def test_a_dry_run_lists_estimates_and_keeps_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished: list[JobUsage] = []
+    finish = EnergyMeter.finish
+
+    def watched(meter: EnergyMeter, name: str, others: dict[str, JobUsage], usage: JobUsage) -> Energy:
+        finished.append(usage)
+        return finish(meter, name, others, usage)
+
+    monkeypatch.setattr(EnergyMeter, "finish", watched)
+    monkeypatch.setattr("headway_launch.runner.calibration.uses_gpu", lambda job: True)
+    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout=short", "env_steps=1e6",
+             "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
+    sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
+    assert run([*sweep, "--dry-run"]) == 0
+    told = capsys.readouterr()
+    listed, estimated = told.out.split("\n\n")[:2]
+    header, *rows = [line.split("\t") for line in listed.splitlines()]
+    assert header == ["cell", "seeds", "runs", "what happens"]
+    assert rows == [[algo, "0..2", "3", "begins"] for algo in ("ippo", "ia2c")]
+    header, *rows = [line.split("\t") for line in estimated.splitlines()]
+    assert header == ["cell", "trainings", "s each", "CPU s in all", "kWh in all"]
+    assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
+    assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
+    assert {"measuring ippo", "measuring ia2c"} <= set(told.err.splitlines())
+    assert "6 trainings" in told.out
+    assert "a training is a stack" not in told.out
+    assert "with training processes on this machine" not in told.out
+    assert "energy not measured" in told.out
+    assert "rests on" in told.out
+    assert not (tmp_path / "runs").exists()
+    assert len(finished) >= 2
+    assert all(usage.uses_gpu for usage in finished)
+
+
+def test_cells_share_the_processes_that_measure_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[TrainingProcess] = []
+    start = TrainingProcess.__init__
+
+    def counted(process: TrainingProcess, job: TrainingJob, work: Work | None = None) -> None:
+        started.append(process)
+        start(process, job, work)
+
+    paces: dict[int, Pace] = {}
+
+    def kept(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace], str]:
+        found, modes = calibrate(cells, shares)
+        paces.update(found)
+        return found, modes
+
+    monkeypatch.setattr(TrainingProcess, "__init__", counted)
+    monkeypatch.setattr("headway_launch.runner.dry_run.calibrate", kept)
+    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout=short",
+             "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off")  # fmt: skip
+    assert run([*sweep, f"store.root={tmp_path / 'runs'}", "--dry-run"]) == 0
+    assert len(started) == 2
+    estimated = capsys.readouterr().out.split("\n\n")[1].splitlines()[1:]
+    assert [line.split("\t")[0] for line in estimated] == ["ippo", "ia2c", "mappo", "maa2c", "coma"]
+    # Each has what starting its process took, though only the first of each process waited for torch.
+    assert len(paces) == 5
+    assert len({pace.start_s for pace in paces.values()}) == 2
+    assert len({pace.cpu_start_s for pace in paces.values()}) == 2
+
+
+@pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
+def test_whatever_trains_can_be_tried_dry(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "runs"
+    assert run([*words, "env_steps=2048", "energy=off", f"store.root={root}", "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("cell\tseeds\truns\twhat happens\n")
+    assert "begins" in told
+    assert "rests on" in told
+    assert not root.exists()
+
+
+def test_what_a_training_is_and_where_it_was_measured_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout=short", "env_steps=1e6", "energy=off"]
+    words += ["backend=ray", "backend.stack=3", "evaluation.episodes=1", f"store.root={tmp_path / 'runs'}"]
+    assert run([*words, "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert "5 runs in 2 trainings: a training is a stack of up to 3 seeds (backend.stack)" in told
+    assert "It was measured with training processes on this machine" in told
+
+
+def test_seeds_that_follow_each_other_are_a_span() -> None:
+    assert spans([0, 1, 2, 3, 7]) == "0..3,7"
+    assert spans([4, 5]) == "4,5"
+    assert spans([3, 2, 1]) == "3,2,1"
+
+
+def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
+    trial = Trial("a cell", launched=time.monotonic())
+    spent = 5.0
+    trial.take(Started(0, (), False))
+    trial.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), ()))
+    for iteration in (1, 2, 3):
+        spent += 1.0
+        rows = ({"time/collect_s": 0.75, "time/learn_s": 0.25},)
+        trial.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), rows))
+        spent += 2.0
+        trial.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), ()))
+    pace = trial.pace(None, None)
+    assert (pace.iteration_s, pace.cpu_iteration_s, pace.cpu_start_s, pace.iterations) == (1.0, 1.0, 5.0, 2)

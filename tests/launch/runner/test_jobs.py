@@ -1,0 +1,264 @@
+"""Environments of which a process holds few copies are given processes enough, or refused in one line."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from headway.config.experiment import BackendConfig, ExperimentConfig, RolloutConfig
+from headway.contracts import Discrete, EnvSpec, HeadwayError
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.runner.jobs import (
+    new_jobs,
+    plan_jobs,
+    require_free_disk,
+    share_cores,
+    uses_gpu,
+    within_processes,
+    workers_of,
+)
+
+ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
+TWO = replace(ONE, max_copies_per_process=2)
+SIX = replace(ONE, max_copies_per_process=6)
+
+
+def _config(copies: int, block: int, **backend: object) -> ExperimentConfig:
+    return ExperimentConfig(
+        seed=(1, 2, 3), rollout=RolloutConfig(copies, 10, block), backend=BackendConfig(**backend)
+    )
+
+
+@pytest.mark.parametrize(
+    ("spec", "copies", "block", "stack", "expected"),
+    [
+        (ONE, 8, 4, 1, (1, 8)),
+        (ONE, 1, 1, 1, (1, 1)),
+        (SIX, 8, 4, 1, (4, 2)),
+        (SIX, 9, 9, 1, (3, 2)),
+        (SIX, 8, 8, 1, (4, 2)),
+        (SIX, 8, 8, 2, (4, 4)),
+        (SIX, 8, 2, 3, (2, 4)),
+        (ONE, 8, 4, 2, (1, 16)),
+        (ONE, 1, 1, 5, (1, 3)),
+        (TWO, 4, 2, 1, (2, 2)),
+        (TWO, 4, 2, 3, (2, 6)),
+    ],
+)
+def test_blocks_shrink_alike_for_any_stack_and_workers_grow(
+    spec: EnvSpec, copies: int, block: int, stack: int, expected: tuple[int, int]
+) -> None:
+    fitted = within_processes(_config(copies, block, stack=stack), spec)
+    assert (fitted.rollout.block, fitted.backend.workers) == expected
+
+
+def test_what_needs_no_change_is_left_alone() -> None:
+    free = replace(ONE, max_copies_per_process=None)
+    for spec, config in (
+        (free, _config(8, 4)),
+        (ONE, _config(1, 1, name="serial")),
+        (ONE, _config(4, 1, workers=4)),
+        (SIX, _config(8, 4, workers=2)),
+    ):
+        assert within_processes(config, spec) == config
+
+
+@pytest.mark.parametrize(
+    ("spec", "config", "line"),
+    [
+        (ONE, _config(2, 1, name="serial"), "1 copy of bridge; set rollout.copies=1, or backend=process"),
+        (ONE, _config(8, 1, workers=2), "1 copy of bridge; set backend.workers=8, or leave it out"),
+        (ONE, _config(8, 1, stack=2, workers=8), "1 copy of bridge; set backend.workers=16, or leave it out"),
+        (
+            ONE,
+            _config(1, 1, stack=2, name="serial"),
+            "1 copy of bridge; set backend.stack=1, or backend=proc",
+        ),
+        (
+            SIX,
+            _config(8, 8, stack=3, name="serial"),
+            "6 copies of bridge; set rollout.copies=2 and rollout.block=2, or backend=process",
+        ),
+        (TWO, _config(2, 1, stack=3, name="serial"), "2 copies of bridge; set backend.stack=1, or backend="),
+        (
+            TWO,
+            _config(9, 3, stack=3, name="serial", workers=1),
+            "2 copies of bridge; set backend.stack=1 and rollout.copies=2 and rollout.block=1, "
+            "or backend=process and backend.workers=18",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_with_settings_that_work(
+    spec: EnvSpec, config: ExperimentConfig, line: str
+) -> None:
+    with pytest.raises(HeadwayError, match=f"a process can hold {line}") as refusal:
+        within_processes(config, spec)
+    ways = str(refusal.value).split("; set ")[1].split(", or ")
+    for way in ways:
+        within_processes(_following(way, config), spec)
+
+
+def _following(way: str, config: ExperimentConfig) -> ExperimentConfig:
+    """The configuration with settings that a line names."""
+    changed: dict[str, dict[str, Any]] = {"rollout": {}, "backend": {}}
+    for setting in way.replace("leave it out", "backend.workers=").split(" and "):
+        key, value = setting.split("=")
+        group, _, name = key.partition(".")
+        changed[group][name or "name"] = (int(value) if value else None) if name else value
+    return replace(
+        config,
+        rollout=replace(config.rollout, **changed["rollout"]),
+        backend=replace(config.backend, **changed["backend"]),
+    )
+
+
+def _crowded(*overrides: str) -> Experiment:
+    """On an environment of which a process holds four copies."""
+    bare = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=4")
+    return compose([*bare, "algo=ippo", "seed=0,1", "rollout.copies=8", *overrides])
+
+
+def test_jobs_have_the_workers_that_their_own_configuration_needs() -> None:
+    """Not those of the session's first cell, nor its share of few cores."""
+    plain = compose(["env=trivial", "algo=ippo", "seed=0,1", "backend.workers=1"])
+    asked = compose(["env=trivial", "algo=ippo", "seed=0", "backend.workers=2"])
+    serial = compose(["env=trivial", "algo=ippo", "seed=0", "backend=serial"])
+    crowded = _crowded("rollout.block=8")
+    cells = [new_jobs(each, each.config.seed) for each in (plain, asked, serial, crowded)]
+    jobs = [job for cell in cells for job in cell]
+    for cores, parallel in ((1, 1), (2, 1), (8, 4)):
+        shares = share_cores(plain.config.backend, jobs, cores)
+        assert shares.parallel == parallel
+        assert [workers_of(job, shares) for job in jobs] == [1, 1, 2, 1, 2, 2]
+    assert {job.config.rollout.block for job in cells[-1]} == {4}
+    assert all(job.experiment is crowded for job in cells[-1])  # it is known by what was asked for
+
+
+def test_a_stack_has_a_worker_for_each_part_of_it_that_a_process_can_hold() -> None:
+    words = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=1", "algo=ippo"]
+    stacked = compose([*words, "seed=0..6", "backend.stack=5", "rollout.copies=2", "rollout.block=2"])
+    jobs = plan_jobs(stacked)
+    for cores, cluster_cpus, parallel in ((2, None, 1), (3, None, 1), (4, None, 2), (9, 19, 1), (9, 20, 2)):
+        shares = share_cores(stacked.config.backend, jobs, cores, cluster_cpus)
+        assert shares.parallel == parallel  # on a cluster each worker keeps its place
+        assert [workers_of(job, shares) for job in jobs] == [10, 4]  # of seven seeds two are left over
+
+
+def test_jobs_use_a_gpu_by_their_own_device() -> None:
+    [job] = new_jobs(compose(["env=trivial", "device=cpu"]), (0,))
+    assert not uses_gpu(job)
+    assert uses_gpu(replace(job, config=replace(job.config, device="cuda:1")))
+
+
+def test_a_budget_in_which_policies_would_never_part_is_refused() -> None:
+    """The last of n iterations begins at (n - 1) / n of training."""
+    words = ["env=visitors", "algo=ippo", "rollout.copies=2", "rollout.steps=10", "rollout.block=2"]
+    for share, enough in ((0.5, 2), (0.7, 4), (0.8, 5), (0.9, 10)):
+        short = [*words, f"algo.shared_until={share}", f"env_steps={20 * (enough - 1)}"]
+        line = rf"in {enough - 1} x 20 env_steps \(.*\) the last iteration .* algo.shared_until={share}"
+        with pytest.raises(HeadwayError, match=line):
+            plan_jobs(compose(short))
+        assert len(plan_jobs(compose([*short[:-1], f"env_steps={20 * enough}"]))) == 1
+
+
+def test_the_disk_must_have_room_for_what_is_replayed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two checkpoints' worth and a third that is being written, of the jobs that run at once."""
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=2**30))
+    words = ["env=trivial", "rollout=replay", "env_steps=1000000", "seed=0..2", "algo=madqn"]
+    small, large = (plan_jobs(compose([*words, f"algo.capacity={size}"])) for size in (1000, 1_000_000))
+    require_free_disk(tmp_path, small, 2)
+    with pytest.raises(HeadwayError, match=r"only 1,024 MiB are free .* 3 seeds need about 3,\d{3} MiB"):
+        require_free_disk(tmp_path, large, 2)
+    require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)
+
+
+def test_a_store_that_cannot_be_made_is_said_before_its_disk_is_judged(tmp_path: Path) -> None:
+    jobs = plan_jobs(compose(["env=trivial", "algo=ippo"]))
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file" / "store", Path("/proc/nowhere")):
+        with pytest.raises(
+            HeadwayError, match=f"cannot write {place} .*check that the folder may be written"
+        ):
+            require_free_disk(place, jobs, 1)
+
+
+def _asynchronous(*overrides: str) -> Experiment:
+    bare = ("env=tracking", "algo=a3c", "seed=0,1", "rollout.copies=8", "rollout.block=2")
+    return compose([*bare, *overrides])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (
+            (),
+            "a3c has 4 workers (rollout.copies / rollout.block), and a gradient of each rollout of 2 x 512",
+        ),
+        (("rollout=asynchronous",), "a3c has 4 workers"),
+        (("rollout.block=8",), "a3c has 1 worker ("),
+    ],
+)
+def test_how_many_workers_an_asynchronous_algorithm_has_is_told_once(
+    capsys: pytest.CaptureFixture[str], overrides: tuple[str, ...], line: str
+) -> None:
+    plan_jobs(_asynchronous(*overrides))
+    told = "".join(capsys.readouterr())
+    assert told.count("worker") == 1
+    assert f"headway: {line}" in told
+    assert "rollout=asynchronous" not in told
+
+
+def test_with_the_default_rollout_an_asynchronous_algorithm_names_its_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plan_jobs(compose(["env=tracking", "algo=a3c", "seed=0,1"]))
+    assert "a3c has 2 workers" in (told := "".join(capsys.readouterr()))
+    assert "rollout=asynchronous has more and shorter ones" in told
+
+
+def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> None:
+    jobs = plan_jobs(_asynchronous())
+    assert [job.seeds for job in jobs] == [(0,), (1,)]
+    shares = share_cores(jobs[0].config.backend, jobs, cores=2)
+    assert (shares.parallel, workers_of(jobs[0], shares)) == (1, 4)
+    assert share_cores(jobs[0].config.backend, jobs, cores=8).parallel == 2
+    (alone, _) = plan_jobs(_asynchronous("backend=serial"))
+    assert workers_of(alone, shares) == 1
+    assert plan_jobs(_asynchronous("backend.workers=4"))[0].config.backend.workers == 4
+    assert plan_jobs(_asynchronous("backend.stack=2", "seed=7"))[0].seeds == (7,)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("backend.workers=3", "a3c has a worker for each block of copies, 4 here.*leave backend.workers out"),
+        ("backend.stack=2", "a3c trains one seed a process: .*set backend.stack=1"),
+    ],
+)
+def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(override: str, line: str) -> None:
+    with pytest.raises(HeadwayError, match=line) as refusal:
+        plan_jobs(_asynchronous(override))
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("backend.workers=1", "a3c has a worker for each block of copies, 2 here.*leave backend.workers out"),
+        ("backend.stack=9", "a3c trains one seed a process: .*set backend.stack=1"),
+    ],
+)
+def test_advice_for_crowded_processes_is_what_an_asynchronous_algorithm_takes(
+    override: str, line: str
+) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(_crowded("algo=a3c", "rollout.block=8", "seed=0..8", override))
+
+
+def test_blocks_of_an_asynchronous_algorithm_shrink_with_what_a_process_holds() -> None:
+    (job, _) = plan_jobs(_crowded("algo=a3c", "rollout.block=8"))
+    assert (job.config.rollout.block, job.config.backend.workers) == (4, 2)

@@ -1,0 +1,97 @@
+"""What a killed training process leaves: only what a checkpoint knows counts, told of or not."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from headway.config.experiment import StoreConfig
+from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
+from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, RunRecord, SessionStore, save_checkpoint
+from headway_launch.runner.recorder import JobRecording
+from headway_launch.runner.results import print_cells, seed_result
+
+STEPS = 100
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
+    """Two seeds of one stack, without MLflow."""
+    monkeypatch.setattr(SessionStore, "follow", lambda store, step: None)
+    cell = SessionStore.open(StoreConfig(root=str(tmp_path))).begin_cell("study", "bus", "ippo", {})
+    return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
+
+
+def train(recording: JobRecording, iterations: int) -> None:
+    """Iterations that are logged durably and reported, each with an evaluation of as much return."""
+    for iteration in range(1, iterations + 1):
+        row = {"iteration": iteration, "env_steps": STEPS * iteration, "wall_s": 1.0 * iteration}
+        evaluated = {**row, "evaluation_greedy/return": float(iteration)}
+        for run in recording.runs:
+            log = RunLog(run.directory)
+            log.append("curve", [evaluated])
+            log.commit(iteration)
+        recording.take(IterationFinished(iteration, STEPS * iteration, Usage(), (row,) * 2))
+
+
+@pytest.mark.parametrize("last", [Finished(8, stopped=True), Failed("it broke", "")])
+def test_a_checkpoint_that_was_not_told_of_counts_and_nothing_beyond_it(
+    runs: Sequence[Run], last: Event
+) -> None:
+    recording = JobRecording(runs)
+    train(recording, 8)
+    save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the other seed's, and a word
+    recording.take(last)
+    for run in runs:
+        result = seed_result(run, recording, "greedy", {}, {})
+        run.finish(recording.status, result.summary)
+        assert result.env_steps == 5 * STEPS
+        assert result.final_reward == 5.0  # the last fifth of five; of eight it would be 7.5
+    for row in RunIndex(runs[0].directory.parents[1]).rows():
+        assert (row.iterations, row.env_steps, row.final_reward) == (5, 5 * STEPS, 5.0)
+
+
+@pytest.mark.parametrize(("evaluations", "area"), [(2, None), (3, 0.5), (4, 0.5)])
+def test_a_curve_of_two_points_has_no_area(
+    runs: Sequence[Run], evaluations: int, area: float | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Normalised by its own range it would be 0.5, whatever was learnt; a straight line's is, too."""
+    recording = JobRecording(runs)
+    train(recording, evaluations)
+    save_checkpoint(runs[0].directory / CHECKPOINTS, evaluations, {})
+    recording.take(Finished(evaluations, stopped=False))
+    result = seed_result(runs[0], recording, "greedy", {}, {})
+    assert result.auc == (None if area is None else pytest.approx(area))
+    assert result.final_reward is not None
+    print_cells("study", [("ippo", 1, [result])], {2})
+    meaning = "final reward: the mean of a run's evaluations over the last 20% of its steps\n"
+    line = "no AUC of 1 run: evaluated fewer than 3 times (evaluation.every sets how often)\n"
+    assert capsys.readouterr().err == meaning + (line if area is None else "")
+
+
+def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
+    recording = JobRecording(runs)
+    train(recording, 8)
+    recording.take(Finished(8, stopped=True))
+    result = seed_result(runs[0], recording, "greedy", {}, {})
+    assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
+
+
+def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[Run]) -> None:
+    """It was evaluated before training, which is not what it came to."""
+    log = RunLog(runs[0].directory)
+    log.append("curve", [{"iteration": 0, "env_steps": 0, "wall_s": 0.0, "evaluation_greedy/return": 7.0}])
+    log.commit(0)
+    recording = JobRecording(runs)
+    recording.take(Finished(0, stopped=True))
+    result = seed_result(runs[0], recording, "greedy", {}, {})
+    assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
+
+
+def test_runs_whose_episodes_began_anew_are_tagged_with_every_time(runs: Sequence[Run]) -> None:
+    JobRecording(runs).take(Started(0, ()))
+    assert "episodes_restarted" not in runs[0].record.tags
+    for iteration in (3, 7):
+        JobRecording(runs).take(Started(iteration, (), episodes_restarted=True))
+    for run in runs:
+        assert RunRecord.read(run.directory).tags["episodes_restarted"] == "3, 7"

@@ -1,0 +1,264 @@
+"""Whole sessions in processes of their own: finished, stopped, resumed, killed, failing."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import psutil
+import pytest
+
+from headway.store import CHECKPOINTS
+from headway.store.checkpoint import latest_iteration
+from headway.store.index import RunIndex, RunRow
+from headway_launch.runner.runner import Conductor
+from headway_launch.runner.scheduler import StopRequests
+
+TINY = (
+    "env=trivial",
+    "algo=ippo",
+    "energy=off",
+    "env.args.agents=2",
+    "env.args.steps=20",
+    "rollout.copies=4",
+    "rollout.steps=32",
+    "evaluation.episodes=1",
+    "evaluation.final_episodes=2",
+    "evaluation.every=1000000",
+)
+LONG = ("env_steps=1e8",)
+PATIENCE_S = 180.0
+BEGUN = "(training| left)"
+"""In a progress line once training has begun: `training`, or the time left where it is known already."""
+
+
+@dataclass
+class Running:
+    """A `headway` process whose stderr is gathered line by line."""
+
+    process: "subprocess.Popen[str]"
+    lines: list[str] = field(default_factory=list)
+
+    def gather(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.lines.append(line)
+
+    def wait_for(self, holds: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not holds():
+            assert time.monotonic() < deadline, f"nothing happened; stderr so far: {self.lines}"
+            time.sleep(0.05)
+
+    def has_said(self, pattern: str) -> bool:
+        return any(re.search(pattern, line) for line in list(self.lines))
+
+    def table(self) -> list[dict[str, str]]:
+        """The table of seeds, once it has ended."""
+        assert self.process.stdout is not None
+        header, *rows = [line.split("\t") for line in self.process.stdout.read().splitlines()]
+        return [dict(zip(header, row, strict=True)) for row in rows]
+
+    def training(self) -> list[psutil.Process]:
+        """Its training processes and their workers."""
+        everyone = psutil.Process(self.process.pid).children(recursive=True)
+        return [child for child in everyone if "resource_tracker" not in " ".join(child.cmdline())]
+
+
+@contextmanager
+def headway(*arguments: str, folder: Path) -> Iterator[Running]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "headway_launch", *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    running = Running(process)
+    thread = threading.Thread(target=running.gather, daemon=True)
+    thread.start()
+    try:
+        yield running
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        thread.join(PATIENCE_S)
+
+
+def once(*arguments: str, folder: Path) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-m", "headway_launch", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def runs(folder: Path) -> list[RunRow]:
+    return RunIndex(folder / "runs").rows()
+
+
+def test_a_run_ends_with_a_table_and_is_in_the_store(tmp_path: Path) -> None:
+    done = once(
+        "run",
+        *TINY,
+        "backend=serial",
+        "seed=3,4",
+        "env_steps=256",
+        "evaluation.rules=[optimal]",
+        folder=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    table = [line.split("\t") for line in done.stdout.splitlines()]
+    assert table[0][:4] == ["seed", "status", "final reward (1 episode)", "AUC (own range)"]
+    assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
+    assert [row[0] for row in table[3:5]] == ["mean", "std"]
+    assert any(row[:2] == ["rule optimal", "2"] and float(row[2]) == 20.0 for row in table)  # of two days
+    assert "headway browse" in done.stderr
+    assert "of the training processes'" not in done.stderr  # too short to be worth a share
+    assert [(row.seed, row.status, row.env_steps) for row in runs(tmp_path)] == [
+        (3, "FINISHED", 256),
+        (4, "FINISHED", 256),
+    ]
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(59.0, False), (200.0, True)])
+def test_what_the_store_took_is_told_of_long_trainings(
+    seconds: float, told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = SimpleNamespace(recording=SimpleNamespace(trained_s=seconds, store_s=1.0))
+    Conductor._say_what_tracking_took(cast(Conductor, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
+    assert capsys.readouterr().err.startswith("the store: ") == told
+
+
+def test_ctrl_c_keeps_everything_and_resume_goes_on(tmp_path: Path) -> None:
+    # Seed 1 waits for seed 0, so that stopping finds one that never began.
+    with headway(
+        "run", *TINY, *LONG, "seed=0,1", "backend.parallel=1", "backend.workers=1", folder=tmp_path
+    ) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        time.sleep(0.5)
+        running.process.send_signal(signal.SIGINT)
+        assert running.process.wait(PATIENCE_S) == 130
+    assert running.has_said("with a checkpoint")
+    assert running.has_said("headway resume")
+    first = {row.seed: row for row in runs(tmp_path)}
+    assert {seed: row.status for seed, row in first.items()} == {0: "KILLED", 1: "KILLED"}
+    assert first[0].iterations > 0
+
+    with headway("resume", "--study", "default", folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(f"seed 0 .*{BEGUN}"))
+        time.sleep(0.5)
+        running.process.send_signal(signal.SIGTERM)
+        assert running.process.wait(PATIENCE_S) == 130
+    again = {row.seed: row for row in runs(tmp_path)}
+    assert len(again) == 2
+    assert again[0].iterations > first[0].iterations
+
+
+def test_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
+    with headway("run", *TINY, *LONG, "backend.workers=2", "rollout.block=2", folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        children = running.training()
+        assert len(children) >= 2
+        running.process.kill()
+        running.process.wait()
+        _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+    assert [row.status for row in runs(tmp_path)] == ["KILLED"]
+
+
+def test_a_training_process_that_dies_is_one_line_and_the_others_go_on(tmp_path: Path) -> None:
+    with headway(
+        "run", *TINY, "env_steps=4e4", "backend=serial", "seed=0,1", "backend.parallel=2", folder=tmp_path
+    ) as running:
+        running.wait_for(lambda: running.has_said(f"seed 0 .*{BEGUN}"))
+        first = min(running.training(), key=lambda child: child.create_time())
+        first.kill()
+        assert running.process.wait(PATIENCE_S) == 2
+    assert running.has_said("seed 0 failed: its training process was killed by SIGKILL")
+    assert {row.seed: row.status for row in runs(tmp_path)} == {0: "FAILED", 1: "FINISHED"}
+
+
+@pytest.mark.parametrize("override", ["algo.lrr=1", "env.args.agents=0", "device=gpu"])
+def test_bad_input_starts_nothing(tmp_path: Path, override: str) -> None:
+    done = once("run", *TINY, override, folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> None:
+    with headway("run", *TINY, *LONG, "rollout.steps=200000", "backend=serial", folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        children = running.training()
+        time.sleep(2.0)  # for the first evaluation: now the first iteration is under way, and lasts
+        running.process.send_signal(signal.SIGINT)
+        running.wait_for(lambda: running.has_said("Ctrl-C again"))
+        time.sleep(1.1)  # sooner it would be the same request
+        running.process.send_signal(signal.SIGINT)
+        assert running.process.wait(PATIENCE_S) == 130
+        assert not psutil.wait_procs(children, timeout=5)[1]
+    assert running.has_said("what came after the last checkpoint is lost")
+    [run] = runs(tmp_path)
+    assert run.status == "KILLED"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_doubled_signal_is_one_request_and_the_checkpoint_is_kept(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with headway("run", *TINY, *LONG, "rollout.steps=4000", "backend=serial", folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        time.sleep(0.5)
+        running.process.send_signal(signal.SIGINT)
+        running.wait_for(lambda: running.has_said("Ctrl-C again"))
+        running.process.send_signal(number)
+        assert running.process.wait(PATIENCE_S) == 130
+        shown = running.table()
+    [run] = runs(tmp_path)
+    assert (run.status, run.env_steps) == ("KILLED", run.iterations * 4 * 4000)
+    assert run.iterations > 0
+    assert latest_iteration(Path(run.directory, CHECKPOINTS)) == run.iterations
+    assert shown[0]["env steps"] == str(run.env_steps)
+
+
+def test_only_ctrl_c_that_was_told_of_is_a_second_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever sends SIGTERM again and again, or presses Ctrl-C before anything is said, keeps the promised
+    checkpoint."""
+    moments = iter(range(100, 200, 10))
+    monkeypatch.setattr("headway_launch.runner.scheduler.time.monotonic", lambda: next(moments))
+    with StopRequests() as requests:
+        for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGHUP):
+            signal.raise_signal(number)
+            assert requests.count == 1
+        signal.raise_signal(signal.SIGINT)
+        requests.told()
+        assert requests.count == 1
+        signal.raise_signal(signal.SIGTERM)
+        assert requests.count == 1
+        signal.raise_signal(signal.SIGINT)
+        assert requests.count == 2
+
+
+def test_of_a_killed_run_is_shown_what_is_kept(tmp_path: Path) -> None:
+    often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
+    with headway("run", *TINY, *LONG, *often, folder=tmp_path) as running:
+        running.wait_for(lambda: running.has_said(BEGUN))
+        time.sleep(1.0)  # some hundred iterations
+        running.training()[0].send_signal(signal.SIGSTOP)  # it never comes to the promised checkpoint
+        running.process.send_signal(signal.SIGINT)
+        time.sleep(1.5)
+        running.process.send_signal(signal.SIGINT)
+        assert running.process.wait(PATIENCE_S) == 130
+        shown = running.table()
+    [run] = runs(tmp_path)
+    assert (run.status, run.env_steps, run.final_reward) == ("KILLED", 0, None)
+    assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")

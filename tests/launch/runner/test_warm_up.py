@@ -1,0 +1,78 @@
+"""Kernels are compiled before training starts, and the user is told when that happens."""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from headway.contracts.entries import AlgoEntry, EnvEntry
+from headway.registry import algo_entry, env_entry
+from headway_launch.commands.main import run as run_command
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.runner.warm_up import compile_kernels, compile_kernels_of
+
+
+def entry(*preload: str) -> EnvEntry:
+    return EnvEntry("toy", object, lambda prepared, copies: None, preload=preload)  # type: ignore[arg-type, return-value]
+
+
+def test_compiling_is_told_once_and_only_when_it_happens(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kernels = ModuleType("kernels_of_a_test")
+    functions = [numba.njit(lambda x: x + 1), numba.njit(lambda x: x * 2)]
+    kernels.warm = lambda: [function(3) for function in functions]  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "kernels_of_a_test", kernels)
+    compile_kernels(entry("kernels_of_a_test"))
+    assert capsys.readouterr().err == "compiling kernels, once\n"
+    compile_kernels(entry("kernels_of_a_test"))
+    compile_kernels(entry("json"))
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("arguments", [{}, {"observation": "published", "state": "aggregate"}])
+def test_what_was_compiled_before_is_all_that_training_needs(arguments: dict[str, str]) -> None:
+    from headway_envs.bus.kernel import tick
+
+    bus = env_entry("bus")
+    compile_kernels(bus)
+    functions: tuple[Any, ...] = (tick.begin, tick.step, tick.turn)
+    before = [list(function.signatures) for function in functions]
+    env = bus.make(bus.prepare(bus.config(end_hour=6, **arguments)), 2)
+    env.reset(np.arange(2, dtype=np.uint64))
+    ended = False
+    while not ended:
+        outcome, _ = env.step(np.ones((2, len(env.spec.agents)), np.int64))
+        ended = bool(outcome.episode_ended.any())
+    assert [list(function.signatures) for function in functions] == before
+    assert all(before)
+
+
+def test_a_session_compiles_before_anything_is_in_the_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled: list[tuple[EnvEntry, AlgoEntry]] = []
+
+    def stop(experiments: Iterable[Experiment]) -> None:
+        compiled.extend((experiment.env, experiment.algo) for experiment in experiments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("headway_launch.runner.runner.compile_kernels_of", stop)
+    assert run_command(["run", "env=trivial", "algo=ippo", f"store.root={tmp_path}", "energy=off"]) == 130
+    assert compiled == [(env_entry("trivial"), algo_entry("ippo"))]
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_learners_call_is_compiled_with_what_environments_step_by(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    warmed = []
+    monkeypatch.setattr("headway_algos.optim.kernel.warm", lambda: warmed.append("learning"))
+    monkeypatch.setattr("headway_envs.bus.kernel.warm", lambda: warmed.append("stepping"))
+    compile_kernels_of([compose([f"env={env}", "algo=ippo"]) for env in ("bus", "trivial")])
+    assert sorted(warmed) == ["learning", "stepping"]

@@ -1,0 +1,259 @@
+"""What the store has of a sweep, and what is left to do."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from headway.contracts.errors import HeadwayError
+from headway.store import RunIndex, RunRecord, Status
+from headway.store.atomic_files import read_json
+from headway.store.run_folder import Process, cell_name, create_run_folder, now, plans_folder
+from headway.store.session import SessionStore
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.sweep import compose_sweep
+from headway_launch.runner.cell import CellWork
+from headway_launch.runner.jobs import Shares, cell_parameters, full_mapping, workers_of
+from headway_launch.studies.plan import Standing, keep_plan, kept_plans, plan_cells
+from headway_launch.studies.session import require_all_ended
+
+BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
+ELSEWHERE = Process("elsewhere", 1, 0.0)
+"""A session that may live."""
+
+
+def keep_run(
+    root: Path,
+    experiment: Experiment,
+    seed: int,
+    status: Status,
+    iteration: int = 0,
+    stack: tuple[int, ...] = (),
+) -> str:
+    parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
+    cell = cell_name("trivial", experiment.algo_name, parameters)
+    run_id, directory = create_run_folder(root, "toys", cell, seed)
+    record = RunRecord(
+        run_id,
+        "toys",
+        "trivial",
+        experiment.algo_name,
+        seed,
+        1,
+        now(),
+        ELSEWHERE,
+        status,
+        parameters=parameters,
+    )
+    replace(record, durable_iteration=iteration).write(directory)
+    (directory / "config.yaml").write_text(yaml.safe_dump(full_mapping(experiment, [seed])))
+    (directory / "plan.json").write_text(json.dumps({"stack": list(stack or (seed,)), "workers": 1}))
+    return run_id
+
+
+def standing(root: Path, *overrides: str) -> Standing:
+    [experiment] = compose_sweep([*BASE, f"store.root={root}", *overrides])
+    return Standing.of(root, experiment, RunIndex(root).rows("toys"))
+
+
+def test_each_seed_stands_where_its_best_run_does(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    finished = keep_run(tmp_path, experiment, 0, "FINISHED")
+    keep_run(tmp_path, experiment, 0, "KILLED", 9)
+    keep_run(tmp_path, experiment, 1, "KILLED", 3)
+    farthest = keep_run(tmp_path, experiment, 1, "FAILED", 5)
+    held = keep_run(tmp_path, experiment, 2, "RUNNING")
+    found = standing(tmp_path, "algo=ippo", "seed=0..4")
+    assert [each.record.run_id for each in found.finished] == [finished]
+    assert [each.record.run_id for each in found.unfinished] == [farthest]
+    assert [each.record.run_id for each in found.elsewhere] == [held]
+    assert found.new == (3, 4)
+    assert len(found.run_ids) == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ("backend.parallel=3", True),
+        ("backend=process", True),
+        ("energy.country=FRA", True),
+        ("store.checkpoint_every=3", True),
+        ("evaluation.rules=[random]", True),
+        ("algo.lr=1e-3", False),
+        ("env.args.agents=3", False),
+        ("evaluation.episodes=3", False),
+        ("env_steps=8192", False),
+        ("algo=ia2c", False),
+    ],
+)
+def test_a_changed_configuration_is_new_and_another_way_to_run_it_is_not(
+    tmp_path: Path, change: str, same: bool
+) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    keep_run(tmp_path, experiment, 0, "FINISHED")
+    found = standing(tmp_path, "algo=ippo", change)
+    assert (len(found.finished), len(found.new)) == ((1, 0) if same else (0, 1))
+
+
+@pytest.mark.parametrize(("before", "after"), [("process", "ray"), ("ray", "process"), ("ray", "ray")])
+def test_where_processes_stopped_actors_go_on_and_the_other_way_round(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    words = ["algo=ippo", "backend.workers=2", "backend.learners=here"]
+    [experiment] = compose_sweep([*BASE, *words, f"backend={before}", "backend.address=old:1"])
+    keep_run(tmp_path, experiment, 0, "KILLED", 7)
+    [cell] = plan_cells([standing(tmp_path, *words, f"backend={after}", "backend.address=new:2")])
+    (job,) = cell.jobs
+    assert (len(job.resumed), job.iteration, job.workers) == (1, 7, 1)
+    assert (job.config.backend.name, job.config.backend.address) == (after, "new:2")
+
+
+def test_what_goes_on_takes_the_session_of_the_command_and_the_backend_of_its_checkpoints(
+    tmp_path: Path,
+) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    run_id = keep_run(tmp_path, experiment, 0, "KILLED", 7)
+    [cell] = plan_cells(
+        [standing(tmp_path, "algo=ippo", "backend=process", "backend.parallel=5", "seed=0,1")]
+    )
+    going_on, new = cell.jobs
+    assert (going_on.resumed, going_on.iteration, going_on.workers) == ((run_id,), 7, 1)
+    assert going_on.experiment.config.backend.name == "serial"
+    assert going_on.experiment.config.backend.parallel == 5
+    assert going_on.experiment.config.store.root == str(tmp_path)
+    assert (new.resumed, new.seeds, new.experiment.config.backend.name) == ((), (1,), "process")
+
+
+def test_smaller_blocks_than_were_asked_for_are_no_other_configuration(tmp_path: Path) -> None:
+    """A run is known by what was asked for, and goes on in the blocks that it began with."""
+    limited = ("algo=ippo", "env=pettingzoo", "env.id=mpe2.simple_spread_v3",
+               "env.max_copies_per_process=2", "backend=process", "evaluation.rules=[]")  # fmt: skip
+    [cell] = plan_cells([standing(tmp_path, *limited, "seed=0")])
+    store = SessionStore.open(cell.experiment.config.store)
+    work = CellWork(store, cell)
+    [run] = work.runs(cell.jobs[0], Shares(1, 1))
+    run.finish("KILLED", {})
+    store.close()
+    assert read_json(run.directory / "plan.json")["rollout"]["block"] == 2
+    found = standing(tmp_path, *limited, "seed=0")
+    assert [each.record.run_id for each in found.unfinished] == [run.run_id]
+    [cell] = plan_cells([found])
+    assert cell.jobs[0].config.rollout.block == 2
+    assert workers_of(cell.jobs[0], Shares(1, 1)) == 4
+    assert cell.experiment.config.rollout.block == 4
+
+
+def test_seeds_of_a_stack_go_on_together_or_begin_together(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo", "backend.stack=2"])
+    for seed, status in ((0, "FINISHED"), (1, "KILLED")):  # killed while it ended them
+        keep_run(tmp_path, experiment, seed, status, 9, (0, 1))  # type: ignore[arg-type]
+    keep_run(tmp_path, experiment, 2, "KILLED", 0, (2, 3))  # killed while it began them
+    for seed in (4, 5):
+        keep_run(tmp_path, experiment, seed, "FINISHED", 9, (4, 5))
+    found = standing(tmp_path, "algo=ippo", "backend.stack=2", "seed=0..5")
+    assert sorted(run.record.seed for run in found.unfinished) == [0, 1]
+    assert [run.record.seed for run in found.finished] == [4, 5]
+    assert found.new == (2, 3)
+    [cell] = plan_cells([found])
+    assert [(job.seeds, bool(job.resumed)) for job in cell.jobs] == [((0, 1), True), ((2, 3), False)]
+
+
+def test_a_part_of_a_stack_is_refused_with_a_way_to_go_on(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo", "backend.stack=4"])
+    for seed in range(4):
+        keep_run(tmp_path, experiment, seed, "KILLED", 5, (0, 1, 2, 3))
+    found = standing(tmp_path, "algo=ippo", "backend.stack=4", "seed=0,1")
+    with pytest.raises(HeadwayError) as caught:
+        plan_cells([found])
+    assert "sweep seed=0,1,2,3, or headway resume --study toys" in str(caught.value)
+
+
+def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:
+    experiments = compose_sweep([*BASE, "algo=ippo,ia2c", "seed=0..2"])
+    keep_plan(tmp_path, "toys", experiments)
+    keep_plan(tmp_path, "toys", experiments)
+    keep_plan(tmp_path, "toys", compose_sweep([*BASE, "algo=ippo", "seed=2..4", "backend.parallel=7"]))
+    assert len(list(plans_folder(tmp_path, "toys").iterdir())) == 2
+    kept = {experiment.algo_name: experiment for experiment in kept_plans(tmp_path, "toys")}
+    assert set(kept) == {"ippo", "ia2c"}
+    assert sorted(kept["ippo"].config.seed) == [0, 1, 2, 3, 4]
+    assert kept["ippo"].config.store.root == str(tmp_path)
+    assert kept["ippo"].config.backend.parallel == 7  # the newest word on it
+    assert kept["ia2c"].algo_config == experiments[1].algo_config
+
+
+def test_a_broken_plan_is_one_line(tmp_path: Path) -> None:
+    plans_folder(tmp_path, "toys").mkdir(parents=True)
+    (plans_folder(tmp_path, "toys") / "x.json").write_text('{"cells": [1]}')
+    with pytest.raises(HeadwayError, match=r"x\.json is no plan of a sweep"):
+        kept_plans(tmp_path, "toys")
+
+
+def test_a_finished_sweep_is_left_alone_and_its_table_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = [*BASE, "algo=ippo,ia2c", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
+    for experiment in compose_sweep(sweep):
+        for seed in (0, 1):
+            run_id = keep_run(tmp_path, experiment, seed, "FINISHED")
+            summary = {"final_reward": 2.0 + seed, "auc": 0.5, "cpu_seconds": 10.0, "kwh": None}
+            (tmp_path / "toys" / run_id / "summary.json").write_text(json.dumps(summary))
+    assert run(["sweep", *sweep]) == 0
+    told = capsys.readouterr()
+    assert "of 4 runs of study toys, 4 have finished and are left alone\n" in told.err
+    rows = [line.split("\t") for line in told.out.splitlines()]
+    assert rows[1][:6] == ["ippo", "2 of 2", "2.5", "0.707107", "0.5", "20"]
+    assert rows[2][0] == "ia2c"
+    assert len(RunIndex(tmp_path).rows()) == 4
+    assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0
+    assert run(["resume", "--study", "tyos", "--store", str(tmp_path)]) == 2
+    assert "did you mean toys?" in capsys.readouterr().err
+
+
+HELD = (
+    "headway: 1 run of study toys left to other sessions and not finished (held by process 1 on "
+    "elsewhere): give this command again when these have ended; where one was killed, on its host, or with "
+    '"status": "KILLED" in the run.json of its runs'
+)
+
+
+def test_what_a_session_elsewhere_holds_is_refused_with_a_way_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = [*BASE, "algo=ippo", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
+    [experiment] = compose_sweep(sweep)
+    keep_run(tmp_path, experiment, 0, "FINISHED")
+    held = keep_run(tmp_path, experiment, 1, "RUNNING")
+    store = ("--store", str(tmp_path))
+    assert run(["sweep", *sweep]) == 2
+    counts = "1 have finished and are left alone, 1 are left to the session that trains them"
+    told = capsys.readouterr().err.splitlines()
+    assert f"headway: of 2 runs of study toys, {counts}" in told
+    assert told[-1] == HELD
+    assert run(["resume", "--study", "toys", *store]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == HELD
+    assert run(["resume", held, *store]) == 2
+    assert capsys.readouterr().err == (
+        f"headway: run {held} is being run by process 1 on elsewhere: stop that one first, or, where it was "
+        'killed, set "status": "KILLED" in the run\'s run.json\n'
+    )
+    [record] = tmp_path.rglob(f"{held}/run.json")
+    record.write_text(record.read_text().replace('"RUNNING"', '"KILLED"'))
+    assert [run.record.run_id for run in standing(tmp_path, "algo=ippo", "seed=1").unfinished] == [held]
+    assert run(["sweep", *sweep]) == 0
+    assert [row.status for row in RunIndex(tmp_path).rows()] == ["FINISHED", "FINISHED"]
+
+
+def test_what_another_session_has_finished_meanwhile_is_no_error(tmp_path: Path) -> None:
+    [experiment] = compose_sweep([*BASE, "algo=ippo"])
+    held = keep_run(tmp_path, experiment, 0, "RUNNING")
+    [record] = tmp_path.rglob(f"{held}/run.json")
+    with pytest.raises(HeadwayError, match=r"^1 run of study toys left to other sessions and not finished"):
+        require_all_ended("toys", [record.parent])
+    assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 2  # of no sweep
+    record.write_text(record.read_text().replace('"RUNNING"', '"FINISHED"'))
+    require_all_ended("toys", [record.parent])
+    assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0

@@ -1,0 +1,323 @@
+"""PettingZoo environments by module path: what may be named, what is made of it, what is refused."""
+
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.adapters import installed
+from headway.adapters.conformance import CHECKS, play
+from headway.adapters.modules import make_batch, module_entry
+from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
+from headway.config.schema import build, describe, plain
+from headway.config.signatures import argument_record
+from headway.contracts import Box, Discrete, HeadwayError
+from headway.registry import env_entry
+from headway.rollout.episodes import evaluate_rule
+from headway.wrappers.listed import listed_wrappers
+from headway.wrappers.wrapping import wrapped_entry
+from headway_envs.toy.matrix import MatrixConfig
+
+SPREAD = "mpe2.simple_spread_v3"
+KNIGHTS = "pettingzoo.butterfly.knights_archers_zombies_v11"
+DEADLY = {"max_cycles": 300, "line_death": True, "spawn_delay": 5}
+PAD = ["pad_observations_v0", "pad_action_space_v0"]
+
+MODULES = {
+    "turns_v0": """
+        from mpe2.simple_spread_v3 import env
+    """,
+    "unparallel_v0": """
+        from mpe2 import simple_spread_v3
+
+        def env(N: int = 3):
+            made = simple_spread_v3.env(N=N)
+            made.unwrapped.metadata = {**made.unwrapped.metadata, "is_parallelizable": False}
+            return made
+    """,
+    "open_v0": """
+        from mpe2 import simple_spread_v3
+
+        def parallel_env(**anything):
+            return simple_spread_v3.parallel_env(**anything)
+    """,
+    "stranger_v0": """
+        def parallel_env():
+            return object()
+    """,
+    "nothing_v0": """
+        def make():
+            pass
+    """,
+    "broken_v0": """
+        raise RuntimeError("out of order")
+    """,
+    "needy_v0": """
+        import some_missing_simulator
+    """,
+    "team_v0": """
+        from mpe2 import simple_spread_v3
+
+        def parallel_env(size: tuple[int, ...] = (3, 3), local: bool = False, factory=object()):
+            assert isinstance(size, tuple)
+            return simple_spread_v3.parallel_env(N=size[0], local_ratio=0.5 if local else 0.0)
+    """,
+}
+
+
+@pytest.fixture
+def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """An installed package of environments that depends on PettingZoo, and one that does not."""
+    for name, requirement in (("somezoo", "Requires-Dist: pettingzoo>=1.24\n"), ("plainpackage", "")):
+        package = tmp_path / name
+        package.mkdir()
+        (package / "__init__.py").write_text("")
+        for module, text in MODULES.items():
+            lines = text.splitlines()
+            (package / f"{module}.py").write_text("\n".join(line[8:] for line in lines) + "\n")
+        metadata = tmp_path / f"{name}-1.0.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{requirement}"
+        )
+        (metadata / "RECORD").write_text(f"{name}/__init__.py,,\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    installed._depends_on_pettingzoo.cache_clear()
+    yield "somezoo"
+    for module in [module for module in sys.modules if module.split(".")[0] in ("somezoo", "plainpackage")]:
+        del sys.modules[module]
+
+
+def prepared(module: str, options: AdapterOptions | None = None, **arguments: object) -> Any:  # noqa: ANN401
+    entry = module_entry(module, options or AdapterOptions(), arguments)
+    return entry.prepare(build(entry.config, arguments, "env.args", module))
+
+
+def test_an_environment_by_its_module_keeps_the_contract() -> None:
+    shared = pickle.loads(pickle.dumps(prepared(SPREAD, N=2)))
+    assert shared.arguments == {"N": 2}
+    recording = play(lambda copies: make_batch(shared, copies), longest=60)
+    assert recording.spec.agents == ("agent_0", "agent_1")
+    assert recording.spec.action_space == Discrete(5)
+    assert recording.spec.groups == ()
+    assert not recording.spec.shared_reward
+    for check in ("spec", "alive", "ends", "determinism", "copies"):
+        CHECKS[check](lambda copies: make_batch(shared, copies), recording)
+
+
+def test_continuous_actions_arrive() -> None:
+    env = make_batch(prepared(SPREAD, continuous_actions=True), 1)
+    assert env.spec.action_space == Box((0.0,) * 5, (1.0,) * 5)
+
+
+def test_arguments_are_those_of_the_factory_with_its_defaults() -> None:
+    rows = {row.key: (row.type, row.default) for row in describe(env_entry(SPREAD).config, "env.args")}
+    assert rows["env.args.N"] == ("whole number", "3")
+    assert rows["env.args.local_ratio"] == ("number", "0.5")
+    assert rows["env.args.num_agent_neighbors"] == ("whole number or null", "null")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n": 3}, r"env.args.n is not a key of mpe2.simple_spread_v3; did you mean env.args.N\?"),
+        ({"N": "three"}, "env.args.N='three' is text, where a whole number is wanted"),
+        (
+            {"local_ratio": 2.0},
+            "mpe2.simple_spread_v3 cannot be made with local_ratio=2.0: AssertionError: local",
+        ),
+    ],
+)
+def test_arguments_that_do_not_fit_are_one_line(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(HeadwayError, match=message):
+        prepared(SPREAD, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("module", "message"),
+    [
+        ("mpe2.simple_sprae_v3", r"no such module; did you mean mpe2.simple_spread_v3\?"),
+        ("mpe3.simple_spread_v3", r"there is no package mpe3; install it \(pip install mpe3\)"),
+        (
+            "pettingzoo.butterfly.pistonball_v6",
+            "needs the package pymunk, which is not installed: pip install",
+        ),
+        ("pettingzoo.classic.tictactoe_v2", "did you mean pettingzoo.classic.tictactoe_v3"),
+        ("mpe2.all_modules", "has neither parallel_env nor env: it is no PettingZoo environment"),
+        ("mpe2._mpe_utils.simple_env", "is no public module; write package.module"),
+        ("os.path", "os is not an installed package that depends on PettingZoo, and no other is imported"),
+        ("headway_launch.console.threads", "has neither parallel_env nor env|not an installed package"),
+        ("plainpackage.turns_v0", "plainpackage is not an installed package that depends on PettingZoo"),
+        ("somezoo.stranger_v0", "makes a object, which is no ParallelEnv or AECEnv"),
+        ("somezoo.nothing_v0", "has neither parallel_env nor env"),
+        ("somezoo.broken_v0", "cannot be imported: RuntimeError: out of order"),
+        ("somezoo.needy_v0", "needs the package some_missing_simulator"),
+        ("somezoo.unparallel_v0", "is played turn by turn and its metadata does not say is_parallelizable"),
+        ("pettingzoo.classic.rps_v2", "agent 'player_0' observes a Discrete.*flatten it to a Box"),
+    ],
+)
+def test_modules_that_cannot_be_used_are_one_line(module: str, message: str, zoo: str) -> None:
+    with pytest.raises(HeadwayError, match=message):
+        make_batch(prepared(module), 1)
+
+
+def test_what_may_not_be_named_is_not_imported(zoo: str) -> None:
+    with pytest.raises(HeadwayError):
+        module_entry("plainpackage.turns_v0")
+    assert "plainpackage" not in sys.modules
+    assert "plainpackage.turns_v0" not in sys.modules
+
+
+def test_an_environment_of_turns_is_made_parallel_where_it_says_that_it_may(zoo: str) -> None:
+    turns, whole = make_batch(prepared(f"{zoo}.turns_v0", N=2), 1), make_batch(prepared(SPREAD, N=2), 1)
+    seeds, actions = np.array([4], dtype=np.uint64), np.array([[1, 2]])
+    np.testing.assert_array_equal(turns.reset(seeds).observations, whole.reset(seeds).observations)
+    for _ in range(30):
+        (one, _), (other, _) = turns.step(actions), whole.step(actions)
+        np.testing.assert_array_equal(one.rewards, other.rewards)
+        np.testing.assert_array_equal(one.truncated, other.truncated)
+
+
+def test_a_factory_that_takes_anything_is_given_what_is_written(zoo: str) -> None:
+    assert make_batch(prepared(f"{zoo}.open_v0", N=4), 1).spec.num_agents == 4
+    with pytest.raises(
+        HeadwayError, match=r"cannot be made with M=4: TypeError.*unexpected keyword argument 'M'"
+    ):
+        prepared(f"{zoo}.open_v0", M=4)
+
+
+def test_lists_stand_for_tuples_and_what_yaml_cannot_hold_is_left_out(zoo: str) -> None:
+    entry = module_entry(f"{zoo}.team_v0")
+    assert [row.key for row in describe(entry.config)] == ["size", "local"]
+    config = build(entry.config, {"size": [2, 2]}, "env.args", "team")
+    again = build(entry.config, plain(config), "env.args", "team")
+    assert make_batch(entry.prepare(again), 1).spec.num_agents == 2
+    assert entry.prepare(build(entry.config, plain(entry.config()), "")).arguments == {}
+
+
+def test_annotations_that_cannot_be_checked_take_what_comes() -> None:
+    def function(env: object, path: Path, sizes: "list[int]", odd: "Missing" = 3) -> None:  # type: ignore[name-defined]  # noqa: F821
+        pass
+
+    record = argument_record("Arguments", function, first=1)
+    assert {row.key: row.default for row in describe(record)} == {
+        "path": "required",
+        "sizes": "required",
+        "odd": "3",
+    }
+    assert build(record, {"path": "x", "sizes": [1]}, "") is not None
+
+
+def test_a_shared_reward_is_checked_against_what_is_paid(zoo: str) -> None:
+    team = AdapterOptions(shared_reward=True)
+    make = prepared(f"{zoo}.team_v0", team)
+    env = make_batch(make, 2)
+    assert env.spec.shared_reward
+    CHECKS["shared reward"](
+        lambda copies: make_batch(make, copies), play(lambda copies: make_batch(make, copies))
+    )
+    selfish = prepared(f"{zoo}.team_v0", team, local=True)
+    with pytest.raises(
+        HeadwayError, match=r"should pay all agents the same, and paid agent_0 .*reward=false"
+    ):
+        play(lambda copies: make_batch(selfish, copies))
+
+
+def test_unequal_agents_are_named_and_padding_makes_them_equal() -> None:
+    entry = module_entry("mpe2.simple_tag_v3")
+    with pytest.raises(
+        HeadwayError, match=r"different observation spaces.*env.wrappers=\[pad_observations_v0\]"
+    ):
+        entry.make(entry.prepare(entry.config()), 1)
+    padded = wrapped_entry("mpe2.simple_tag_v3", entry, listed_wrappers(PAD))
+    shared = pickle.loads(pickle.dumps(padded.prepare(entry.config())))
+    recording = play(shared.batch, longest=60)
+    spec = recording.spec
+    assert spec.observation_size == 16
+    assert spec.groups == ("adversary", "adversary", "adversary", "agent")
+    prey = recording.trajectory.observations[:, :, spec.agents.index("agent_0")]
+    assert prey[..., :14].any()
+    assert not prey[..., 14:].any()
+    CHECKS["determinism"](shared.batch, play(shared.batch))
+
+
+def test_agents_that_act_differently_are_padded_too() -> None:
+    """The speaker says one of 3 things and the listener moves in one of 5 ways."""
+    entry = module_entry("mpe2.simple_speaker_listener_v4")
+    half = wrapped_entry("speaker", entry, listed_wrappers(["pad_observations_v0"]))
+    shared = half.prepare(entry.config())
+    with pytest.raises(HeadwayError, match=r"different action spaces.*env.wrappers=\[pad_action_space_v0\]"):
+        half.make(shared, 1)
+    wrapped = wrapped_entry("speaker", entry, listed_wrappers(PAD))
+    env = wrapped.make(wrapped.prepare(entry.config()), 2)
+    assert env.spec.action_space == Discrete(5)
+    env.reset(np.arange(2, dtype=np.uint64))
+    env.step(np.array([[4, 4], [0, 0]]))
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["gone", "black death"])
+def test_knights_that_die_leave_or_stay(kept: bool) -> None:
+    """A real environment of agents that die before the others."""
+    entry = module_entry(KNIGHTS, AdapterOptions(agents_come_and_go=None if kept else True))
+    config = build(entry.config, DEADLY, "", KNIGHTS)
+    wrapped = wrapped_entry(KNIGHTS, entry, listed_wrappers(["black_death_v3"] if kept else []))
+    shared = wrapped.prepare(config)
+    recording = play(lambda copies: wrapped.make(shared, copies), copies=2, longest=700)
+    track, ended = recording.trajectory, recording.episode_ended
+    assert ended.any()
+    over = (track.terminated | track.truncated) & ~ended[..., None]
+    if kept:
+        assert track.alive.all()
+        assert not over.any()
+        still = ~track.observations.any(axis=-1)
+        assert still.any(), "nobody died: choose other seeds"
+        assert not track.rewards[still[1:]].any()
+    else:
+        assert over.any(), "nobody died: choose other seeds"
+        assert not track.alive.all()
+
+
+def test_an_undeclared_death_says_what_to_set() -> None:
+    entry = module_entry(KNIGHTS)
+    shared = entry.prepare(build(entry.config, DEADLY, "", KNIGHTS))
+    with pytest.raises(
+        HeadwayError, match=r"set env\.agents_come_and_go=true, or keep it there with the wrapper bl"
+    ):
+        play(lambda copies: entry.make(shared, copies), copies=2, longest=700)
+
+
+def test_random_play_is_a_rule_of_every_environment() -> None:
+    entry = env_entry(SPREAD)
+    rows = evaluate_rule(entry.make, entry.rules["random"].make, entry.prepare(entry.config()), 0, 3)
+    assert [row["length"] for row in rows] == [25, 25, 25]
+
+
+def test_an_entry_of_a_parallel_env_is_all_that_another_package_writes() -> None:
+    entry = parallel_entry("game", "a game", MatrixConfig, _matrix, AdapterOptions(shared_reward=True))
+    make, config = pickle.loads(pickle.dumps(entry.make)), entry.prepare(MatrixConfig())
+    recording = play(lambda copies: make(config, copies))
+    assert recording.spec.name == "game"
+    CHECKS["shared reward"](lambda copies: make(config, copies), recording)
+    assert evaluate_rule(make, entry.rules["random"].make, config, 0, 2)
+
+
+def _matrix(config: MatrixConfig) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    from headway_envs.toy.entry import ENTRIES
+
+    make = ENTRIES["matrix"].parallel_env
+    assert make is not None
+    return make(config)
+
+
+def test_native_environments_bring_no_pettingzoo_into_a_worker() -> None:
+    code = (
+        "import sys, headway.rollout.workers.worker, headway.wrappers.frame_stack; "
+        "print([name for name in ('pettingzoo', 'supersuit', 'gymnasium', 'torch') if name in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "[]"

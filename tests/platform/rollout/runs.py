@@ -1,0 +1,110 @@
+"""What the tests of the training loop share: small jobs of IPPO, and their logs made comparable."""
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from rehearsal import TOYS
+
+from headway.config.experiment import (
+    BackendConfig,
+    EvaluationConfig,
+    ExperimentConfig,
+    RolloutConfig,
+    StoreConfig,
+)
+from headway.contracts import BatchedEnv
+from headway.events import Event, Finished, Row
+from headway.store.parquet_log import TABLES, Table, read_rows
+from headway.training.loop import TrainingJob, train
+from headway_algos.config import ModelConfig
+from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.registry import ENTRIES
+
+Backend = Literal["serial", "process"]
+Log = dict[Table, list[dict[str, str]]]
+COPIES, STEPS = 4, 16
+
+
+def job_of(
+    folder: Path,
+    env: tuple[Callable[[Any, int], BatchedEnv], Any] = TOYS["visitors"],
+    seeds: Sequence[int] = (5,),
+    backend: Backend = "serial",
+    workers: int = 2,
+    iterations: int = 6,
+    block: int = 2,
+    checkpoint_every: int = 2,
+    precision: Literal["float32", "float64"] = "float32",
+    resume: bool = False,
+    core: Literal["none", "gru"] = "none",
+) -> TrainingJob:
+    """A job whose run folders are `folder`/seed."""
+    model = ModelConfig(hidden=(8,), core=core, gru_size=4, sequence_length=6)
+    algo = IPPOConfig(model=model, epochs=2, minibatches=2, precision=precision)
+    make, prepared = env
+    with closing(make(prepared, 1)) as one:
+        spec = one.spec
+    return TrainingJob(
+        make_env=make,
+        preload=(),
+        prepared=prepared,
+        spec=spec,
+        make_policy=ENTRIES["ippo"].acting_policy,
+        make_learner=ENTRIES["ippo"].learner,
+        algo_config=algo,
+        seeds=tuple(seeds),
+        config=ExperimentConfig(
+            seed=tuple(seeds),
+            env_steps=iterations * COPIES * STEPS,
+            device="cpu",
+            rollout=RolloutConfig(COPIES, STEPS, block),
+            backend=BackendConfig(backend),
+            evaluation=EvaluationConfig(episodes=2, every=2 * COPIES * STEPS, final_episodes=3),
+            store=StoreConfig(checkpoint_every=checkpoint_every),
+        ),
+        workers=workers,
+        directories=tuple(str(folder / str(seed)) for seed in seeds),
+        resume=resume,
+    )
+
+
+def trained(job: TrainingJob, stop_after: int | None = None) -> list[Event]:
+    """Train a job to its end, or stop it after so many iterations; what it reported."""
+    events: list[Event] = []
+    asked = 0
+
+    def should_stop() -> bool:
+        nonlocal asked
+        asked += 1
+        return stop_after is not None and asked > stop_after
+
+    train(job, events.append, should_stop)
+    assert isinstance(events[-1], Finished)
+    return events
+
+
+def train_quietly(job: TrainingJob) -> None:
+    """What a training process of its own runs."""
+    torch.set_num_threads(1)
+    trained(job)
+
+
+def log_of(directory: str | Path) -> Log:
+    """All tables of a run without times, every number written out to its last bit."""
+    return {table: [_exact(row) for row in read_rows(Path(directory), table)] for table in TABLES}
+
+
+def _exact(row: Row) -> dict[str, str]:
+    return {
+        name: value.hex() if isinstance(value, float) else repr(value)
+        for name, value in row.items()
+        if name != "wall_s" and not name.startswith("time/")
+    }
+
+
+def logs_of(job: TrainingJob) -> list[Log]:
+    """One a seed."""
+    return [log_of(directory) for directory in job.directories]

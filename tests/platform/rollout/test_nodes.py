@@ -1,0 +1,63 @@
+"""Actors on a cluster of several nodes, of which one is lost. The nodes are Ray's, on this one machine."""
+
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from ray_processes import assert_gone, ray_processes
+from rehearsal import FaultConfig, FaultyVisitors, assert_same, iterations_of, parameters_of, plan_of
+
+from headway.config.experiment import BackendConfig
+from headway.rollout.backends import open_collector
+from headway.rollout.plan import RolloutPlan
+
+if TYPE_CHECKING:
+    from ray.cluster_utils import Cluster
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
+)
+
+
+@pytest.fixture
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
+    """A head without CPUs and three nodes of two."""
+    from ray.cluster_utils import Cluster
+
+    settings = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": 10**8}
+    before = ray_processes()
+    whole = Cluster(initialize_head=True, head_node_args=settings)
+    try:
+        for _ in range(3):
+            whole.add_node(num_cpus=2, object_store_memory=10**8)
+        yield whole
+    finally:
+        whole.shutdown()
+    assert_gone(before)
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(
+    nodes: "Cluster", tmp_path: Path, lost: int
+) -> None:
+    """Nor does a second one, to which its work went. The other worker is lost with a node that it is on."""
+
+    def plan(times: int) -> RolloutPlan:
+        return plan_of(FaultyVisitors, FaultConfig("kill parent", str(tmp_path), 30, copies=2, times=times))
+
+    given, notices = {}, list[str]()
+    for name, times in (("process", 0), ("ray", lost)):
+        backend = BackendConfig(name, address=nodes.address)
+        collector = open_collector(backend, plan(times), 2, notices.append)
+        try:
+            collector.begin()
+            given[name] = iterations_of(collector, parameters_of(plan(0)), 1, 3)
+        finally:
+            collector.close()
+    assert_same(given["process"], given["ray"])
+    assert lost <= len(notices) <= 2 * lost
+    for notice in notices:
+        assert "node" in notice
+        assert notice.endswith("replaced, repeating its part from where it stood")

@@ -1,0 +1,269 @@
+"""Workers that die, raise, or bring NaN: replaced without a trace in the data, or told in one line."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from rehearsal import (
+    Arrays,
+    Fault,
+    FaultConfig,
+    FaultyVisitors,
+    Taken,
+    Unloadable,
+    assert_same,
+    collector_of,
+    iterations_of,
+    parameters_of,
+    plan_of,
+    take,
+)
+
+from headway.contracts import HeadwayError
+from headway.rollout.collector import Collector
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.pool_collector import CrewCollector
+from headway.rollout.workers import process_workers
+from headway.rollout.workers.worker_pool import WorkerFailedError
+
+SHARD = 2
+"""Copies of each of two workers."""
+
+
+def _plan(folder: Path, fault: Fault = "kill", **choices: Any) -> RolloutPlan:  # noqa: ANN401 - FaultConfig's
+    config = FaultConfig(fault, str(folder), **{"at": 30, "copies": SHARD, **choices})
+    return plan_of(FaultyVisitors, config)
+
+
+def _never(folder: Path) -> RolloutPlan:
+    return _plan(folder, times=0)
+
+
+def _taken(plan: RolloutPlan, notices: list[str] | None = None, iterations: int = 3) -> list[Taken]:
+    with collector_of(plan, workers=2, notify=notices.append if notices is not None else print) as collector:
+        collector.begin()
+        return iterations_of(collector, parameters_of(plan), 1, iterations)
+
+
+def _one_line(error: BaseException) -> str:
+    assert "\n" not in str(error)
+    return str(error)
+
+
+def _kill(process_id: int) -> None:
+    process = psutil.Process(process_id)
+    process.kill()
+    process.wait(10)
+
+
+def test_a_worker_killed_in_mid_iteration_leaves_no_trace_in_the_data(tmp_path: Path) -> None:
+    notices: list[str] = []
+    disturbed = _taken(_plan(tmp_path), notices)
+    assert_same(_taken(_never(tmp_path)), disturbed)
+    assert len(notices) == 1
+    assert "killed by signal 9" in notices[0]
+    assert "from where it stood" in notices[0]
+
+
+@pytest.mark.parametrize("snapshots", [True, False])
+def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, snapshots: bool) -> None:
+    """Two seeds of two copies, each copy in a process of its own; the others go on as they would have."""
+
+    def taken(times: int, notices: list[str]) -> list[Taken]:
+        config = FaultConfig("kill", str(tmp_path), 30, 1, times, snapshots, limit=1)
+        plan = plan_of(FaultyVisitors, config, seeds=(5, 6), copies=2)
+        with collector_of(plan, workers=4, notify=notices.append) as collector:
+            collector.begin()
+            return iterations_of(collector, parameters_of(plan), 1, 3)
+
+    notices: list[str] = []
+    undisturbed, disturbed = taken(0, []), taken(1, notices)
+    assert len(notices) == 1
+    assert ("from where it stood" if snapshots else "its episodes start again") in notices[0]
+    if snapshots:
+        assert_same(undisturbed, disturbed)
+    seen = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]
+    changed = [not np.array_equal(seen[0][:, c], seen[1][:, c], equal_nan=True) for c in range(4)]
+    assert sum(changed) == (not snapshots)
+
+
+def test_both_workers_killed_in_one_iteration_are_both_replaced(tmp_path: Path) -> None:
+    notices: list[str] = []
+    # The two strike at the same step; a replaced one finds that both marks are made.
+    disturbed = _taken(_plan(tmp_path, times=2, at=21), notices)
+    assert 1 <= len(notices) <= 2
+    assert_same(_taken(_never(tmp_path)), disturbed)
+
+
+def test_without_snapshots_a_replaced_worker_begins_anew_and_says_so(tmp_path: Path) -> None:
+    notices: list[str] = []
+    disturbed = _taken(_plan(tmp_path, snapshots=False), notices)
+    assert "its episodes start again" in notices[0]
+    undisturbed = _taken(_never(tmp_path))
+    assert_same(undisturbed[:1], disturbed[:1])
+    other = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]
+    changed = [not np.array_equal(other[0][0, c], other[1][0, c], equal_nan=True) for c in range(4)]
+    assert sum(changed) == SHARD  # the other worker's copies go on
+
+
+def _evaluate(collector: Collector, parameters: Arrays) -> Any:  # noqa: ANN401 - rows, compared only
+    return collector.evaluate(7, 23, False, parameters)
+
+
+def test_workers_killed_between_commands_are_replaced(tmp_path: Path) -> None:
+    plan, notices = _never(tmp_path), list[str]()
+    parameters, undisturbed = parameters_of(plan), _taken(plan)
+    with collector_of(plan, workers=2, notify=notices.append) as collector:
+        _kill(collector.process_ids()[0])
+        collector.begin()
+        expected = _evaluate(collector, parameters)
+        _kill(collector.process_ids()[1])
+        collected = iterations_of(collector, parameters, 1, 1)
+        for process_id in collector.process_ids():
+            _kill(process_id)
+        assert _evaluate(collector, parameters) == expected
+        collected += iterations_of(collector, parameters, 2, 2)
+        _kill(collector.process_ids()[0])
+        snapshots = collector.snapshot()
+        collected += iterations_of(collector, parameters, 3, 3)
+        assert_same(undisturbed, collected)
+    assert len(notices) == 5
+    with collector_of(plan, workers=2, notify=notices.append) as collector:
+        _kill(collector.process_ids()[0])
+        collector.restore(snapshots, 2)
+        assert_same(undisturbed[2:], iterations_of(collector, parameters, 3, 3))
+    assert "start again" not in notices[-1]
+
+
+def test_a_worker_killed_in_evaluation_still_knows_where_training_stands(tmp_path: Path) -> None:
+    plan, notices = _plan(tmp_path, at=3, copies=10), list[str]()
+    parameters, undisturbed = parameters_of(plan), _taken(_never(tmp_path))
+    with collector_of(plan, workers=2, notify=notices.append) as collector:
+        collector.begin()
+        collected = iterations_of(collector, parameters, 1, 1)
+        _evaluate(collector, parameters)
+        assert len(notices) == 1
+        assert all(snapshot is not None for snapshot in collector.snapshot())
+        for process_id in collector.process_ids():
+            _kill(process_id)
+        collected += iterations_of(collector, parameters, 2, 3)
+    assert_same(undisturbed, collected)
+
+
+def test_killed_twice_in_a_row_ends_the_run_in_one_line(tmp_path: Path) -> None:
+    plan = _plan(tmp_path, times=9)
+    with collector_of(plan, workers=2) as collector:
+        collector.begin()
+        processes = [psutil.Process(process_id) for process_id in collector.process_ids()]
+        with pytest.raises(WorkerFailedError, match=r"failed twice.*killed by signal 9") as failure:
+            iterations_of(collector, parameters_of(plan), 1, 3)
+        _one_line(failure.value)
+        ids = [process.pid for process in processes] + collector.process_ids()
+    assert not any(psutil.pid_exists(process_id) for process_id in ids)
+
+
+def test_a_worker_that_raises_once_is_replaced(tmp_path: Path) -> None:
+    notices: list[str] = []
+    assert_same(_taken(_never(tmp_path)), _taken(_plan(tmp_path, "raise"), notices))
+    assert "RuntimeError: the bridge is out" in notices[0]
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"), [("exit", "ended with code 3"), ("hang up", "alive, but it closed its pipe")]
+)
+def test_a_worker_that_ends_or_hangs_up_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, reason: str
+) -> None:
+    monkeypatch.setattr(process_workers, "GRACE_S", 0.5)
+    notices: list[str] = []
+    assert_same(_taken(_never(tmp_path)), _taken(_plan(tmp_path, fault), notices))
+    assert reason in notices[0]
+
+
+@pytest.mark.parametrize("fault", ["raise", "bad snapshot"])
+def test_what_fails_again_ends_with_the_worker_s_own_traceback(tmp_path: Path, fault: Fault) -> None:
+    with pytest.raises(WorkerFailedError) as failure:
+        _taken(_plan(tmp_path, fault, times=9))
+    cause = {"raise": "RuntimeError: the bridge is out", "bad snapshot": "pickle"}[fault]
+    assert cause in _one_line(failure.value)
+    assert "Traceback (most recent call last)" in failure.value.details
+    assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.details
+
+
+def test_a_plan_that_a_worker_cannot_load_is_told_with_its_traceback(tmp_path: Path) -> None:
+    plan = replace(_never(tmp_path), make_env=Unloadable())
+    with collector_of(plan) as collector, pytest.raises(WorkerFailedError) as failure:
+        collector.begin()
+    assert "ModuleNotFoundError: No module named 'nowhere'" in _one_line(failure.value)
+    assert "pickle.loads" in failure.value.details
+
+
+@pytest.mark.parametrize("name", ["serial", "process"])
+@pytest.mark.parametrize("fault", ["nan observation", "nan reward", "nan state", "nan final"])
+def test_nan_is_named_where_it_came_in(tmp_path: Path, fault: Fault, name: str) -> None:
+    plan = _plan(tmp_path, fault, at=13, times=1, copies={"serial": 4, "process": SHARD}[name])
+    with collector_of(plan, name, workers=2) as collector:
+        collector.begin()
+        with pytest.raises(HeadwayError, match=r"environment faulty gave (nan|inf)") as failure:
+            collector.collect(1, parameters_of(plan))
+    line = _one_line(failure.value)
+    assert not isinstance(failure.value, WorkerFailedError)
+    assert "at step 13" in line
+    assert "copy 1 " in line or (name == "process" and "copy 3 " in line)
+    assert fault == "nan state" or "visitor_2" in line
+
+
+def test_nan_of_a_stack_is_named_by_seed(tmp_path: Path) -> None:
+    config = FaultConfig("nan reward", str(tmp_path), at=3, copies=4)
+    plan = plan_of(FaultyVisitors, config, seeds=(5, 6, 7, 8), copies=1)  # row 1 is seed 6's only copy
+    with collector_of(plan, "serial") as collector:
+        collector.begin()
+        with pytest.raises(HeadwayError, match=r"copy 0 of seed 6\b"):
+            collector.collect(1, parameters_of(plan))
+
+
+@pytest.mark.parametrize("name", ["serial", "process"])
+def test_nan_in_evaluation_is_named_too(tmp_path: Path, name: str) -> None:
+    plan = _plan(tmp_path, "nan reward", at=2, copies=10)
+    with collector_of(plan, name) as collector, pytest.raises(HeadwayError, match="gave inf as reward"):
+        collector.evaluate(7, 10, True, parameters_of(plan))
+
+
+def test_absent_agents_may_hold_nan(tmp_path: Path) -> None:
+    taken = _taken(_never(tmp_path))
+    assert any(np.isnan(part.arrays["observations"]).any() for part in taken)
+
+
+def test_closing_does_not_wait_for_busy_workers_to_finish(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_workers, "GRACE_S", 2.0)
+    plan = _never(tmp_path)
+    with collector_of(plan, workers=2) as collector:
+        assert isinstance(collector, CrewCollector)
+        collector.begin()
+        children = [psutil.Process(process_id) for process_id in collector.process_ids()]
+        for process in children:
+            process.suspend()  # stands for a step that takes for ever
+        began = time.monotonic()
+    assert time.monotonic() - began < 3.9  # the grace is for all together, not for each
+    assert not any(process.is_running() for process in children)
+
+
+def test_cpu_seconds_of_replaced_workers_still_count(tmp_path: Path) -> None:
+    plan = _never(tmp_path)
+    with collector_of(plan, workers=2) as collector:
+        collector.begin()
+        taken = take(collector.trajectory, collector.collect(1, parameters_of(plan)))
+        before = collector.usage()
+        assert before.cpu_seconds > 0
+        assert before.memory_bytes > 1_000_000
+        for process_id in collector.process_ids():
+            _kill(process_id)
+        collector.collect(2, parameters_of(plan))
+        assert collector.usage().cpu_seconds > before.cpu_seconds
+    assert len(taken.episodes) > 0

@@ -1,0 +1,292 @@
+"""Actors of a Ray cluster: they give what processes give, and are replaced as processes are."""
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ray_processes import assert_gone, ray_processes
+from rehearsal import (
+    VISITORS,
+    Arrays,
+    Fault,
+    FaultConfig,
+    FaultyVisitors,
+    LoneVisitors,
+    RareVisitors,
+    Showing,
+    Taken,
+    assert_same,
+    backend_of,
+    collector_of,
+    iterations_of,
+    parameters_of,
+    plan_of,
+    plan_of_toy,
+)
+
+from headway.config.experiment import BackendConfig
+from headway.contracts import HeadwayError
+from headway.rollout.backends import open_collector, open_contributors
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.workers import ray_cluster
+from headway.rollout.workers.async_worker import AsynchronousPlan
+from headway.rollout.workers.usage import usable_cores
+from headway.rollout.workers.worker import Contribute
+from headway.rollout.workers.worker_pool import WorkerFailedError
+
+without_ray = importlib.util.find_spec("ray") is None
+needs_ray = pytest.mark.skipif(without_ray, reason='Ray is not installed: pip install "headway[ray]"')
+
+
+@pytest.fixture(scope="module")
+def local() -> Iterator[str]:
+    """A cluster of this machine, which collectors that ask for one find connected."""
+    if without_ray:
+        pytest.skip("Ray is not installed")
+    before = ray_processes()
+    address = ray_cluster.connect("local")
+    yield address
+    ray_cluster.disconnect()
+    assert_gone(before)
+
+
+def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> list[Taken]:
+    with collector_of(plan, name, 2, print if notices is None else notices.append) as collector:
+        collector.begin()
+        return iterations_of(collector, parameters_of(plan), 1, 3)
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+@pytest.mark.parametrize(("toy", "core"), [("visitors", "none"), ("tracking", "gru")])
+def test_actors_give_what_processes_give_bit_for_bit(toy: str, core: str) -> None:
+    plan = plan_of_toy(toy, seeds=(5, 6), core=core)
+    parameters, given = parameters_of(plan), []
+    for name in ("process", "ray"):
+        with collector_of(plan, name, 2) as collector:
+            collector.begin()
+            evaluated = collector.evaluate(7, 23, False, parameters)
+            first = iterations_of(collector, parameters, 1, 2)
+            given.append((evaluated, first, collector.snapshot()))
+            assert len(collector.process_ids()) == 2
+            assert collector.usage().cpu_seconds > 0
+    processes, actors = given
+    assert actors[0] == processes[0]
+    assert_same(processes[1], actors[1])
+    # One goes on where the other stood.
+    gone_on = []
+    for name, snapshots in (("process", actors[2]), ("ray", processes[2])):
+        with collector_of(plan, name, 2) as collector:
+            collector.restore(snapshots, 2)
+            gone_on.append(iterations_of(collector, parameters, 3, 3))
+    assert_same(*gone_on)
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_actors_may_each_hold_one_seed_of_a_stack() -> None:
+    plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=2)
+    parameters, given = parameters_of(plan), []
+    for name in ("process", "ray"):
+        with collector_of(plan, name, 4) as collector:
+            collector.begin()
+            evaluated = collector.evaluate(7, 3, False, parameters)
+            given.append((evaluated, iterations_of(collector, parameters, 1, 2)))
+            assert len(collector.process_ids()) == 4 + min(2, usable_cores())
+    assert given[0][0] == given[1][0]
+    assert_same(given[0][1], given[1][1])
+    plainly = _collected(plan_of_toy("visitors", seeds=(5, 6), copies=2), "process")
+    assert_same(plainly[:2], given[1][1])
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_actors_use_the_parameters_of_the_moment_and_do_not_change_between_episodes() -> None:
+    plan = plan_of_toy("visitors")
+    early, late = parameters_of(plan), parameters_of(replace(plan, seeds=(99,)))
+    taken = []
+    for name in ("serial", "ray"):
+        with collector_of(plan, name) as collector:
+            collector.begin()
+            taken.append(iterations_of(collector, early, 1, 1) + iterations_of(collector, late, 2, 2))
+    assert_same(*taken)
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_evaluation_has_an_actor_of_its_own_where_a_process_may_hold_few_copies() -> None:
+    plan = plan_of(RareVisitors, VISITORS, copies=2)
+    parameters, given = parameters_of(plan), []
+    for name in ("process", "ray"):
+        with collector_of(plan, name, 2) as collector:
+            collector.begin()
+            given.append(
+                (collector.evaluate(7, 3, True, parameters), iterations_of(collector, parameters, 1, 1))
+            )
+            assert len(collector.process_ids()) == 3
+    assert given[0][0] == given[1][0]
+    assert_same(given[0][1], given[1][1])
+
+
+def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
+    return plan_of(FaultyVisitors, FaultConfig(fault, str(folder), at=30, copies=2, times=times))
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("kill", "its worker process has died"),
+        ("raise", "RuntimeError: the bridge is out"),
+    ],
+)
+def test_an_actor_that_fails_leaves_no_trace_in_the_data(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], fault: Fault, reason: str
+) -> None:
+    notices: list[str] = []
+    disturbed = _collected(_faulty(tmp_path, fault), "ray", notices)
+    assert_same(_collected(_faulty(tmp_path, times=0), "process"), disturbed)
+    assert notices == [
+        f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from where it stood"
+    ]
+    # Ray's own words stay out of the terminal.
+    assert capfd.readouterr() == ("", "")
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_an_actor_that_fails_again_ends_the_run_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(WorkerFailedError, match=r"failed twice \(its worker process has died") as failure:
+        _collected(_faulty(tmp_path, times=9), "ray", [])
+    assert "\n" not in str(failure.value)
+
+
+@needs_ray
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        (
+            "The actor died unexpectedly before finishing this task.\n\tclass_name: A\n\tpid: 1\n"
+            "The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR "
+            "Worker exit detail: Worker exits unexpectedly. Worker exits with an exit code 3.",
+            "its worker process has died, exit code 3",
+        ),
+        (
+            "The actor died because of an error raised in its creation task, ray::A.__init__() (pid=1)\n"
+            "  File \"a.py\", line 1\nModuleNotFoundError: No module named 'headway'",
+            "ModuleNotFoundError: No module named 'headway'",
+        ),
+        ("Failed to retrieve object 00ff.", "ObjectLostError: Failed to retrieve object 00ff."),
+        ("", "ObjectLostError"),
+    ],
+)
+def test_what_ray_says_of_a_lost_actor_becomes_a_part_of_a_line(said: str, reason: str) -> None:
+    from headway.rollout.workers.ray_workers import reason_of
+
+    class ObjectLostError(Exception):
+        pass
+
+    assert reason_of(ObjectLostError(said)) == reason
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_what_the_user_can_mend_is_told_at_once(tmp_path: Path) -> None:
+    notices: list[str] = []
+    with pytest.raises(HeadwayError, match="environment faulty gave inf as reward"):
+        _collected(_faulty(tmp_path, "nan reward"), "ray", notices)
+    assert notices == []
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_contributors_are_actors_too() -> None:
+    rollout = plan_of_toy("visitors", copies=4, block=2)
+    plan, published = AsynchronousPlan(rollout, Showing, None), parameters_of(rollout)
+    shown: dict[str, list[Arrays]] = {}
+    for name in ("serial", "ray"):
+        with closing(open_contributors(backend_of(name), plan, print)) as contributors:
+            contributors.begin()
+            for worker in contributors.idle():
+                contributors.assign(worker, Contribute(1, 0, published))
+            done = dict(contributors.next_done(None)[::2] for _ in range(contributors.number))
+            contributions = [done[worker].contribution for worker in sorted(done)]
+            shown[name] = [dict(each.arrays) for each in contributions if each is not None]
+            evaluated = contributors.evaluate(7, 2, True, published)
+            assert len(evaluated[0]) == 2
+    assert len(shown["ray"]) == 2
+    for serial, actor in zip(shown["serial"], shown["ray"], strict=True):
+        for name, array in serial.items():
+            if not name.startswith("final"):  # valid in few rows
+                np.testing.assert_array_equal(actor[name], array, err_msg=name)
+
+
+@needs_ray
+def test_a_script_s_own_environment_reaches_the_actors(local: str, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(_SCRIPT)
+    command = [sys.executable, str(script), str(Path(__file__).parents[1]), local]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "8 episodes", "")
+
+
+_SCRIPT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from headway.config.experiment import BackendConfig
+from headway.rollout.backends import open_collector
+from headway_envs.toy.trivial import Trivial, TrivialConfig
+from rehearsal import parameters_of, plan_of
+
+class Mine(Trivial):
+    pass
+
+if __name__ == "__main__":
+    plan = plan_of(Mine, TrivialConfig(agents=3, steps=10))
+    collector = open_collector(BackendConfig("ray", address=sys.argv[2], worker_cpus=0), plan, 2, print)
+    collector.begin()
+    print(len(collector.collect(1, parameters_of(plan))), "episodes")
+    collector.close()
+"""
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_a_worker_with_other_versions_is_refused() -> None:
+    from headway.rollout.workers.ray_workers import Actors, Place
+
+    actors = Actors(backend_of("ray"), [], print)
+    try:
+        here = Place.here()
+        actors.welcome(0, here)
+        with pytest.raises(
+            HeadwayError, match=r"worker 3 on far has numpy 1.0, and this machine .*install the same"
+        ):
+            actors.welcome(3, replace(here, host="far", versions={**here.versions, "numpy": "1.0"}))
+    finally:
+        actors.dismiss([])
+
+
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_a_worker_without_a_place_waits_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    from headway.rollout.workers import ray_workers
+
+    monkeypatch.setattr(ray_workers, "PATIENCE_S", 0.5)
+    backend, said = BackendConfig("ray", worker_cpus=1000), list[str]()
+
+    def notify(line: str) -> None:
+        said.append(line)
+        raise KeyboardInterrupt  # it would wait for ever
+
+    collector = open_collector(backend, plan_of_toy("trivial"), 1, notify)
+    with closing(collector), pytest.raises(KeyboardInterrupt):
+        collector.begin()
+    assert said[0].startswith("worker 0 waits for a place: it asks for 1000 CPUs, and of the cluster's ")

@@ -1,0 +1,84 @@
+"""A crew counts failures of its workers, and losses of the machines under them, apart."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import pytest
+
+from headway.events import Usage
+from headway.rollout.workers.worker import Begin, Collect, Command, Done
+from headway.rollout.workers.worker_pool import Crew, WorkerFailedError
+
+DONE = Done([], [], None, Usage())
+LOST, DEATH = "its machine cannot be reached", "killed by signal 9"
+
+
+class _Scripted:
+    """A workplace, and each of its links: every answer is the next one of a list."""
+
+    process_id = None
+    waitable = None
+    lost_with_machine = False
+
+    def __init__(self, answers: Iterator[Done | str]) -> None:
+        self._answers = answers
+
+    def start(self, shard: int) -> "_Scripted":
+        return _Scripted(self._answers)
+
+    def wait(self, waitables: Sequence[Any], timeout_s: float | None) -> list[Any]:
+        return list(waitables)
+
+    def dismiss(self, links: Sequence[Any]) -> None:
+        pass
+
+    def send(self, command: Command) -> None:
+        pass
+
+    def receive(self) -> Done | str:
+        answer = next(self._answers)
+        self.lost_with_machine = answer == LOST
+        return answer
+
+    def kill(self) -> None:
+        pass
+
+
+def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episodes"),)) -> list[str]:
+    """The notices of a crew of one that is given commands and so answers."""
+    notices: list[str] = []
+    crew = Crew(_Scripted(iter(answers)), 1, notices.append)
+    for command in commands:
+        crew.send(0, command)
+        crew.answer(0, command)
+    return notices
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        (LOST, DEATH, DONE),
+        (DEATH, LOST, DONE),
+        (LOST, LOST, LOST, DONE),
+        (LOST, DEATH, LOST, LOST, DONE),
+    ],
+)
+def test_a_lost_machine_is_no_failure_of_the_worker(answers: tuple[Done | str, ...]) -> None:
+    told = [f"worker 0 failed ({answer}); replaced, its episodes start again" for answer in answers[:-1]]
+    assert _answered(*answers) == told
+
+
+@pytest.mark.parametrize("answers", [(DEATH, DEATH), (DEATH, LOST, DEATH), (LOST, DEATH, LOST, DEATH)])
+def test_a_second_failure_in_a_row_ends_the_run(answers: tuple[Done | str, ...]) -> None:
+    with pytest.raises(WorkerFailedError, match=r"^worker 0 failed twice \(killed by signal 9\)$"):
+        _answered(*answers)
+
+
+def test_too_many_lost_machines_are_told_as_such() -> None:
+    with pytest.raises(WorkerFailedError, match=rf"^worker 0 lost its machine 4 times in a row \({LOST}\)$"):
+        _answered(LOST, LOST, LOST, LOST)
+
+
+def test_a_command_that_was_carried_out_ends_the_count() -> None:
+    answers = (DEATH, LOST, LOST, LOST, DONE, DEATH, LOST, LOST, LOST, DONE, DONE)
+    assert len(_answered(*answers, commands=(Begin("episodes"), Collect(1)))) == 8

@@ -1,0 +1,103 @@
+"""Pictures of many cells can be read."""
+
+import io
+import math
+from itertools import pairwise
+
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from headway.stats.plots import (
+    colours,
+    footprint,
+    intervals,
+    learning_curves,
+    performance_profiles,
+    reward_against_cost,
+    reward_components,
+)
+
+LONG = "mappo, algo.model.hidden [128, 128, 128], algo.gae_lambda 0.95, 6 settings more, cell {}"
+
+
+def _whole_and_readable(figure: Figure) -> None:
+    """Every word is inside the picture, and none was squeezed out: matplotlib warns of that."""
+    figure.savefig(io.BytesIO())
+    for axes in figure.axes:
+        assert axes.bbox.width > 0.2 * figure.bbox.width
+        drawn = axes.get_tightbbox()
+        assert drawn is not None
+        assert drawn.x0 >= 0
+        assert drawn.y0 >= 0
+        assert drawn.x1 <= figure.bbox.width
+        assert drawn.y1 <= figure.bbox.height
+        legend = axes.get_legend()
+        assert legend is None or legend.get_window_extent().x0 >= axes.bbox.x1
+        steps = [tick.get_window_extent() for tick in axes.get_xticklabels() if tick.get_text()]
+        assert all(left.x1 <= right.x0 for left, right in pairwise(steps))
+        beside = [tick.get_window_extent() for tick in axes.get_yticklabels()]
+        beside.sort(key=lambda box: box.y0)
+        assert all(low.y1 <= high.y0 for low, high in pairwise(beside))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["curves", "intervals", "profiles", "footprint", "cost", "components"])
+def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
+    names = [LONG.format(place) for place in range(12)]
+    styles, rules = colours(names), {f"rule_{place}": float(place) for place in range(9)}
+    if kind == "curves":
+        rows = [
+            {"task": task, "controller": name, "runs": 10, "env_steps": steps, "mean": steps * place}
+            for task in ("t", "another")
+            for place, name in enumerate(names)
+            for steps in (0, 400_000)
+        ]
+        means = pd.DataFrame(rows).assign(low=0.0, high=1.0)
+        figure = learning_curves(means, {"t": rules}, "return", styles, title="study: mean over seeds")
+    elif kind == "intervals":
+        scores = pd.DataFrame({"iqm": 1.0, "iqm_low": 0.0, "iqm_high": 2.0}, index=names)
+        figure = intervals(scores, rules, "IQM of final reward", styles)
+    elif kind == "profiles":
+        rows = [
+            {"controller": name, "threshold": x, "share": 0.5, "low": 0.4, "high": 0.6}
+            for name in names
+            for x in (0.0, 1.0)
+        ]
+        figure = performance_profiles(pd.DataFrame(rows), "final reward", styles)
+    elif kind == "footprint":
+        columns = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
+        columns += ["kg_co2_std", "kwh_std", "cpu_seconds_std"]
+        units = {"kg_co2": ("mg", 1e6), "kwh": ("mWh", 1e6)}
+        figure = footprint(pd.DataFrame(1e-6, index=names, columns=columns), units)
+    elif kind == "cost":
+        runs = pd.DataFrame({"task": "t", "controller": names, "score": 1.0, "kwh": range(12)})
+        figure = reward_against_cost(runs, "kwh", 1.0, ("kWh a run", "final reward"), styles)
+    else:
+        parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(8)}, index=names)
+        figure = reward_components(parts)
+    _whole_and_readable(figure)
+
+
+def test_a_footprint_without_co2_has_no_panel_for_it() -> None:
+    columns = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
+    columns += ["kg_co2_std", "kwh_std", "cpu_seconds_std"]
+    energy = pd.DataFrame(1e-6, index=["a", "b"], columns=columns)
+    unknown = energy.assign(kg_co2=math.nan, kg_co2_std=math.nan)
+    units = {"kwh": ("mWh", 1e6)}
+    labels = ["(a) mWh a run", "(b) CPU s a run"]
+    assert [axes.get_xlabel() for axes in footprint(unknown, units).axes] == labels
+    three = footprint(energy, {**units, "kg_co2": ("mg", 1e6)})
+    assert [axes.get_xlabel() for axes in three.axes] == [
+        "(a) mg CO2eq a run",
+        "(b) mWh a run",
+        "(c) CPU s a run",
+    ]
+
+
+def test_components_that_are_0_for_all_have_no_panel() -> None:
+    parts = pd.DataFrame(
+        {"speed": [1.0, 2.0], "lanes": [0.0, -2e-17], "crash": [math.nan, -1.0]}, index=["a", "b"]
+    )
+    assert [axes.get_xlabel() for axes in reward_components(parts).axes] == ["speed", "crash"]
+    assert [axes.get_xlabel() for axes in reward_components(parts[["lanes"]]).axes] == ["lanes"]

@@ -1,0 +1,37 @@
+"""What of a run can be looked at in a browser."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from headway.contracts import HeadwayError
+from headway.store import RunLog
+from headway.store.artifacts import write_views
+
+
+def test_evaluations_are_a_table_and_curves_a_picture(tmp_path: Path) -> None:
+    log = RunLog(tmp_path)
+    for iteration in range(4):
+        row = {"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 0.5, "training/return": 1.0}
+        measured = {"evaluation_greedy/return": 7.0 + iteration} if iteration % 2 == 0 else {}
+        log.append("curve", [{**row, **measured}])
+    log.commit(3)
+    write_views(tmp_path, "a run")
+    with (tmp_path / "evaluations.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["env_steps"] for row in rows] == ["0", "20"]
+    assert [row["evaluation_greedy/return"] for row in rows] == ["7.0", "9.0"]
+    assert "training/return" not in rows[0]
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_of_a_run_without_a_curve_there_is_nothing_to_see(tmp_path: Path) -> None:
+    write_views(tmp_path, "a run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_log_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "curve-000001.parquet").write_text("broken")
+    with pytest.raises(HeadwayError, match="cannot be read as Parquet"):
+        write_views(tmp_path, "a run")

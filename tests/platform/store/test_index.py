@@ -1,0 +1,131 @@
+"""The summary index follows the run folders, whatever happens to it."""
+
+import json
+import shutil
+import sqlite3
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from headway.store.atomic_files import write_json
+from headway.store.index import RunIndex, RunRow, _row
+from headway.store.run_folder import Process, RunRecord, create_run_folder, now
+
+
+def _run(root: Path, seed: int, study: str = "study", **summary: float | None) -> Path:
+    run_id, directory = create_run_folder(root, study, "bus-mappo", seed)
+    record = RunRecord(
+        run_id=run_id,
+        study=study,
+        environment="bus",
+        algorithm="mappo",
+        seed=seed,
+        iterations=10,
+        started=now(),
+        session=Process.current(),
+        status="FINISHED",
+    )
+    record.write(directory)
+    write_json(directory / "summary.json", summary)
+    return directory
+
+
+def test_rows_tell_what_the_folders_hold(tmp_path: Path) -> None:
+    _run(tmp_path, 0, final_reward=1.5, kwh=float("nan"), auc=None)
+    _run(tmp_path, 1, study="other", final_reward=2.5)
+    first, second = RunIndex(tmp_path).rows()
+    assert (first.seed, first.final_reward, first.auc, first.kwh) == (0, 1.5, None, None)
+    assert RunIndex(tmp_path).rows("other") == [second]
+    assert RunIndex(tmp_path / "absent").rows() == []
+
+
+def test_changes_and_removals_are_seen(tmp_path: Path) -> None:
+    kept, removed = _run(tmp_path, 0), _run(tmp_path, 1)
+    assert len(RunIndex(tmp_path).rows()) == 2
+    shutil.rmtree(removed)
+    replace(RunRecord.read(kept), durable_iteration=7).write(kept)
+    write_json(kept / "summary.json", {"final_reward": 9.0})
+    [row] = RunIndex(tmp_path).rows()
+    assert (row.iterations, row.final_reward) == (7, 9.0)
+
+
+@pytest.mark.parametrize("damage", ["lost", "corrupt", "stale", "of another version"])
+def test_a_damaged_index_is_made_anew(tmp_path: Path, damage: str) -> None:
+    _run(tmp_path, 0, final_reward=1.0)
+    expected = RunIndex(tmp_path).rows()
+    path = tmp_path / "index.sqlite"
+    old = path.read_bytes()
+    if damage == "lost":
+        path.unlink()
+    elif damage == "corrupt":
+        path.write_bytes(old[:100] + b"\xff" * 5000)
+    elif damage == "stale":
+        _run(tmp_path, 1)
+        expected = RunIndex(tmp_path).rows()
+        path.write_bytes(old)
+    else:
+        with sqlite3.connect(path) as database:
+            database.execute("DROP TABLE runs")
+            database.execute("PRAGMA user_version = 99")
+    assert RunIndex(tmp_path).rows() == expected
+
+
+def test_a_locked_index_does_not_hold_up_the_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("headway.store.index._WAIT_SECONDS", 0.1)
+    _run(tmp_path, 0)
+    RunIndex(tmp_path).rows()
+    other = sqlite3.connect(tmp_path / "index.sqlite", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    _run(tmp_path, 1)
+    assert len(RunIndex(tmp_path).rows()) == 2
+    other.close()
+
+
+def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
+    _run(tmp_path, 0)
+    broken = _run(tmp_path, 1)
+    (broken / "run.json").write_text('{"run_id": ')
+    index = RunIndex(tmp_path)
+    assert len(index.rows()) == 1
+    assert str(broken) in index.notices[0]
+    (broken / "run.json").write_text(json.dumps({"run_id": "x"}))
+    index.rows()
+    assert "is no record of a run" in index.notices[0]
+
+
+def test_a_query_reads_nothing_but_what_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether a run has changed its files' dates and sizes tell."""
+    folders = [_run(tmp_path, seed, final_reward=1.0) for seed in range(20)]
+    read: list[Path] = []
+
+    def counted(folder: Path) -> RunRow:
+        read.append(folder)
+        return _row(folder)
+
+    monkeypatch.setattr("headway.store.index._row", counted)
+    assert len(RunIndex(tmp_path).rows()) == 20
+    assert sorted(read) == sorted(folders)
+    read.clear()
+    assert len(RunIndex(tmp_path).rows()) == 20
+    assert read == []
+    write_json(folders[7] / "summary.json", {"final_reward": 2.0})
+    assert len(RunIndex(tmp_path).rows()) == 20
+    assert read == [folders[7]]
+
+
+_QUERY = """
+import sys
+from pathlib import Path
+from headway.store.index import RunIndex
+print(len(RunIndex(Path(sys.argv[1])).rows()), {"pandas", "mlflow", "pyarrow", "torch"} & set(sys.modules))
+"""
+
+
+def test_a_query_imports_nothing_heavy(tmp_path: Path) -> None:
+    _run(tmp_path, 0, final_reward=1.0)
+    command = [sys.executable, "-c", _QUERY, str(tmp_path)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert answer == ["1", "set()"]

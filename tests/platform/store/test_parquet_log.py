@@ -1,0 +1,184 @@
+"""The Parquet log: what is committed survives, what is not is not seen."""
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.contracts import HeadwayError
+from headway.events import Row
+from headway.store import parquet_log
+from headway.store.checkpoint import load_latest, save_checkpoint
+from headway.store.parquet_log import RunLog
+
+
+def test_rows_are_seen_after_commit_only(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    run.append("curve", [{"iteration": 1, "env_steps": 10, "train/reward": 0.5}])
+    assert parquet_log.read(tmp_path, "curve").empty
+    run.commit(1)
+    frame = parquet_log.read(tmp_path, "curve")
+    assert frame.to_dict("records") == [{"iteration": 1, "env_steps": 10, "train/reward": 0.5}]
+    assert parquet_log.read(tmp_path, "episodes").empty
+
+
+def test_columns_have_three_types_and_may_differ_between_segments(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    run.append("evaluation", [{"iteration": 2, "mode": "greedy", "return": float(np.float32(1.5))}])
+    run.commit(2)
+    sampled: dict[str, Any] = {"iteration": np.int64(1), "mode": "sampled", "length": np.int32(7)}
+    run.append("evaluation", [sampled])
+    run.commit(4)
+    frame = parquet_log.read(tmp_path, "evaluation")
+    assert list(frame["iteration"]) == [1, 2]
+    assert frame["iteration"].dtype == np.int64
+    assert frame["return"].dtype == np.float64
+    assert list(frame["mode"]) == ["sampled", "greedy"]
+    assert np.isnan(frame["return"][0])
+    assert parquet_log.read_rows(tmp_path, "evaluation")[0] == {
+        "iteration": 1,
+        "mode": "sampled",
+        "length": 7,
+    }
+
+
+def test_an_integer_column_may_become_floats_later(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    for iteration, value in ((1, 3), (2, 0.25)):
+        run.append("curve", [{"iteration": iteration, "x": value}])
+        run.commit(iteration)
+    assert list(parquet_log.read(tmp_path, "curve")["x"]) == [3.0, 0.25]
+
+
+def test_a_second_commit_of_an_iteration_adds_to_it(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    for value in (1.0, 2.0):
+        run.append("curve", [{"iteration": 5, "x": value}])
+        run.commit(5)
+    assert list(parquet_log.read(tmp_path, "curve")["x"]) == [1.0, 2.0]
+    assert len(list(tmp_path.glob("curve-*.parquet"))) == 1
+
+
+def test_rewind_drops_what_the_checkpoint_does_not_know(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    for iteration in (10, 20, 30):
+        run.append("curve", [{"iteration": iteration}])
+        run.commit(iteration)
+    run.append("curve", [{"iteration": 31}])
+    run.rewind(20)
+    run.commit(31)
+    assert list(parquet_log.read(tmp_path, "curve")["iteration"]) == [10, 20]
+    assert list(parquet_log.read(tmp_path, "curve", after=10)["iteration"]) == [20]
+
+
+@pytest.mark.parametrize("value", [None, [1.0], object()])
+def test_other_values_are_refused_by_name(tmp_path: Path, value: object) -> None:
+    with pytest.raises(ValueError, match="'train/x'"):
+        RunLog(tmp_path).append("curve", [{"train/x": value}])  # type: ignore[dict-item] # the bad input
+
+
+def test_text_and_numbers_do_not_mix(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    run.append("curve", [{"x": 1.0}, {"x": "one"}])
+    with pytest.raises(ValueError, match="'x' mixes"):
+        run.commit(1)
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = RunLog(tmp_path)
+    run.append("curve", [{"iteration": 1}])
+    run.commit(1)
+    run.append("curve", [{"iteration": 2}])
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(HeadwayError, match="the disk is full") as raised:
+            run.commit(2)
+    assert "\n" not in str(raised.value)
+    assert list(parquet_log.read(tmp_path, "curve")["iteration"]) == [1]
+    run.commit(2)
+    assert list(parquet_log.read(tmp_path, "curve")["iteration"]) == [1, 2]
+    assert {path.suffix for path in tmp_path.iterdir()} == {".parquet"}
+
+
+@pytest.fixture
+def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 256 KiB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(disk)]
+    if not shutil.which("mount") or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a file system needs root")
+    yield disk
+    subprocess.run(["umount", "--lazy", str(disk)], check=False)
+
+
+def test_a_disk_that_fills_up_keeps_what_was_kept(tiny_disk: Path) -> None:
+    run, checkpoints = RunLog(tiny_disk / "run"), tiny_disk / "run" / "checkpoints"
+    noise, kept = np.random.default_rng(0), [0]
+
+    def fill() -> None:
+        while kept[-1] < 1000:
+            iteration = kept[-1] + 1
+            rows: list[Row] = [{"iteration": iteration, "x": value} for value in noise.normal(size=1000)]
+            run.append("curve", rows)
+            run.commit(iteration)
+            save_checkpoint(checkpoints, iteration, {"at": iteration})
+            kept.append(iteration)
+
+    with pytest.raises(HeadwayError, match="free some space and resume"):
+        fill()
+    assert kept[-1] > 3
+    assert parquet_log.read(tiny_disk / "run", "curve")["iteration"].max() >= kept[-1]
+    assert load_latest(checkpoints)[1] == {"at": kept[-1]}
+    assert not list((tiny_disk / "run").glob(".*"))
+
+
+def test_a_broken_segment_is_named(tmp_path: Path) -> None:
+    (tmp_path / "curve-000001.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(HeadwayError, match=r"curve-000001\.parquet"):
+        parquet_log.read(tmp_path, "curve")
+
+
+_WRITER = """
+import sys
+from pathlib import Path
+from typing import Any
+from headway.store.parquet_log import RunLog
+run = RunLog(Path(sys.argv[1]))
+for iteration in range(1, 100_000):
+    run.append("curve", [{"iteration": iteration, "x": float(iteration)}] * 20)
+    run.append("episodes", [{"iteration": iteration}])
+    run.commit(iteration)
+    print(iteration, flush=True)
+"""
+
+
+def test_a_killed_writer_leaves_whole_segments(tmp_path: Path) -> None:
+    writer = subprocess.Popen(
+        [sys.executable, "-c", _WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert writer.stdout is not None
+    acknowledged = [int(writer.stdout.readline()) for _ in range(25)][-1]
+    writer.send_signal(signal.SIGKILL)
+    writer.wait()
+    writer.stdout.close()
+
+    iterations = parquet_log.read(tmp_path, "curve")["iteration"]
+    assert iterations.max() >= acknowledged
+    assert (iterations.value_counts() == 20).all()
+    RunLog(tmp_path).rewind(acknowledged)
+    assert sorted(set(parquet_log.read(tmp_path, "curve")["iteration"])) == list(range(1, acknowledged + 1))
+    assert list(parquet_log.read(tmp_path, "episodes")["iteration"]) == list(range(1, acknowledged + 1))
+    assert not list(tmp_path.glob(".*"))

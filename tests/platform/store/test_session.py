@@ -1,0 +1,402 @@
+"""The session's side of the store, with the real MLflow on SQLite."""
+
+import os
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from headway.config.experiment import StoreConfig
+from headway.contracts import HeadwayError
+from headway.events import Row
+from headway.store import Run, RunIndex, RunLog, SessionStore, sync
+from headway.store.atomic_files import read_json
+from headway.store.checkpoint import save_checkpoint
+from headway.store.run_folder import rules_file
+from headway.store.tracking.client import Tracker
+from headway.store.tracking.thread import Errand
+
+ITERATIONS = 40
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root with an MLflow database, made once: creating one takes a second."""
+    root = tmp_path_factory.mktemp("prepared")
+    Tracker(root)
+    return root / "mlflow.db"
+
+
+@pytest.fixture
+def root(tmp_path: Path, prepared: Path) -> Path:
+    (tmp_path / "mlflow.db").write_bytes(prepared.read_bytes())
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("the store reached for the network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+
+
+def _row(iteration: int) -> Row:
+    steps = {"iteration": iteration, "env_steps": 100 * iteration, "wall_s": 0.5 * iteration}
+    return {**steps, "train/reward": float(iteration), "train/loss": 1.0 / iteration}
+
+
+def _begin(store: SessionStore, seed: int = 0, algorithm: str = "mappo") -> Run:
+    cell = store.begin_cell("study one", "bus", algorithm, {"algo.lr": 3e-4})
+    return cell.begin_run(seed, "seed: 0\n", {"copies": 8}, iterations=ITERATIONS, policies="shared")
+
+
+def _train(run: Run, first: int, last: int) -> None:
+    """What a training process and its session do from iteration `first` to `last`."""
+    log = RunLog(run.directory)
+    for iteration in range(first, last + 1):
+        log.append("curve", [_row(iteration)])
+        run.points([_row(iteration)])
+        if iteration % 10 == 0:
+            log.commit(iteration)
+            save_checkpoint(run.directory / "checkpoints", iteration, {"at": iteration})
+            run.durable(iteration)
+
+
+def _histories(root: Path, run: Run) -> dict[str, list[tuple[int, float]]]:
+    """Every metric's (step, value) of a run in MLflow, from the database itself."""
+    child = read_json(run.directory / "tracking.json")["run"]
+    with sqlite3.connect(root / "mlflow.db") as database:
+        rows = database.execute(
+            "SELECT key, step, value FROM metrics WHERE run_uuid = ? ORDER BY step", [child]
+        )
+        found: dict[str, list[tuple[int, float]]] = {}
+        for key, step, value in rows:
+            found.setdefault(key, []).append((step, value))
+    return found
+
+
+def _mlflow(root: Path) -> Any:  # noqa: ANN401 - MLflow is not typed
+    from mlflow.tracking import MlflowClient
+
+    return MlflowClient(f"sqlite:///{root / 'mlflow.db'}")
+
+
+def test_a_run_from_beginning_to_end(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root), curve_points=11))
+    cell = store.begin_cell("study one", "bus", "mappo", {"algo.lr": 3e-4}, {"owner": "me"})
+    chosen: tuple[dict[str, str], ...] = ({"preset": "merge_paper", "candidate": "own reward"}, {})
+    runs = [
+        cell.begin_run(seed, "seed: 0\n", {"copies": 8}, iterations=ITERATIONS, **names)
+        for seed, names in enumerate(chosen)
+    ]
+    for run in runs:
+        _train(run, 1, ITERATIONS)
+        run.energy({"elapsed_s": 5.0, "kwh": 0.001})
+        run.finish("FINISHED", {"final_reward": -3.5, "auc": 0.6, "kwh": 0.002, "kg_co2": None})
+    cell.finish("FINISHED", {"final_reward_mean": -3.5})
+    assert store.close() == ()
+
+    client = _mlflow(root)
+    experiment = client.get_experiment_by_name("study one").experiment_id
+    found = {entry.info.run_name: entry for entry in client.search_runs([experiment])}
+    assert set(found) == {cell.name, *(run.run_id for run in runs)}
+    child, parent = found[runs[0].run_id], found[cell.name]
+    assert child.info.status == parent.info.status == "FINISHED"
+    assert child.data.tags["mlflow.parentRunId"] == parent.info.run_id
+    assert child.data.params == {"algo.lr": "0.0003"}
+    assert child.data.metrics["summary/final_reward"] == -3.5
+    assert "summary/kg_co2" not in child.data.metrics
+    assert {"owner", "version.torch", "hardware.cpu"} <= set(child.data.tags)
+    assert chosen[0].items() <= child.data.tags.items()
+    assert chosen[0].keys().isdisjoint(found[runs[1].run_id].data.tags)  # not known
+    artifacts = {artifact.path for artifact in client.list_artifacts(child.info.run_id)}
+    assert {"config.yaml", "plan.json", "curve-000010.parquet", "energy.parquet"} <= artifacts
+
+    curve = _histories(root, runs[1])["train/reward"]
+    assert len(curve) <= 11
+    assert curve[0] == (100, 1.0)
+    assert curve[-1] == (4000, 40.0)
+
+
+def test_a_checkpoint_that_no_session_heard_of_counts_with_the_steps_of_the_log(root: Path) -> None:
+    """The session was killed between the two; the next one finds nothing left to train."""
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    log = RunLog(run.directory)
+    for iteration in range(1, 11):
+        log.append("curve", [_row(iteration)])
+    log.commit(10)
+    run.durable(10)
+    assert run.record.durable_env_steps == 1000
+    run.finish("FINISHED", {})
+    store.close()
+
+
+def test_only_durable_points_reach_mlflow(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    _train(run, 1, 25)
+    store.close()
+    assert [step for step, _ in _histories(root, run)["train/reward"]] == [100 * i for i in range(1, 21)]
+    assert (run.record.durable_iteration, run.record.durable_env_steps) == (20, 2000)
+
+
+def test_a_resumed_run_repeats_no_point(root: Path) -> None:
+    config = StoreConfig(root=str(root))
+    first = SessionStore.open(config)
+    run = _begin(first)
+    _train(run, 1, 25)
+    run.energy({"kwh": 0.25})
+    run.finish("KILLED", {"final_reward": 0.5})
+    first.close()
+
+    second = SessionStore.open(config)
+    resumed = second.resume(run.run_id)
+    assert resumed.energy_so_far == {"kwh": 0.25}
+    RunLog(resumed.directory).rewind(20)
+    resumed.note_restart(20)
+    _train(resumed, 21, ITERATIONS)
+    resumed.finish("FINISHED", {"final_reward": 1.0})
+    assert second.close() == ()
+    expected = [(100 * i, float(i)) for i in range(1, ITERATIONS + 1)]
+    assert _histories(root, run)["train/reward"] == expected
+    # Of the end that was not the last there is no summary that could be taken for the result.
+    assert _histories(root, run)["summary/final_reward"] == [(0, 1.0)]
+    assert _mlflow(root).get_run(read_json(run.directory / "tracking.json")["run"]).data.tags[
+        "episodes_restarted"
+    ] == "20"  # fmt: skip
+    [row] = RunIndex(root).rows()
+    assert (row.status, row.iterations, row.final_reward) == ("FINISHED", ITERATIONS, 1.0)
+    with pytest.raises(HeadwayError, match="has finished"):
+        second.resume(run.run_id)
+
+
+def test_rules_kept_by_earlier_sessions_stay(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    cell = store.begin_cell("study one", "bus", "mappo", {})
+    cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
+    cell.keep_rules({"held": [{"return": 1.0}], "random": [{"return": 2.0}]})
+    cell.keep_rules({})
+    cell.keep_rules({"random": [{"return": 3.0}]})
+    kept = read_json(rules_file(root, "study one", cell.name))
+    assert kept == {"held": [{"return": 1.0}], "random": [{"return": 3.0}]}
+    store.close()
+
+
+def test_a_running_run_is_not_taken_over(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    with pytest.raises(HeadwayError, match=f"process {os.getpid()}"):
+        store.resume(run.run_id)
+    with pytest.raises(HeadwayError, match="the nearest is bus-mappo"):
+        store.resume("bus-mapo")
+    store.close()
+
+
+def _statuses(root: Path) -> list[str]:
+    """Of runs and cells in MLflow."""
+    return sorted(run.info.status for run in _mlflow(root).search_runs(["1"]))
+
+
+def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
+    whole = (root / "mlflow.db").read_bytes()
+    (root / "mlflow.db").write_bytes(b"no database at all" * 100)
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    _train(run, 1, ITERATIONS)
+    run.finish("FINISHED", {"final_reward": 2.0})
+    [notice] = store.close()
+    assert notice.startswith("MLflow is behind")
+    assert "\n" not in notice
+
+    (root / "mlflow.db").write_bytes(whole)
+    assert sync(root) == (f"{run.run_id} is up to date in MLflow",)
+    assert sync(root) == ()
+    histories = _histories(root, run)
+    assert histories["train/loss"][-1] == (4000, 1 / 40)
+    assert histories["summary/final_reward"] == [(0, 2.0)]
+    assert _statuses(root) == ["FINISHED"] * 2  # its cell's, too, which no session ended
+
+    # A run that a killed session had finished, and not sent, is sent by the next one at its end.
+    (run.directory / "tracking.json").unlink()
+    other = SessionStore.open(StoreConfig(root=str(root)))
+    assert other.close() == ()
+    assert sync(root) == ()
+    assert _histories(root, run) == histories
+
+    # As after a crash between sending and noting it: nothing is sent twice.
+    (run.directory / "tracking.json").unlink()
+    sync(root)
+    assert _histories(root, run)["train/loss"] == histories["train/loss"]
+    assert _statuses(root) == ["FINISHED"] * 2
+
+
+def test_a_run_that_cannot_be_read_keeps_no_other_from_mlflow(root: Path) -> None:
+    """While they are trained, at the next session's end, and by `sync`; it says so each time."""
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    broken, whole = _begin(store, seed=0), _begin(store, seed=1)
+    for run in (broken, whole):
+        _train(run, 1, 10)
+    store.close()
+    segment = broken.directory / "curve-000010.parquet"
+    content = segment.read_bytes()
+    segment.write_bytes(b"no Parquet")
+
+    second = SessionStore.open(StoreConfig(root=str(root)))
+    for run in (broken, whole):
+        replace(run.record, status="KILLED").write(run.directory)
+    second.resume(whole.run_id).finish("FINISHED", {"final_reward": 1.0})
+    [notice] = second.close()
+    assert "curve-000010.parquet cannot be read as Parquet" in notice
+    assert "is behind" not in notice
+    assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
+    [line] = sync(root)
+    assert line.startswith(f"{broken.run_id} is not sent to MLflow: ")
+
+    segment.write_bytes(content)
+    (whole.directory / "tracking.json").write_text("{half of it")  # what MLflow has is asked for
+    assert set(sync(root)) == {f"{run.run_id} is up to date in MLflow" for run in (broken, whole)}
+    assert sync(root) == ()
+    assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
+    assert len(_histories(root, broken)["train/reward"]) == 10
+    assert _statuses(root) == ["FINISHED", "KILLED", "KILLED"]  # the cell's is the worse of the two
+
+
+def test_a_living_run_that_cannot_be_read_is_told_of_once_and_others_go_on(root: Path) -> None:
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    broken = _begin(store, seed=0)
+    (broken.directory / "curve-000001.parquet").write_bytes(b"no Parquet")
+    for iteration in (1, 2, 3):
+        store.follow(Errand(broken._follower.catch_up, broken._follower.forget, broken._follower.catch_up))
+        broken.record = replace(broken.record, durable_iteration=iteration)
+    whole = _begin(store, seed=1)
+    _train(whole, 1, ITERATIONS)
+    whole.finish("FINISHED", {"final_reward": 2.0})
+    [notice] = store.close()
+    assert "curve-000001.parquet cannot be read" in notice
+    assert notice.endswith("training goes on")
+    assert _histories(root, whole)["train/reward"][-1] == (4000, 40.0)
+    assert read_json(whole.directory / "tracking.json")["complete"]
+
+
+def test_what_of_a_run_can_be_looked_at_is_there_when_it_ends(root: Path) -> None:
+    store = SessionStore(StoreConfig(root=str(root)))
+    run = _begin(store)
+    log = RunLog(run.directory)
+    log.append("curve", [{"iteration": 1, "env_steps": 100, "evaluation_greedy/return": 1.0}])
+    log.commit(1)
+    run.finish("FINISHED", {})
+    assert (run.directory / "curves.png").is_file()
+    assert (run.directory / "evaluations.csv").is_file()
+    assert store.close() == ()
+    child = read_json(run.directory / "tracking.json")["run"]
+    sent = {artifact.path for artifact in _mlflow(root).list_artifacts(child)}
+    assert {"curves.png", "evaluations.csv"} <= sent
+
+
+@pytest.fixture
+def impatient_mlflow() -> Iterator[None]:
+    """MLflow's own wait for a lock, 20 s, made short."""
+    import sqlalchemy
+
+    def shorten(_connection: object, _cursor: object, statement: str, parameters: Any, *_: object) -> Any:  # noqa: ANN401
+        return statement.replace("busy_timeout = 20000", "busy_timeout = 100"), parameters
+
+    sqlalchemy.event.listen(sqlalchemy.Engine, "before_cursor_execute", shorten, retval=True)
+    yield
+    sqlalchemy.event.remove(sqlalchemy.Engine, "before_cursor_execute", shorten)
+
+
+@pytest.mark.usefixtures("impatient_mlflow")
+def test_a_locked_database_is_waited_for_within_a_bound(root: Path) -> None:
+    other = sqlite3.connect(root / "mlflow.db", isolation_level=None)
+    tracker = Tracker(root, wait_s=0.5)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(HeadwayError, match=r"stayed locked for 0\.5 s"):
+        tracker.cell("study", "cell", {}, {})
+    other.execute("ROLLBACK")
+    other.close()
+    tracker.cell("study", "cell", {}, {})
+
+
+_ONE_OF_FOUR = """
+import sys, time
+root, folder, seed, moment = sys.argv[1:]
+sys.path.insert(0, folder)
+from test_session import StoreConfig, SessionStore, _begin, _row
+time.sleep(max(0.0, float(moment) - time.time()))
+store = SessionStore.open(StoreConfig(root=root))
+run = _begin(store, int(seed))
+run.points([_row(1)])
+run.durable(1)
+run.finish("FINISHED", {"final_reward": float(seed)})
+rows, notices = store.index.rows(), store.close()
+sys.exit(str(notices) if notices or not rows else 0)
+"""
+
+
+def test_four_sessions_open_a_new_store_at_once(tmp_path: Path) -> None:
+    moment, here = str(time.time() + 1.5), str(Path(__file__).parent)
+    commands = [
+        [sys.executable, "-c", _ONE_OF_FOUR, str(tmp_path), here, str(seed), moment] for seed in range(4)
+    ]
+    sessions = [subprocess.Popen(command) for command in commands]
+    assert [session.wait(300) for session in sessions] == [0, 0, 0, 0]
+    assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1, 2, 3]
+    client = _mlflow(tmp_path)
+    assert len(client.search_experiments()) == 2
+    # One parent for the cell that all four share.
+    assert len(client.search_runs(["1"])) == 5
+
+
+_KILLED = """
+import sys
+sys.path.insert(0, sys.argv[2])
+from test_session import StoreConfig, SessionStore, _begin, _train
+store = SessionStore.open(StoreConfig(root=sys.argv[1]))
+run = _begin(store)
+_train(run, 1, 25)
+print(run.run_id, flush=True)
+import time
+time.sleep(60)
+"""
+
+
+def test_a_killed_session_leaves_a_run_that_can_be_resumed(root: Path) -> None:
+    session = subprocess.Popen(
+        [sys.executable, "-c", _KILLED, str(root), str(Path(__file__).parent)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert session.stdout is not None
+    run_id = session.stdout.readline().strip()
+    assert [row.status for row in RunIndex(root).rows()] == ["RUNNING"]
+    session.send_signal(signal.SIGKILL)
+    session.wait()
+    session.stdout.close()
+    [row] = RunIndex(root).rows()
+    assert (row.run_id, row.status, row.iterations) == (run_id, "KILLED", 20)
+
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = store.resume(run_id)
+    RunLog(run.directory).rewind(20)
+    _train(run, 21, ITERATIONS)
+    run.finish("FINISHED", {})
+    assert store.close() == ()
+    assert len(_histories(root, run)["train/reward"]) == ITERATIONS
+
+
+def test_importing_the_store_is_cheap() -> None:
+    heavy = "{'mlflow', 'pandas', 'pyarrow', 'torch', 'scipy'}"
+    code = f"import sys, headway.store; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

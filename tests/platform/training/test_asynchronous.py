@@ -1,0 +1,502 @@
+"""Workers that learn by themselves: exact where the order is fixed, as good as it can be where it is not."""
+
+import multiprocessing
+import pickle
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import psutil
+import pytest
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "rollout"))  # workers, too, must find these two
+from rehearsal import (
+    TOYS,
+    VISITORS,
+    Fault,
+    FaultConfig,
+    FaultyVisitors,
+    RareVisitors,
+    Showing,
+    TediousVisitors,
+    parameters_of,
+)
+from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
+
+from headway.config.experiment import BackendConfig
+from headway.contracts import Contribution, Contributor, EnvSpec, HeadwayError, Trajectory
+from headway.events import Event, Notice, Started, Usage
+from headway.rollout.async_collector import CrewContributors, SerialContributors
+from headway.rollout.backends import open_contributors
+from headway.rollout.collector import Contributors
+from headway.rollout.serial_collector import SerialCollector
+from headway.rollout.workers.async_worker import AsynchronousPlan
+from headway.rollout.workers.process_workers import GRACE_S
+from headway.rollout.workers.worker import Contribute, Done
+from headway.rollout.workers.worker_pool import WorkerFailedError
+from headway.training.loop import TrainingJob, train
+from headway.training.modes import Asynchronous
+from headway_algos.config import ModelConfig
+from headway_algos.registry import ENTRIES
+
+MEBIBYTE = 2**20
+
+
+def _job(
+    algorithm: str,
+    folder: Path,
+    application: str = "in_turns",
+    core: Literal["none", "gru"] = "none",
+    **choices: Any,  # noqa: ANN401 - those of `job_of`
+) -> TrainingJob:
+    """As `job_of`; a3c has a worker for each block of its four copies."""
+    entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, gru_size=4, sequence_length=6)
+    more: dict[str, Any] = {"application": application} if algorithm == "a3c" else {}
+    return replace(
+        job_of(folder, **choices),
+        make_policy=entry.acting_policy,
+        make_learner=entry.learner,
+        algo_config=entry.config(model=model, epochs=1, minibatches=1, **more),
+        make_contributor=entry.contributor,
+        contributor_preload=entry.preload,
+    )
+
+
+def _log(job: TrainingJob) -> Log:
+    trained(job)
+    return logs_of(job)[0]
+
+
+def _notices(events: list[Event]) -> list[str]:
+    return [event.line for event in events if isinstance(event, Notice)]
+
+
+def _without_staleness(log: Log) -> Log:
+    curve = [{k: v for k, v in row.items() if not k.startswith("staleness/")} for row in log["curve"]]
+    return {**log, "curve": curve}
+
+
+def _staleness(log: Log) -> list[tuple[float, float]]:
+    """(mean, max) of each iteration."""
+    rows = log["curve"][1:]
+    return [(float.fromhex(row["staleness/mean"]), float.fromhex(row["staleness/max"])) for row in rows]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    """Six iterations of two workers in turns on visitors, undisturbed, on the serial backend."""
+    return _log(_job("a3c", tmp_path_factory.mktemp("whole")))
+
+
+@pytest.mark.parametrize(
+    ("toy", "core", "backend"),
+    [("visitors", "none", "process"), ("visitors", "gru", "serial"), ("tracking", "none", "serial")],
+)
+def test_one_worker_alone_is_synchronous_a2c_of_the_same_batches(
+    tmp_path: Path, toy: str, core: Literal["none", "gru"], backend: Backend
+) -> None:
+    """To the last bit: parameters, normalisers, metrics and evaluations."""
+    choices: dict[str, Any] = {"env": TOYS[toy], "core": core, "block": COPIES}
+    synchronous = _log(_job("ia2c", tmp_path / "ia2c", **choices))
+    alone = _log(_job("a3c", tmp_path / "a3c", backend=backend, **choices))
+    assert _without_staleness(alone) == synchronous
+    assert _staleness(alone) == [(0.0, 0.0)] * 6
+
+
+def test_workers_in_turns_give_the_same_on_every_backend_and_again(whole: Log, tmp_path: Path) -> None:
+    assert _log(_job("a3c", tmp_path / "again")) == whole
+    assert _log(_job("a3c", tmp_path / "process", backend="process")) == whole
+
+
+def test_gradients_of_workers_in_turns_are_as_stale_as_there_are_others(whole: Log, tmp_path: Path) -> None:
+    assert _staleness(whole) == [(0.5, 1.0)] + [(1.0, 1.0)] * 5
+    four = _log(_job("a3c", tmp_path / "four", block=1))
+    assert _staleness(four) == [(1.5, 3.0)] + [(3.0, 3.0)] * 5
+    assert _without_staleness(four) != _without_staleness(whole)
+
+
+@pytest.mark.parametrize("core", ["none", "gru"])
+@pytest.mark.parametrize("stop", [1, 4])
+def test_stopped_and_resumed_equals_never_stopped(
+    tmp_path: Path, core: Literal["none", "gru"], stop: int
+) -> None:
+    """With the rollouts under way, their old parameters, and what critics with a memory remembered."""
+    undisturbed = _log(_job("a3c", tmp_path / "whole", core=core))
+    trained(job := _job("a3c", tmp_path / "stopped", core=core), stop_after=stop)
+    assert _notices(trained(replace(job, resume=True))) == []
+    assert logs_of(job) == [undisturbed]
+
+
+def test_processes_go_on_where_the_serial_backend_stopped(whole: Log, tmp_path: Path) -> None:
+    trained(_job("a3c", tmp_path), stop_after=3)
+    assert _log(_job("a3c", tmp_path, backend="process", resume=True)) == whole
+
+
+def test_without_snapshots_a_resumed_run_says_so_and_goes_on(tmp_path: Path) -> None:
+    faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
+    trained(job := _job("a3c", tmp_path, env=faulty), stop_after=2)
+    events = trained(replace(job, resume=True))
+    assert "start anew" in _notices(events)[0]
+    started = [event for event in events if isinstance(event, Started)]
+    assert started[0].episodes_restarted
+    assert _staleness(logs_of(job)[0])[2:] == [(0.5, 1.0)] + [(1.0, 1.0)] * 3  # all begin with one version
+
+
+def _faulty(folder: Path, fault: Fault, times: int = 1) -> tuple[type[FaultyVisitors], FaultConfig]:
+    return FaultyVisitors, FaultConfig(fault, str(folder), at=41, copies=2, times=times)
+
+
+def test_a_worker_killed_in_mid_rollout_leaves_no_trace_in_the_curve(whole: Log, tmp_path: Path) -> None:
+    job = _job("a3c", tmp_path, env=_faulty(tmp_path, "kill"), backend="process")
+    (notice,) = _notices(trained(job))
+    assert "killed by signal 9" in notice
+    assert "replaced, repeating its part from where it stood" in notice
+    assert logs_of(job) == [whole]
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "line"),
+    [
+        (
+            "nan reward",
+            HeadwayError,
+            r"environment faulty gave inf as reward of agent visitor_2 in copy [13]",
+        ),
+        ("kill", WorkerFailedError, r"worker [01] failed twice \(killed by signal 9\)"),
+    ],
+)
+def test_what_cannot_go_on_ends_in_one_line_and_leaves_no_worker(
+    tmp_path: Path, fault: Fault, kind: type[HeadwayError], line: str
+) -> None:
+    events: list[Event] = []
+    env = _faulty(tmp_path, fault, times=9)
+    with pytest.raises(kind, match=line) as failure:
+        train(_job("a3c", tmp_path, "arrival", env=env, backend="process"), events.append, lambda: False)
+    assert "\n" not in str(failure.value)
+    (started,) = [event for event in events if isinstance(event, Started)]
+    assert not any(psutil.pid_exists(process_id) for process_id in started.process_ids[1:])
+
+
+def test_what_goes_on_as_gradients_come_says_that_it_is_not_the_run_it_would_have_been(
+    tmp_path: Path,
+) -> None:
+    job = _job("a3c", tmp_path, "arrival", backend="process")
+    trained(job, stop_after=3)
+    (notice,) = _notices(trained(replace(job, resume=True)))
+    assert "after 3 its curve is not that of a run never stopped" in notice
+    (log,) = logs_of(job)
+    assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
+
+
+def test_a_process_holds_no_more_copies_than_the_environment_allows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rare = RareVisitors, VISITORS
+    assert len(_log(_job("a3c", tmp_path, env=rare, backend="process", iterations=1))["curve"]) == 2
+    with pytest.raises(HeadwayError, match=r"would hold 4; set backend=process, or rollout\.copies=2$"):
+        trained(_job("a3c", tmp_path / "serial", env=rare))
+    monkeypatch.setattr(RareVisitors, "held", 0)
+    with pytest.raises(
+        HeadwayError, match=r"which has a block of copies, would hold 4; set rollout\.block=2$"
+    ):
+        trained(_job("a3c", tmp_path / "large", env=rare, backend="process", block=4))
+
+
+def test_a_checkpoint_of_other_workers_is_refused_and_the_block_that_it_had_is_told(tmp_path: Path) -> None:
+    trained(_job("a3c", tmp_path), stop_after=1)
+    for backend in ("serial", "process"):
+        with pytest.raises(HeadwayError, match=r"with 2 workers, not with 4, .* plan\.json be 2$") as refusal:
+            trained(_job("a3c", tmp_path, block=1, backend=backend, resume=True))
+        assert "backend.name" not in str(refusal.value)
+
+
+def test_a_contributor_whose_learner_applies_nothing_is_refused_by_its_entry_s_name(tmp_path: Path) -> None:
+    job = _job("a3c", tmp_path)
+    config = replace(job.config, algo={"name": "theirs"})
+    learning = ENTRIES["ippo"].learner
+    with pytest.raises(
+        HeadwayError, match="the entry of algo=theirs has a contributor, but its learner is no"
+    ):
+        trained(replace(job, config=config, make_learner=learning))
+
+
+@contextmanager
+def _opened(job: TrainingJob, notices: list[str]) -> Iterator[CrewContributors]:
+    assert job.make_contributor is not None
+    plan = AsynchronousPlan(job.plan(), job.make_contributor, job.algo_config, job.contributor_preload)
+    with closing(open_contributors(BackendConfig("process"), plan, notices.append)) as contributors:
+        assert isinstance(contributors, CrewContributors)
+        contributors.begin()
+        yield contributors
+
+
+def test_who_evaluates_is_closed_where_contributors_cannot_be_had(tmp_path: Path) -> None:
+    def nobody(config: object, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
+        raise AssertionError("no worker is started")
+
+    plan = AsynchronousPlan(_job("a3c", tmp_path).plan(), nobody, None)
+    before = set(multiprocessing.active_children())
+    with pytest.raises((pickle.PicklingError, AttributeError), match="nobody"):
+        open_contributors(BackendConfig("process"), plan, print)
+    assert set(multiprocessing.active_children()) == before
+
+
+def test_workers_fill_trajectories_of_their_own_copies_with_what_these_always_do(tmp_path: Path) -> None:
+    plan = _job("a3c", tmp_path).plan()
+    acting = parameters_of(plan)
+    together = SerialCollector(plan)
+    together.begin()
+    together.collect(1, acting)
+    contributors = SerialContributors(AsynchronousPlan(plan, Showing, None), print)
+    contributors.begin()
+    for worker in range(2):
+        contributors.assign(worker, Contribute(1, 0, acting))
+        done = contributors.next_done(worker)[2].contribution
+        assert done is not None
+        for each in fields(Trajectory):
+            whole = getattr(together.trajectory, each.name)
+            if not each.name.startswith("final"):  # valid in few rows
+                np.testing.assert_array_equal(done.arrays[each.name], whole[:, 2 * worker : 2 * worker + 2])
+            # Memory of its own alone: a part of a larger one would have gaps.
+            assert getattr(contributors.workers[worker].trajectory, each.name).flags.c_contiguous
+
+
+def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: Path) -> None:
+    job = _job("a3c", tmp_path, "arrival")
+    learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
+    with _opened(job, []) as contributors:
+        first, second = map(psutil.Process, contributors.crew.process_ids())
+        mode = Asynchronous(learner, contributors)
+        mode.iterate(1, 0.0)
+        first.suspend()
+        went_on = [mode.iterate(i, 0.0) for i in range(2, 5)]
+        first.resume()
+        later = (mode.iterate(i, 0.0) for i in range(5, 500))
+        assert any(done.metrics["staleness/max"][0] >= 4 for done in later)  # what hung is not lost
+        sizes = [process.memory_info().rss for process in (first, second)]
+        threads = [process.num_threads() for process in (first, second)]
+    most = [float(done.metrics["staleness/max"][0]) for done in went_on]
+    assert most[-1] == 0  # once what the other had ready is applied, all is its own
+    assert max(sizes) < 450 * MEBIBYTE
+    assert max(threads) <= 3  # its own, and the one that ends it with its parent
+
+
+def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_end(tmp_path: Path) -> None:
+    """A whole one takes 8 CPU seconds."""
+    job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
+    learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
+    with _opened(job, []) as contributors:
+        processes = [psutil.Process(process_id) for process_id in contributors.crew.process_ids()]
+        idle = contributors.usage().cpu_seconds
+        for worker in range(2):
+            contributors.assign(worker, Contribute(worker + 1, 0, learner.published()))
+        began = [process.cpu_times().user for process in processes]
+        while min(p.cpu_times().user - b for p, b in zip(processes, began, strict=True)) < 0.3:
+            time.sleep(0.02)
+        used = contributors.usage().cpu_seconds
+        assert used >= idle + 0.6
+        assert contributors.usage().cpu_seconds >= used
+        closing_began = time.monotonic()
+    assert time.monotonic() - closing_began < GRACE_S / 2
+    assert not any(psutil.pid_exists(process.pid) for process in processes)
+
+
+def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_path: Path) -> None:
+    """And a checkpoint of then has where it began."""
+    job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
+    acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
+    with _opened(job, []) as contributors:
+        before = contributors.crew.workers[0].snapshot
+        dies = psutil.Process(contributors.crew.process_ids()[0])
+        dies.suspend()
+        contributors.assign(0, Contribute(1, 0, acting))
+        dies.kill()
+        while contributors.crew.process_ids()[0] == dies.pid:
+            contributors.crew.hear(0, contributors.tasks[0])
+        replacement = psutil.Process(contributors.crew.process_ids()[0])
+        replacement.suspend()
+        for number in (2, 3, 4):
+            contributors.assign(1, Contribute(number, 0, acting))
+            assert contributors.next_done(None)[0] == 1
+        assert contributors.snapshot()[0]["worker"] is before
+        replacement.resume()
+        worker, task, _ = contributors.next_done(None)
+        assert (worker, task.number) == (0, 1)
+        assert contributors.idle() == [0, 1]
+
+
+def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_iteration(tmp_path: Path) -> None:
+    faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
+    job = replace(_job("a3c", tmp_path, "arrival", env=faulty), make_contributor=Showing)
+    acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
+    faced = []
+    with _opened(job, notices := []) as contributors:
+        for number in (1, 2, 3):
+            process = psutil.Process(contributors.crew.process_ids()[0])
+            process.suspend()
+            contributors.assign(0, Contribute(number, 0, acting))
+            process.kill()
+            _, _, done = contributors.next_done(None)
+            assert done.contribution is not None
+            faced.append(done.contribution.arrays["observations"][0])
+            assert done.contribution.arrays["number"] == number
+    assert len(notices) == 3
+    assert all("its episodes start again" in notice for notice in notices)
+    assert len({first.tobytes() for first in faced}) == 3
+
+
+@dataclass
+class _Counting:
+    """A learner that learns nothing and counts the contributions of `Showing` workers."""
+
+    acting: dict[str, NDArray[Any]]
+    in_turns: bool = False
+    applied: list[int] = field(default_factory=list)
+    """Numbers of contributions."""
+
+    def published(self) -> dict[str, NDArray[Any]]:
+        return self.acting
+
+    def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
+        self.applied.append(int(contribution.arrays["number"]))
+
+
+def test_gradients_that_come_as_they_like_are_each_applied_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two an iteration; also where a worker dies with one, and one hangs for a while."""
+    job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
+    acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
+    learner: Any = _Counting(acting)
+    heard: list[tuple[int, int]] = []
+    with _opened(job, notices := []) as contributors:
+        hear = contributors.next_done
+
+        def next_done(turn: int | None) -> tuple[int, Contribute, Done]:
+            worker, task, done = hear(turn)
+            heard.append((worker, task.number))
+            return worker, task, done
+
+        monkeypatch.setattr(contributors, "next_done", next_done)
+        first = psutil.Process(contributors.crew.process_ids()[0])
+        mode = Asynchronous(learner, contributors, iterations=12)
+        mode.iterate(1, 0.0)
+        first.suspend()
+        for iteration in range(2, 6):
+            mode.iterate(iteration, 0.0)
+        first.kill()
+        for iteration in range(6, 13):
+            mode.iterate(iteration, 0.0)
+    assert len(notices) == 1
+    assert learner.applied == [number for _, number in heard]
+    assert sorted(learner.applied) == list(range(1, 2 * 12 + 1))
+    assert {worker for worker, _ in heard} == {0, 1}
+
+
+@dataclass
+class _Recorder:
+    """A learner that learns nothing and writes down what it is given."""
+
+    in_turns: bool
+    applied: list[tuple[str, int, float]] = field(default_factory=list)
+
+    def published(self) -> dict[str, NDArray[Any]]:
+        return {"updates": np.array([len(self.applied)])}
+
+    def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
+        self.applied.append((str(contribution.arrays["of"]), iteration, progress))
+
+
+@dataclass
+class _Scripted:
+    """Workers that finish in a given order."""
+
+    order: list[int]
+    in_turns: bool = False
+    number: int = 3
+    tasks: dict[int, Contribute] = field(default_factory=dict)
+    numbers: list[int] = field(default_factory=list)
+
+    def idle(self) -> list[int]:
+        return [worker for worker in range(self.number) if worker not in self.tasks]
+
+    def assign(self, worker: int, task: Contribute) -> None:
+        assert worker not in self.tasks
+        self.tasks[worker] = task
+        self.numbers.append(task.number)
+
+    def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
+        worker = self.order.pop(0) if turn is None else turn
+        task = self.tasks.pop(worker)
+        metrics: Mapping[str, NDArray[np.float64]] = {"policy/entropy": np.array([float(worker)])}
+        given = {"of": np.array(f"{worker}@{task.published['updates'][0]}")}
+        return worker, task, Done([], [], None, Usage(), Contribution(given, metrics))
+
+
+def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> None:
+    learner: Any = _Recorder(in_turns=False)
+    scripted: Any = _Scripted([2, 2, 0, 2, 1, 1])
+    contributors: Contributors = scripted
+    mode = Asynchronous(learner, contributors)
+    assert not mode.repeats
+    one, two = mode.iterate(1, 0.0), mode.iterate(2, 0.5)
+    assert [of for of, _, _ in learner.applied] == ["2@0", "2@1", "0@0", "2@2", "1@0", "1@5"]
+    assert [(i, progress) for _, i, progress in learner.applied] == [(1, 0.0)] * 3 + [(2, 0.5)] * 3
+    # Applied as updates 0, 1, 2 and 3, 4, 5: of versions 0, 1, 0 and 2, 0, 5.
+    assert [float(one.metrics[f"staleness/{of}"][0]) for of in ("mean", "max")] == [2 / 3, 2.0]
+    assert [float(two.metrics[f"staleness/{of}"][0]) for of in ("mean", "max")] == [5 / 3, 4.0]
+    assert float(one.metrics["policy/entropy"][0]) == pytest.approx((2 + 2 + 0) / 3)
+    assert {worker: task.updates for worker, task in scripted.tasks.items()} == {0: 3, 2: 4, 1: 6}
+    assert {worker: task.number for worker, task in scripted.tasks.items()} == {0: 6, 2: 7, 1: 9}
+
+
+@pytest.mark.parametrize(("in_turns", "order"), [(False, [2, 2, 0, 1, 0, 2]), (True, [])])
+def test_nobody_begins_with_what_the_budget_does_not_hold(in_turns: bool, order: list[int]) -> None:
+    learner: Any = _Recorder(in_turns)
+    scripted: Any = _Scripted(order)
+    mode = Asynchronous(learner, scripted, iterations=2)
+    mode.iterate(1, 0.0)
+    assert len(scripted.tasks) == 3
+    mode.iterate(2, 0.5)
+    assert not scripted.tasks
+    assert len(learner.applied) == 6
+    assert scripted.numbers == [1, 2, 3, 4, 5, 6]  # no two draw the same
+
+
+_TRAIN_FOR_EVER = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[1:3]
+from headway.training.loop import train
+from test_asynchronous import _job
+
+def told(event):
+    print(type(event).__name__, flush=True)
+
+if __name__ == "__main__":
+    train(_job("a3c", Path(sys.argv[3]), "arrival", backend="process", iterations=10**6), told, lambda: False)
+"""
+
+
+def test_a_killed_parent_leaves_no_process(tmp_path: Path) -> None:
+    here = Path(__file__).parent
+    command = [sys.executable, "-c", _TRAIN_FOR_EVER, str(here), str(here / "rollout"), str(tmp_path)]
+    with psutil.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        try:
+            while "IterationFinished" not in parent.stdout.readline():
+                pass
+            descendants = psutil.Process(parent.pid).children(recursive=True)
+            assert len(descendants) >= 2 + 1 + 1  # workers, evaluation's, the forkserver
+            time.sleep(0.2)
+        finally:
+            parent.kill()
+        parent.wait(10)
+        _, alive = psutil.wait_procs(descendants, timeout=10)
+    assert not alive

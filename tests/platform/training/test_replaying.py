@@ -1,0 +1,148 @@
+"""Learners that replay: one curve whatever the backend, the interruptions and the accidents; and what their
+experience leaves on the disk."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "rollout"))  # workers, too, must find these two
+from rehearsal import TOYS, FaultConfig, FaultyVisitors
+from runs import Log, job_of, logs_of, trained
+
+from headway.contracts import HeadwayError
+from headway.events import Event, Notice, Started
+from headway.store.checkpoint import load_latest
+from headway.training.loop import TrainingJob
+from headway_algos.off_policy.config import NetworkConfig
+from headway_algos.registry import ENTRIES
+
+TASKS = {"madqn": "visitors", "ddpg": "tracking"}
+every_algorithm = pytest.mark.parametrize("algorithm", TASKS)
+
+
+def _job(algorithm: str, folder: Path, **choices: Any) -> TrainingJob:  # noqa: ANN401 - those of `job_of`
+    entry = ENTRIES[algorithm]
+    config = entry.config(
+        model=NetworkConfig((8,)), capacity=150, learning_starts=20, batch_size=8, updates=5, target_every=3
+    )
+    job = job_of(folder, **{"env": TOYS[TASKS[algorithm]], **choices})
+    return replace(job, make_policy=entry.acting_policy, make_learner=entry.learner, algo_config=config)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Log]:
+    """Six iterations of seed 5 of each algorithm, undisturbed, on the serial backend."""
+    logs = {}
+    for algorithm in TASKS:
+        trained(job := _job(algorithm, tmp_path_factory.mktemp(algorithm)))
+        logs[algorithm] = logs_of(job)[0]
+    return logs
+
+
+def _files(folder: Path, seed: int = 5) -> list[str]:
+    return sorted(path.name for path in (folder / str(seed) / "checkpoints").iterdir())
+
+
+def _notices(events: list[Event]) -> list[str]:
+    return [event.line for event in events if isinstance(event, Notice)]
+
+
+@every_algorithm
+def test_there_is_something_to_compare(whole: dict[str, Log], algorithm: str) -> None:
+    losses = [row["critic/loss"] for row in whole[algorithm]["curve"][1:]]
+    assert len(set(losses)) == 6
+    explored = [float.fromhex(row["policy/exploration"]) for row in whole[algorithm]["curve"][1:]]
+    assert explored[0] > explored[3] > explored[5]
+
+
+@every_algorithm
+def test_worker_processes_change_nothing(whole: dict[str, Log], tmp_path: Path, algorithm: str) -> None:
+    trained(job := _job(algorithm, tmp_path, backend="process", workers=2))
+    assert logs_of(job) == [whole[algorithm]]
+
+
+@pytest.mark.parametrize("backend", ["serial", "process"])
+@pytest.mark.parametrize("stop", [1, 3])
+@every_algorithm
+def test_stopped_and_resumed_equals_never_stopped(
+    whole: dict[str, Log], tmp_path: Path, algorithm: str, backend: str, stop: int
+) -> None:
+    """With what was replayed, decisions that were open and noise that wandered."""
+    job = _job(algorithm, tmp_path, backend=backend)
+    trained(job, stop_after=stop)
+    assert f"experience-{stop:06d}.pt" in _files(tmp_path)
+    assert _notices(trained(replace(job, resume=True))) == []
+    assert logs_of(job) == [whole[algorithm]]
+
+
+def test_a_worker_lost_in_mid_iteration_leaves_no_trace_in_the_curve(
+    whole: dict[str, Log], tmp_path: Path
+) -> None:
+    faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=41, copies=2)
+    events = trained(job := _job("madqn", tmp_path, env=faulty, backend="process"))
+    assert ["replaced" in line for line in _notices(events)] == [True]
+    assert logs_of(job) == [whole["madqn"]]
+
+
+@every_algorithm
+def test_experience_is_kept_with_the_last_two_checkpoints_and_goes_with_the_end(
+    tmp_path: Path, algorithm: str
+) -> None:
+    job = _job(algorithm, tmp_path, seeds=(5, 6))
+    trained(job, stop_after=5)
+    kept = ["checkpoint-000004.pt", "checkpoint-000005.pt"]
+    assert _files(tmp_path, 5) == [*kept, "experience-000004.pt", "experience-000005.pt"]
+    assert _files(tmp_path, 6) == kept  # one file for the stack
+    checkpoints = tmp_path / "5" / "checkpoints"
+    assert "experience" not in load_latest(checkpoints)[1]
+    trained(replace(job, resume=True))
+    assert _files(tmp_path, 5) == _files(tmp_path, 6) == ["checkpoint-000005.pt", "checkpoint-000006.pt"]
+
+
+def test_experience_goes_where_the_session_died_just_after_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = _job("madqn", tmp_path)
+    with monkeypatch.context() as dying:
+        dying.setattr("headway.training.loop.remove_experience", _die)
+        with pytest.raises(KeyboardInterrupt):
+            trained(job)
+    left = ["checkpoint-000004.pt", "checkpoint-000006.pt"]
+    assert _files(tmp_path) == [*left, "experience-000002.pt", "experience-000004.pt"]
+    trained(replace(job, resume=True))
+    assert _files(tmp_path) == left
+
+
+def _die(directory: Path, gate: Path | None) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("harm", ["cut", "removed"])
+def test_broken_experience_falls_back_to_the_checkpoint_before(
+    whole: dict[str, Log], tmp_path: Path, harm: str
+) -> None:
+    job = _job("madqn", tmp_path)
+    trained(job, stop_after=4)
+    newest = tmp_path / "5" / "checkpoints" / "experience-000004.pt"
+    if harm == "cut":
+        newest.write_bytes(newest.read_bytes()[:-100])
+    else:
+        newest.unlink()
+    events = trained(replace(job, resume=True))
+    assert "experience-000004.pt, which it needs, is " in _notices(events)[0]
+    started = [event for event in events if isinstance(event, Started)]
+    assert started[0].iteration == 2
+    assert logs_of(job) == [whole["madqn"]]
+
+
+def test_a_run_whose_experience_is_gone_says_so_in_one_line(tmp_path: Path) -> None:
+    job = _job("madqn", tmp_path)
+    trained(job, stop_after=4)
+    for path in (tmp_path / "5" / "checkpoints").glob("experience-*.pt"):
+        path.unlink()
+    with pytest.raises(HeadwayError, match=r"start the run anew .*which it needs, is not there") as caught:
+        trained(replace(job, resume=True))
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,452 @@
+"""Wrappers without a twin: around the ParallelEnv, with what infos carry, and rules that look behind them."""
+
+import pickle
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import supersuit
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+from same_game import prepared
+
+from headway.adapters.conformance import play
+from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
+from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
+from headway.contracts import BatchedEnv, HeadwayError, Observed, RuleEntry, WrapperEntry
+from headway.registry import env_entry, wrapper_entries
+from headway.rollout.episodes import evaluate_rule
+from headway.wrappers import parallel
+from headway.wrappers.black_death import BlackDeath
+from headway.wrappers.listed import ListedWrapper, listed_wrappers
+from headway.wrappers.observations import NoArguments
+from headway.wrappers.supersuit import supersuit_entries
+from headway.wrappers.wrapping import make_wrapped, wrapped_entry
+from headway_envs.registry import ENTRIES
+
+STACK = {"name": "frame_stack_v1", "stack_size": 2}
+DELAY = {"name": "delay_observations_v0", "delay": 1}
+KEEPS_THE_GAME: dict[str, list[Any]] = {
+    "delay": [DELAY],
+    "maximum": [{"name": "max_observation_v0", "memory": 2}],
+    "reshape": [{"name": "reshape_v0", "shape": [2, 2]}],
+    "dtype": [{"name": "dtype_v0", "dtype": "float64"}],
+    "pad observations": ["pad_observations_v0"],
+    "pad actions": ["pad_action_space_v0"],
+    "NaN to nothing": [{"name": "nan_noop_v0", "no_op_action": 0}],
+    "NaN to random": ["nan_random_v0"],
+    "NaN to zeros": ["nan_zeros_v0"],
+    "around delay": [DELAY, "agent_indicator_v0", STACK],
+    "within delay": ["agent_indicator_v0", STACK, DELAY],
+}
+
+
+@pytest.mark.parametrize("case", KEEPS_THE_GAME)
+def test_what_infos_say_survives(case: str) -> None:
+    """Everything but observations is as it was; `visitors` uses every key."""
+    entry = ENTRIES["visitors"]
+    make, config = entry.parallel_env, entry.config()
+    assert make is not None
+    plain = play(lambda copies: ParallelEnvBatch(lambda: make(config), copies, "visitors"))
+    wrapped = pickle.loads(pickle.dumps(prepared("visitors", entry, KEEPS_THE_GAME[case])))
+    assert wrapped.parallel is not None
+    other = play(wrapped.batch)
+    assert other.spec.metrics == plain.spec.metrics
+    for name in ("alive", "acting", "action_masks", "rewards", "terminated", "truncated", "states"):
+        np.testing.assert_array_equal(getattr(other.trajectory, name), getattr(plain.trajectory, name), name)
+    np.testing.assert_array_equal(other.metrics, plain.metrics)
+
+
+def test_the_longest_tail_of_twins_stays_batched_and_one_line_says_what_is_lost() -> None:
+    wrapped = prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["around delay"])
+    assert wrapped.parallel is not None
+    assert [name for name, _ in wrapped.parallel.wrappers] == ["delay_observations_v0"]
+    assert len(wrapped.batched) == 2
+    assert wrapped.notices == (
+        "delay_observations_v0 has no batched form: visitors is played as a ParallelEnv, one copy after "
+        "another; it has no snapshots: episodes start anew on resume",
+    )
+    assert wrapped.batch(1).spec.observation_size == 2 * (4 + 6)
+    within = prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["within delay"])
+    assert within.parallel is not None
+    assert len(within.parallel.wrappers) == 3
+    assert within.batched == ()
+
+
+def test_a_delayed_stack_is_the_stack_of_a_step_before() -> None:
+    """SuperSuit's frame stack writes over what its delay keeps, so that alone it delays nothing."""
+    stack, delay = listed_wrappers([STACK, DELAY])
+    now, late = (DUELS["cut off"] for _ in range(2))
+    now = stack.entry.wrap(pickle.loads(pickle.dumps(now)), stack.arguments)
+    late = delay.entry.wrap(
+        stack.entry.wrap(pickle.loads(pickle.dumps(late)), stack.arguments), delay.arguments
+    )
+    before = {agent: seen.copy() for agent, seen in now.reset(seed=0)[0].items()}
+    assert not any(seen.any() for seen in late.reset(seed=0)[0].values())
+    while now.agents:
+        actions = dict.fromkeys(now.agents, 0)
+        seen_now, seen_late = now.step(actions)[0], late.step(actions)[0]
+        for agent, seen in seen_late.items():
+            np.testing.assert_array_equal(seen, before[agent])
+        before = {agent: seen.copy() for agent, seen in seen_now.items()}
+
+
+def test_twins_behind_supersuits_wrappers_give_what_supersuit_gives_throughout() -> None:
+    """The split of a list changes nothing: [delay, indicator, stack] against SuperSuit's three."""
+    listed = listed_wrappers(KEEPS_THE_GAME["around delay"])
+    make, config = ENTRIES["visitors"].parallel_env, ENTRIES["visitors"].config()
+    assert make is not None
+
+    def all_three() -> Any:  # noqa: ANN401 - PettingZoo comes without types
+        env = make(config)
+        for wrapper in listed:
+            env = wrapper.entry.wrap(env, wrapper.arguments)
+        return env
+
+    split = play(prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["around delay"]).batch)
+    whole = play(lambda copies: ParallelEnvBatch(all_three, copies, "visitors"))
+    live = whole.trajectory.alive
+    np.testing.assert_array_equal(split.trajectory.observations[live], whole.trajectory.observations[live])
+
+
+def losing(key: str) -> WrapperEntry:
+    """A wrapper that drops a key from infos."""
+    from pettingzoo.utils import BaseParallelWrapper
+
+    class Dropping(BaseParallelWrapper):  # type: ignore[misc]
+        def step(self, actions: Mapping[str, Any]) -> tuple[Any, ...]:
+            *rest, infos = self.env.step(actions)
+            return (*rest, {agent: without(info) for agent, info in infos.items()})
+
+        def reset(self, seed: int | None = None, options: object = None) -> tuple[Any, Any]:
+            observations, infos = self.env.reset(seed=seed)
+            return observations, {agent: without(info) for agent, info in infos.items()}
+
+    def without(info: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in info.items() if name != key}
+
+    return WrapperEntry("drops", NoArguments, lambda env, arguments: Dropping(env))
+
+
+@pytest.fixture
+def dropping(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ListedWrapper:
+    entry = losing(request.param)
+    monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)
+    return ListedWrapper("dropping_v0", entry, NoArguments(), "env.wrappers[0]")
+
+
+@pytest.mark.parametrize("dropping", ["alive", "acting", "action_mask", "slot_ended"], indirect=True)
+def test_a_wrapper_that_loses_what_infos_carry_is_refused(
+    dropping: ListedWrapper, request: pytest.FixtureRequest
+) -> None:
+    entry = wrapped_entry("visitors", ENTRIES["visitors"], [dropping])
+    lost = request.node.callspec.params["dropping"]
+    with pytest.raises(
+        HeadwayError, match=rf"env.wrappers\[0\]: dropping_v0 loses {lost} from the infos of vis"
+    ):
+        entry.prepare(ENTRIES["visitors"].config())
+
+
+@pytest.mark.parametrize("dropping", ["episode_metrics"], indirect=True)
+def test_metrics_that_do_not_arrive_are_an_error(dropping: ListedWrapper) -> None:
+    entry = wrapped_entry("visitors", ENTRIES["visitors"], [dropping])
+    wrapped = entry.prepare(ENTRIES["visitors"].config())
+    with pytest.raises(HeadwayError, match="announces episode_metrics, and an episode ended without them"):
+        play(wrapped.batch)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrapper", "message"),
+    [
+        ("visitors", "clip_actions_v0", r"\[0\]: clip_actions_v0 cannot wrap visitors: AttributeError"),
+        ("visitors", {"name": "frame_skip_v0", "num_frames": 2}, "frame_skip_v0 cannot wrap visitors: Attr"),
+        ("bus", "color_reduction_v0", "color_reduction_v0 cannot wrap bus: AssertionError: To apply"),
+        ("bus", {"name": "resize_v1", "x_size": 2, "y_size": 2}, "resize_v1 cannot wrap bus"),
+        ("tracking", {"name": "reshape_v0", "shape": [3]}, "new shape .3,. must have as many elements"),
+        (
+            "tracking",
+            {"name": "sticky_actions_v0", "repeat_action_probability": 2},
+            "cannot wrap tracking: Asser",
+        ),
+    ],
+)
+def test_a_wrapper_that_does_not_fit_is_named_before_anything_starts(
+    name: str, wrapper: object, message: str
+) -> None:
+    with pytest.raises(HeadwayError, match=message):
+        prepared(name, ENTRIES[name], [wrapper])
+
+
+@pytest.mark.parametrize("skips", [True, False])
+def test_a_wrapper_that_skips_steps_is_refused_where_agents_do_not_act_at_all_of_them(
+    skips: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever it is called, and whoever wrote it."""
+    entry = replace(losing("nothing"), skips_steps=skips)
+    monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)
+    wrapped = wrapped_entry("bus", ENTRIES["bus"], [ListedWrapper("twice_v0", entry, NoArguments(), "[0]")])
+    with pytest.raises(HeadwayError, match="twice_v0 keeps `acting`") if skips else nullcontext():
+        wrapped.prepare(ENTRIES["bus"].config())
+
+
+def test_what_skips_steps_in_supersuit_is_known() -> None:
+    assert [name for name, entry in supersuit_entries().items() if entry.skips_steps] == ["frame_skip_v0"]
+
+
+def test_the_second_wrapper_is_named_where_the_second_fails() -> None:
+    with pytest.raises(HeadwayError, match=r"env.wrappers\[1\]: color_reduction_v0 cannot wrap bus"):
+        prepared("bus", ENTRIES["bus"], [DELAY, "color_reduction_v0"])
+
+
+def test_an_environment_without_a_parallel_env_takes_twins_only() -> None:
+    entry = replace(ENTRIES["matrix"], parallel_env=None)
+    assert prepared("matrix", entry, ["agent_indicator_v0"]).batch(2).spec.observation_size == 4
+    with pytest.raises(
+        HeadwayError, match=r"delay_observations_v0 has no batched form, and matrix no Parallel"
+    ):
+        prepared("matrix", entry, ["agent_indicator_v0", DELAY])
+
+
+@pytest.mark.parametrize("name", ["bus", "visitors", "tracking", "matrix"])
+@pytest.mark.parametrize("wrappers", [["agent_indicator_v0"], [DELAY]], ids=["twins", "through SuperSuit"])
+def test_an_environments_own_rules_look_behind_wrappers(name: str, wrappers: list[Any]) -> None:
+    """They see what they always saw, so they earn on the same days what they always earned."""
+    entry = ENTRIES[name]
+    rule = {"bus": "headway_holding_0.9"}.get(name, "optimal")
+    wrapped = wrapped_entry(name, entry, listed_wrappers(wrappers))
+    shared = wrapped.prepare(entry.config())
+    rows = evaluate_rule(wrapped.make, wrapped.rules[rule].make, shared, root=3, episodes=2)
+    if shared.parallel is None:
+        expected = evaluate_rule(entry.make, entry.rules[rule].make, shared.prepared, root=3, episodes=2)
+        assert rows == expected
+        return
+    expected = [_played(name, rule, shared.prepared, index) for index in range(2)]
+    assert [row["return"] for row in rows] == pytest.approx(expected, rel=1e-6)
+
+
+def _played(name: str, rule: str, shared: object, index: int) -> float:
+    """The return of a rule on the native environment, on the day that the adapter makes of a seed."""
+    from headway.contracts import child_seeds
+
+    entry = ENTRIES[name]
+    env, played = entry.make(shared, 1), entry.rules[rule].make(shared)
+    seed = episode_seed(int(child_seeds(3, "evaluation", index, 1)[0]), 0)
+    observed, total = env.reset(np.array([seed], dtype=np.uint64)), 0.0
+    while True:
+        outcome, observed = env.step(played.act(env, observed))
+        total += float(outcome.rewards.mean(axis=1, dtype=np.float64)[0])
+        if outcome.episode_ended[0]:
+            return total
+
+
+def test_behind_a_wrapper_that_changes_what_actions_mean_only_random_is_left() -> None:
+    listed = listed_wrappers([{"name": "scale_actions_v0", "scale": 2.0}])
+    wrapped = wrapped_entry("tracking", ENTRIES["tracking"], listed)
+    assert list(wrapped.rules) == ["random"]
+    shared = wrapped.prepare(ENTRIES["tracking"].config())
+    rows = evaluate_rule(wrapped.make, wrapped.rules["random"].make, shared, root=0, episodes=1)
+    assert np.isfinite(float(rows[0]["return"]))
+
+
+class Defend:
+    """A rule of an environment that another package has written as a ParallelEnv."""
+
+    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        assert isinstance(env, ParallelEnvBatch)
+        assert observed.observations.shape[-1] == 2
+        return np.ones(observed.alive.shape, dtype=np.int64)
+
+
+def test_rules_of_an_adapted_environment_are_given_the_adapter() -> None:
+    entry = parallel_entry(
+        "duel",
+        "duel",
+        NoArguments,
+        _broken_duel,
+        rules={"defend": RuleEntry("all defend", lambda config: Defend())},
+    )
+    wrapped = wrapped_entry("duel", entry, listed_wrappers([STACK, "agent_indicator_v0"]))
+    env, rule = wrapped.make(wrapped.prepare(NoArguments()), 2), wrapped.rules["defend"]
+    assert rule.summary == "all defend"
+    observed = env.reset(np.zeros(2, dtype=np.uint64))
+    assert observed.observations.shape == (2, 3, 2 * 2 + 3)
+    outcome, _ = env.step(rule.make(wrapped.prepare(NoArguments())).act(env, observed))
+    np.testing.assert_array_equal(outcome.rewards, np.full((2, 3), 2.0))
+
+
+def test_a_rule_that_cannot_look_behind_says_so() -> None:
+    """`trivial` has a ParallelEnv written by hand, with no batch behind it."""
+    wrapped = wrapped_entry("trivial", ENTRIES["trivial"], listed_wrappers([DELAY]))
+    shared = wrapped.prepare(ENTRIES["trivial"].config())
+    with pytest.raises(HeadwayError, match="rule 'optimal' of trivial cannot look behind these wrappers"):
+        wrapped.rules["optimal"].make(shared)
+    assert evaluate_rule(wrapped.make, wrapped.rules["random"].make, shared, root=0, episodes=1)
+
+
+def test_every_environment_has_the_rule_random() -> None:
+    assert all("random" in env_entry(name).rules for name in (*ENTRIES, "mpe2.simple_spread_v3"))
+
+
+class Duel(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
+    """Three fighters observe (own number, step); fighter i falls at step `falls[i]`, and the rest are cut off
+    after `steps`."""
+
+    metadata: Mapping[str, Any] = {"name": "duel"}
+    render_mode = None
+
+    def __init__(self, falls: Mapping[str, int], steps: int) -> None:
+        self.falls, self.steps = falls, steps
+        self.possible_agents = ["fighter_0", "fighter_1", "fighter_2"]
+        self.agents: list[str] = []
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        return spaces.Box(0, 99, (2,), np.float32)
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        return spaces.Discrete(2)
+
+    def reset(self, seed: int | None = None, options: object = None) -> tuple[Any, Any]:
+        self.agents, self.step_number = list(self.possible_agents), 0
+        return self._observed(), {agent: {} for agent in self.agents}
+
+    def step(self, actions: Mapping[str, int]) -> tuple[Any, ...]:
+        assert sorted(actions) == self.agents
+        self.step_number += 1
+        observed = self._observed()
+        rewards = {agent: 1.0 + actions[agent] for agent in self.agents}
+        terminated = {agent: self.falls.get(agent) == self.step_number for agent in self.agents}
+        truncated = dict.fromkeys(self.agents, self.step_number == self.steps)
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
+        return observed, rewards, terminated, truncated, infos
+
+    def _observed(self) -> dict[str, NDArray[np.float32]]:
+        numbers = {agent: index for index, agent in enumerate(self.possible_agents)}
+        return {
+            agent: np.array([numbers[agent], self.step_number], dtype=np.float32) for agent in self.agents
+        }
+
+
+DUELS = {
+    "cut off": Duel({"fighter_1": 2}, steps=5),
+    "all fall": Duel({"fighter_0": 4, "fighter_1": 2, "fighter_2": 3}, steps=9),
+    "fall at the end": Duel({"fighter_0": 5, "fighter_1": 2}, steps=5),
+}
+
+
+@pytest.mark.parametrize("duel", DUELS)
+def test_black_death_is_supersuits_until_the_last_step(duel: str) -> None:
+    mine, theirs = BlackDeath(DUELS[duel]), supersuit.black_death_v3(pickle.loads(pickle.dumps(DUELS[duel])))
+    one, other = mine.reset(seed=1)[0], theirs.reset(seed=1)[0]
+    while mine.agents:
+        assert sorted(one) == sorted(other) == DUELS[duel].possible_agents
+        for agent in one:
+            np.testing.assert_array_equal(one[agent], other[agent])
+        actions = dict.fromkeys(mine.agents, 1)
+        one, paid, terminated, truncated, infos = mine.step(actions)
+        other, paid_too, *_ = theirs.step(actions)
+        assert paid == paid_too
+        assert sorted(infos) == sorted(one)
+        if mine.agents:
+            assert not any((*terminated.values(), *truncated.values()))
+    assert theirs.agents, "SuperSuit ends with the others now: its own black_death_v3 can be used"
+    cut = duel != "all fall"
+    assert set(truncated.values()) == {cut}
+    assert set(terminated.values()) == {not cut}
+
+
+def _duel(config: NoArguments) -> Duel:
+    return Duel({"fighter_1": 2, "fighter_2": 4}, steps=6)
+
+
+@pytest.mark.parametrize(
+    "wrappers",
+    [
+        [STACK],
+        ["agent_indicator_v0"],
+        [{"name": "clip_reward_v0", "upper_bound": 1.5}],
+        ["normalize_obs_v0", STACK, "agent_indicator_v0", {"name": "scale_reward_v0", "scale": 3.0}],
+    ],
+)
+def test_twins_around_a_parallel_env_whose_agents_die_give_what_supersuit_gives(wrappers: list[Any]) -> None:
+    options = AdapterOptions(agents_come_and_go=True)
+    wrapped = prepared("duel", parallel_entry("duel", "a duel", NoArguments, _duel, options), wrappers)
+    assert wrapped.parallel is None
+    listed = listed_wrappers(wrappers)
+
+    def all_of_them() -> Any:  # noqa: ANN401 - PettingZoo comes without types
+        env = _duel(NoArguments())
+        for wrapper in listed:
+            env = wrapper.entry.wrap(env, wrapper.arguments)
+        return env
+
+    one, other = play(wrapped.batch), play(lambda copies: options.adapt(all_of_them, copies, "duel"))
+    twins, whole = one.trajectory, other.trajectory
+    assert not twins.alive.all()
+    for name in ("alive", "acting", "rewards", "terminated", "truncated"):
+        np.testing.assert_array_equal(getattr(twins, name), getattr(whole, name), name)
+    np.testing.assert_array_equal(twins.observations[twins.alive], whole.observations[whole.alive])
+    # An agent that had ended before is only marked again: its final observation was given then.
+    over = (twins.terminated | twins.truncated) & twins.alive[:-1]
+    np.testing.assert_array_equal(twins.final_observations[over], whole.final_observations[over])
+
+
+def test_dead_agents_leave_or_stay_as_the_list_says() -> None:
+    """The adapter takes both: gone and not alive, or there and observing zeros."""
+
+    def make() -> Duel:
+        return Duel({"fighter_1": 2}, steps=4)
+
+    seeds, actions = np.zeros(1, dtype=np.uint64), np.ones((1, 3), dtype=np.int64)
+    gone = ParallelEnvBatch(make, 1, "duel", agents_come_and_go=True)
+    kept = ParallelEnvBatch(lambda: BlackDeath(make()), 1, "duel")
+    assert kept.reset(seeds).alive.all()
+    assert gone.reset(seeds).alive.all()
+    for step in range(1, 5):
+        (left, faced), (stayed, shown) = gone.step(actions), kept.step(actions)
+        np.testing.assert_array_equal(left.rewards, stayed.rewards)
+        assert left.episode_ended[0] == stayed.episode_ended[0] == (step == 4)
+        assert shown.alive.all()
+        assert bool(faced.alive[0, 1]) == (step in (1, 4))
+        assert stayed.acting.all()
+        if step == 3:
+            np.testing.assert_array_equal(shown.observations[0, 1], [0, 0])
+            assert not left.acting[0, 1]
+    np.testing.assert_array_equal(stayed.truncated[0], [True, True, True])
+    np.testing.assert_array_equal(left.terminated[0], [False, True, False])
+
+
+class BrokenDuel(Duel):
+    """One number is missing at step 3."""
+
+    def _observed(self) -> dict[str, NDArray[np.float32]]:
+        observed = super()._observed()
+        if self.step_number == 3:
+            observed["fighter_2"][1] = np.nan
+        return observed
+
+
+def _broken_duel(config: NoArguments) -> BrokenDuel:
+    return BrokenDuel({}, steps=6)
+
+
+@pytest.mark.parametrize("wrappers", [[STACK], [STACK, DELAY], ["agent_indicator_v0"]])
+def test_nan_in_a_wrapped_environment_is_named(wrappers: list[Any]) -> None:
+    """At the step in which the first of the wrapped observations holds it."""
+    entry = parallel_entry("broken", "duel", NoArguments, _broken_duel)
+    shared = prepared("broken", entry, wrappers)
+    step = 4 if DELAY in wrappers else 3
+    with pytest.raises(
+        HeadwayError, match=f"gave nan as observation of agent fighter_2 in copy 0 at step {step}"
+    ):
+        play(shared.batch)
+
+
+def test_the_entrys_make_is_what_workers_are_given() -> None:
+    entry = wrapped_entry("matrix", ENTRIES["matrix"], listed_wrappers([DELAY]))
+    assert entry.make is make_wrapped
+    assert wrapper_entries()["delay_observations_v0"].batched is None
