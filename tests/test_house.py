@@ -3,7 +3,9 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,44 @@ PACKAGES = {
     "headway_launch": ROOT / "launch" / "headway_launch",
 }
 FILES = sorted(file for folder in PACKAGES.values() for file in folder.rglob("*.py"))
+MODULES = {
+    ".".join(file.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__"): file
+    for folder in PACKAGES.values()
+    for file in folder.rglob("*.py")
+}
+MOST_MODULES = 15
+LISTS = ("recipes", "commands")
+"""Folders of alike things, which may hold more."""
+LAYERS = {
+    "headway": (
+        "training",
+        "wrappers",
+        "adapters",
+        "store",
+        "rollout",
+        "energy",
+        "stats",
+        "config",
+        "contracts",
+    ),
+    "headway_algos": (
+        "on_policy",
+        "off_policy",
+        "recipes",
+        "optim",
+        "batches",
+        "networks",
+        "acting",
+    ),
+    "headway_launch": ("commands", "report", "studies", "runner", "experiments", "console"),
+}
+"""Folders of a package, from the top: each imports only from those after it."""
+TESTS_OF = {
+    "platform": "headway",
+    "envs": "headway_envs",
+    "algos": "headway_algos",
+    "launch": "headway_launch",
+}
 HEAVY = ("torch", "mlflow", "hydra", "omegaconf", "pandas", "numba", "pyarrow", "codecarbon", "matplotlib")
 
 
@@ -106,3 +146,63 @@ def test_the_registry_of_algorithms_imports_no_torch() -> None:
     code = "import sys, headway.registry as r; r.algo_entries(); print('torch' in sys.modules)"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "False"
+
+
+def imported_modules(module: str) -> set[str]:
+    """Modules of the project that a module imports, those that only type checking needs excepted."""
+    found = set()
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    for node in _without_type_checking(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in MODULES else node.module for name in names}
+    return (found & set(MODULES)) - {module}
+
+
+def _without_type_checking(tree: ast.AST) -> Iterator[ast.AST]:
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
+            yield node
+            yield from _without_type_checking(node)
+
+
+def test_a_folder_holds_no_more_modules_than_are_seen_at_a_glance() -> None:
+    counts = Counter(file.parent for file in FILES if file.name != "__init__.py")
+    crowded = {
+        str(folder.relative_to(ROOT)): count for folder, count in counts.items() if count > MOST_MODULES
+    }
+    assert {folder for folder in crowded if Path(folder).name not in LISTS} == set()
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    graph = {module: imported_modules(module) for module in MODULES}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"a circle of imports: {' -> '.join(error.args[1])}")
+
+
+@pytest.mark.parametrize("package", LAYERS)
+def test_folders_import_downwards_only(package: str) -> None:
+    layers = LAYERS[package]
+    wrong = [
+        f"{module} imports {name}"
+        for module in MODULES
+        for name in imported_modules(module)
+        if module.split(".")[0] == name.split(".")[0] == package
+        and {(upper := module.split(".")[1]), (lower := name.split(".")[1])} <= set(layers)
+        and layers.index(lower) < layers.index(upper)
+    ]
+    assert wrong == []
+
+
+def test_tests_lie_in_the_folders_of_what_they_test() -> None:
+    wrong = []
+    for tests, package in TESTS_OF.items():
+        for file in (ROOT / "tests" / tests).rglob("test_*.py"):
+            folder = PACKAGES[package] / file.parent.relative_to(ROOT / "tests" / tests)
+            if not folder.is_dir():
+                wrong.append(str(file.relative_to(ROOT)))
+    assert wrong == []

@@ -14,8 +14,8 @@ from headway.contracts import (
     MultiDiscrete,
 )
 from headway_algos.acting.gru import acting_policy
-from headway_algos.batches.grouping import missing_groups
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import missing_groups
 from headway_algos.off_policy.entries import OFF_POLICY
 from headway_algos.recipes import (
     a3c,

@@ -25,7 +25,7 @@ SPEC = EnvSpec("made", ("a", "b", "c"), 3, Discrete(2), groups=("x", "y", "x"))
         "headway_algos.registry",
         "headway_algos.acting.mlp",
         "headway_algos.config",
-        "headway_algos.batches.grouping",
+        "headway_algos.grouping",
     ],
 )
 def test_importing_what_workers_need_imports_no_torch(module: str) -> None:

@@ -11,7 +11,7 @@ from headway.contracts import Box, EnvSpec, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting.live_agents import Answer, ForgettingActs, RememberingActs
 from headway_algos.acting.mlp import StackedActingPolicy
-from headway_algos.off_policy.config import ReplayConfig
+from headway_algos.replay_config import ReplayConfig
 
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Observed
 from headway.contracts.acting import Parameters
 from headway_algos.acting.live_agents import FEWEST_SLOTS, Answer, ForgettingActs
-from headway_algos.batches.grouping import Grouping
 from headway_algos.config import AlgoConfig
-from headway_algos.off_policy.config import ReplayConfig
+from headway_algos.grouping import Grouping
+from headway_algos.replay_config import ReplayConfig
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations are cut at this many standard deviations, as by OpenAI Baselines' VecNormalize."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Trajectory
-from headway_algos.batches.grouping import Grouping
-from headway_algos.batches.timeline import Timeline
+from headway_algos.grouping import Grouping
+from headway_algos.networks.timeline import Timeline
 
 
 @dataclass(frozen=True)

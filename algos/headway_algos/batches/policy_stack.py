@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError
-from headway_algos.batches.grouping import Grouping
+from headway_algos.grouping import Grouping
 
 
 def resolve_device(device: str) -> torch.device:

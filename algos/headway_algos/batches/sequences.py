@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout, Piece, even_slices, minibatches
-from headway_algos.batches.timeline import Timeline
 from headway_algos.config import AlgoConfig
+from headway_algos.networks.timeline import Timeline
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from headway_algos.batches.layout import Piece, even_slices
 from headway_algos.batches.policy_batch import PolicyRows
-from headway_algos.batches.timeline import Timeline
+from headway_algos.networks.timeline import Timeline
 
 
 @dataclass(frozen=True)

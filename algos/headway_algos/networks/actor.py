@@ -10,13 +10,13 @@ from torch import Tensor, nn
 
 from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.acting.mlp import actor_outputs
-from headway_algos.batches.timeline import Timeline
 from headway_algos.config import ModelConfig
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.gru import RecurrentNetwork, make_network
 from headway_algos.networks.mlp import acting_arrays
 from headway_algos.networks.normalisation import RunningMoments
-from headway_algos.optim.passes import Pass, add_gradients
+from headway_algos.networks.passes import Pass, add_gradients
+from headway_algos.networks.timeline import Timeline
 
 
 class Actor(nn.Module):

@@ -17,9 +17,9 @@ from torch import Tensor, nn
 
 from headway.contracts import HeadwayError
 from headway_algos.acting.mlp import layer_sizes
-from headway_algos.batches.timeline import Timeline, begun, kept
 from headway_algos.config import ModelConfig
 from headway_algos.networks.mlp import HIDDEN_GAIN, StackedMLP, activated_layer, stacked_matrices
+from headway_algos.networks.timeline import Timeline, begun, kept
 
 
 def gated_step(given: Tensor, memory: Tensor, weight: Tensor, bias: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from headway.contracts import generator
 from headway_algos.acting.mlp import layer_sizes
-from headway_algos.batches.timeline import Timeline
+from headway_algos.networks.timeline import Timeline
 
 HIDDEN_GAIN = {"tanh": 5 / 3, "relu": 2**0.5}
 """Gain of the initialisation of a layer with that activation."""

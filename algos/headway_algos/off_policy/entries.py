@@ -6,9 +6,9 @@ import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, WanderingPolicy
-from headway_algos.batches.grouping import Grouping, missing_groups
-from headway_algos.off_policy.config import ReplayConfig
+from headway_algos.grouping import Grouping, missing_groups
 from headway_algos.recipes import ddpg, madqn
+from headway_algos.replay_config import ReplayConfig
 
 
 def _madqn(config: madqn.MADQNConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory, generator
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_stack import Stack, resolve_device
+from headway_algos.grouping import Grouping
 from headway_algos.networks.mlp import StackedMLP, acting_arrays
 from headway_algos.networks.normalisation import RunningMoments
-from headway_algos.off_policy.config import ReplayConfig
 from headway_algos.off_policy.replay_buffer import Batch, ReplayMemory
 from headway_algos.off_policy.transitions import TransitionMaker
+from headway_algos.replay_config import ReplayConfig
 
 
 class Method(Protocol):

@@ -12,10 +12,10 @@ from headway.contracts import ActingPolicy, Observed, RememberingPolicy
 from headway_algos.batches.critic_batch import Scene
 from headway_algos.batches.hidden_states import Memories
 from headway_algos.batches.layout import Layout, even_slices, zero_where_absent
-from headway_algos.batches.timeline import Timeline
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import MaskedCategorical
+from headway_algos.networks.timeline import Timeline
 
 
 class Behaviour:

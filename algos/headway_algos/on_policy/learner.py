@@ -10,12 +10,12 @@ from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
 from headway_algos.acting.gru import acting_policy
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.hidden_states import Memories
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows, standardise
 from headway_algos.batches.policy_stack import Stack, resolve_device
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import Behaviour

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.batches.whole_batch import WholeBatch
+from headway_algos.grouping import Grouping
 from headway_algos.on_policy.updates import Update
 
 Order = Callable[

@@ -15,8 +15,8 @@ from torch import Tensor
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.optim.linearised import LinearisedMLP
 
 FisherProduct = Callable[[Tensor], Tensor]
 """v (P, V) -> F v (P, V)."""

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from headway.contracts import HeadwayError
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.distributions import DiagonalGaussian
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.kronecker import KroneckerFactors, inner, joined
-from headway_algos.optim.linearised import LinearisedMLP
 
 Information = Callable[[Tensor], Tensor]
 """v (P, O, B) -> M v: products with the Fisher information in a network's outputs, row by row."""

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway_algos.config import AlgoConfig
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.optim.kfac import StackedKFAC
-from headway_algos.optim.linearised import LinearisedMLP
 
 
 class NaturalRegression:

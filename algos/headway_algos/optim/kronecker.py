@@ -19,8 +19,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.optim.linearised import LinearisedMLP
 
 
 def joined(parameters: Sequence[Tensor]) -> list[Tensor]:

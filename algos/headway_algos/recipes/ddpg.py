@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from headway.contracts.checks import require
-from headway_algos.off_policy.config import ReplayConfig
+from headway_algos.replay_config import ReplayConfig
 
 SUMMARY = "deterministic actor and Q critic of each agent: replay memory, target networks; Box actions"
 SOURCE = "Lillicrap et al. 2016, arXiv:1509.02971"

@@ -18,7 +18,7 @@ Neighbours: DDPG is the same for actions in a Box; IPPO learns a policy, from wh
 from dataclasses import dataclass
 
 from headway.contracts.checks import require
-from headway_algos.off_policy.config import ReplayConfig
+from headway_algos.replay_config import ReplayConfig
 
 SUMMARY = "deep Q-learning of each agent: replay memory, target network, epsilon-greedy; Discrete actions"
 SOURCE = "Mnih et al. 2015, doi 10.1038/nature14236; van Hasselt et al. 2016, arXiv:1509.06461"

@@ -1,5 +1,6 @@
 """The bus environment's arguments. Every default stands here and nowhere else."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -220,6 +221,15 @@ class BusConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     upkeep: UpkeepConfig = field(default_factory=UpkeepConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
+
+    @property
+    def arrivals_per_boarding(self) -> float:
+        """Passengers with a competing service who arrive, per one of them who boards, at the target headway.
+
+        Arrivals are uniform over a headway H, and each leaves after an exponential wait of mean x H, where x
+        is `competing_headway_share`: the share x (1 - exp(-1 / x)) still waits when the bus comes."""
+        x = self.competing_headway_share
+        return 1.0 / (x * (1.0 - math.exp(-1.0 / x)))
 
     def __post_init__(self) -> None:
         require(bool(self.scenario), f"scenario must name {', '.join(SCENARIOS)} or a scenario folder")

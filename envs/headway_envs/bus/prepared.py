@@ -1,6 +1,5 @@
 """What all copies of one bus environment share. Light: numpy and the kernel's records only."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -69,19 +68,10 @@ class Prepared:
         return settings
 
 
-def arrivals_per_boarding(config: BusConfig) -> float:
-    """Arrivals of those with a competing service for each of them who boards under the target headway.
-
-    Of those who come evenly over a headway H and leave after an exponential wait of mean xH, the share
-    x (1 - exp(-1/x)) is still there when the bus comes."""
-    x = config.competing_headway_share
-    return 1.0 / (x * (1.0 - math.exp(-1.0 / x)))
-
-
 def _settings(prepared: Prepared) -> dict[str, float]:
     config = prepared.config
     noise, upkeep, reward = config.noise, config.upkeep, config.reward
-    others = (1.0 - config.captive_share) * arrivals_per_boarding(config)
+    others = (1.0 - config.captive_share) * config.arrivals_per_boarding
     same = [
         "tick_s",
         "hold_s",

@@ -12,8 +12,8 @@ from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.reporting import METRICS, Ledger
-from headway_envs.intersection.simulation import Simulation
-from headway_envs.intersection.street import Changes, Street
+from headway_envs.intersection.sumo.simulation import Simulation
+from headway_envs.intersection.sumo.street import Changes, Street
 
 
 def paid_share(config: IntersectionConfig) -> bool:

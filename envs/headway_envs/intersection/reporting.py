@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from headway_envs.intersection.config import STEP_S, TERMS, IntersectionConfig
 from headway_envs.intersection.layout import SUMS
-from headway_envs.intersection.street import Changes
+from headway_envs.intersection.sumo.street import Changes
 
 GALLONS_PER_ML = 0.000264172
 METRICS = (

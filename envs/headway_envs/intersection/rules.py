@@ -12,7 +12,7 @@ from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.kernel import STRONGEST
 from headway_envs.intersection.network import ROAD_M
-from headway_envs.intersection.roster import Roster
+from headway_envs.intersection.sumo.roster import Roster
 
 ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
 """SUMO's speed modes: every check, right of way among them; no more than a safe gap to the leader."""

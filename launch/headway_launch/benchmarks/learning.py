@@ -41,10 +41,10 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     """What makes all steps of the policies' improvement, and of the critics', and how many these are."""
     import torch
 
-    from headway_algos.batches.grouping import Grouping
     from headway_algos.batches.layout import Layout
     from headway_algos.batches.policy_batch import PolicyRows
     from headway_algos.config import AlgoConfig, ModelConfig
+    from headway_algos.grouping import Grouping
     from headway_algos.networks.actor import Actor
     from headway_algos.on_policy.critics.critic_inputs import VIEWS
     from headway_algos.on_policy.critics.estimate import Estimate

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from headway.stats import Interval
     from headway_launch.console.tables import Cell
     from headway_launch.experiments.compose import Experiment
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
 
 EXAMPLES = """\
 examples:
@@ -62,8 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.progress_display import Counted
     from headway_launch.console.tables import print_table
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
-    from headway_launch.runner.warm_up import compile_kernels
-    from headway_launch.studies.comparison import (
+    from headway_launch.runner.comparison import (
         DAYS_FOR_A_CLAIM,
         SEEDS_FOR_A_CLAIM,
         counting,
@@ -73,6 +72,7 @@ def execute(arguments: argparse.Namespace) -> int:
         rule_episodes,
         rules_to_play,
     )
+    from headway_launch.runner.warm_up import compile_kernels
 
     if arguments.episodes < 2:
         raise HeadwayError(f"--episodes {arguments.episodes}: must be at least 2, as days are paired")
@@ -186,7 +186,7 @@ def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
     """The finished runs of a study by label. Raises HeadwayError if there are none or if what they are
     reported on differs."""
     from headway.store.cell_names import labelled_cells
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.runs import finished_runs
 
     cells = {

@@ -9,7 +9,7 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway_launch.console.tables import Cell
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
 
 EXAMPLES = """\
 examples:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Print both tables."""
     from headway_launch.console.tables import print_table
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
 
     root = existing_store(arguments.store)
     pair = [StoredRun.find(root, name) for name in (arguments.first, arguments.second)]
@@ -56,7 +56,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _settings(run: "StoredRun") -> Mapping[str, str]:
     """Flat, dotted names; where it is kept is no setting."""
-    from headway_launch.runner.jobs import flat
+    from headway_launch.experiments.parameters import flat
 
     mapping = {name: value for name, value in run.mapping.items() if name != "store"}
     return {**{name: str(value) for name, value in flat(mapping)}, **run.record.tags}

@@ -34,10 +34,10 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.console.progress_display import Counted
-    from headway_launch.experiments.stored_run import StoredRun
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+    from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play
+    from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
-    from headway_launch.studies.comparison import counting, print_comparison, rule_episodes, rules_to_play
 
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
     experiment = run.experiment

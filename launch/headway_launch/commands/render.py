@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from headway.contracts import Observed, Outcome
     from headway_launch.console.video import Frame
     from headway_launch.experiments.compose import PreparedEnv
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
 
     Act = Callable[[Any, Observed], NDArray[Any]]
     Heed = Callable[[Outcome], None]
@@ -118,7 +118,7 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
 
 def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
     """Where a picture is kept with its run."""
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
     return run.directory / "pictures" / output.name
@@ -200,7 +200,7 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
     from headway.registry import env_entries
     from headway.store.run_folder import run_folders
     from headway_launch.experiments.compose import groups
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
 
     try:
         return StoredRun.find(existing_store(arguments.store), arguments.name)

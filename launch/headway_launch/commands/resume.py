@@ -11,8 +11,8 @@ from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
-    from headway_launch.experiments.stored_run import StoredRun
     from headway_launch.runner.jobs import CellPlan
+    from headway_launch.runner.stored_run import StoredRun
 
 EXAMPLES = """\
 examples:
@@ -40,8 +40,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
     limit_threads()
     from headway_launch.console.output import tell
-    from headway_launch.experiments.stored_run import StoredRun
     from headway_launch.runner.runner import EXIT_STOPPED, conduct_sessions
+    from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.session import require_all_ended
 
     for word in arguments.runs:
@@ -73,8 +73,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
-    from headway_launch.experiments.stored_run import jobs_to_resume
     from headway_launch.runner.jobs import CellPlan
+    from headway_launch.runner.stored_run import jobs_to_resume
     from headway_launch.studies.plan import cell_labels
 
     batches = jobs_to_resume(runs, {})
@@ -92,7 +92,7 @@ def _cells_of_study(
     """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it; and
     the folders of runs that other sessions hold."""
     from headway.store.index import RunIndex
-    from headway_launch.experiments.stored_run import StoredRun
+    from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.plan import Standing, cell_labels, kept_plans, plan_cells
     from headway_launch.studies.session import held_elsewhere, tell_standing
 

@@ -44,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
     experiment = compose(arguments.overrides)
     cells = [CellPlan(experiment, plan_jobs(experiment))]
     if arguments.dry_run:
-        from headway_launch.runner.dry_run import print_estimate
+        from headway_launch.studies.dry_run import print_estimate
         from headway_launch.studies.plan import Standing
 
         return print_estimate([Standing.untouched(experiment)], cells)

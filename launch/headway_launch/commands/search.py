@@ -51,7 +51,7 @@ def execute(arguments: argparse.Namespace) -> int:
     labels = [": ".join(point) for point in points]
     session = StudySession.plan(list(points.values()), labels, arguments.fresh)
     if arguments.dry_run:
-        from headway_launch.runner.dry_run import print_estimate
+        from headway_launch.studies.dry_run import print_estimate
 
         return print_estimate(session.standings, session.cells)
     conductor = session.conductor(arguments.debug)

@@ -70,7 +70,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     session = StudySession.plan(distinct(compose_sweep(arguments.overrides)), fresh=arguments.fresh)
     if arguments.dry_run:
-        from headway_launch.runner.dry_run import print_estimate
+        from headway_launch.studies.dry_run import print_estimate
 
         return print_estimate(session.standings, session.cells)
     code = session.conductor(arguments.debug).conduct()

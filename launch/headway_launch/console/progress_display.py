@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from headway_launch.console.output import silence, tell
-from headway_launch.runner.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
+from headway_launch.console.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
 
 if TYPE_CHECKING:
     from rich.live import Live

@@ -8,9 +8,8 @@ import yaml
 from headway.config.schema import build, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import Experiment, compose, configs_folder
-from headway_launch.experiments.stored_run import identity
+from headway_launch.experiments.parameters import full_mapping, identity
 from headway_launch.experiments.sweep import require_one_session
-from headway_launch.runner.jobs import full_mapping
 
 Point = tuple[str, str]
 """The names of a cell and of a candidate in it."""

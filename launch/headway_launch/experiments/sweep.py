@@ -6,7 +6,7 @@ from itertools import product
 from headway.config.schema import parse_seeds
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import Experiment, compose, groups
-from headway_launch.runner.jobs import one_of_a_session
+from headway_launch.experiments.parameters import one_of_a_session
 
 _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
 

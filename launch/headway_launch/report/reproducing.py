@@ -12,7 +12,7 @@ from typing import Any
 from headway.config.experiment import NO_PRESET
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import compose, groups
-from headway_launch.runner.jobs import flat, full_mapping
+from headway_launch.experiments.parameters import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
 """Text that needs no quotes."""

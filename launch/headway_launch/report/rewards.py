@@ -16,7 +16,7 @@ from headway_launch.report.parts import (
     with_interval,
 )
 from headway_launch.report.study_data import Against, StudyData, over_known
-from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
+from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
 def published_form(data: StudyData) -> Section:

@@ -12,7 +12,7 @@ from headway_launch.report.provenance_section import making_section, runs_sectio
 from headway_launch.report.published import published_sections
 from headway_launch.report.rewards import improvement_section, published_form, sound_form
 from headway_launch.report.study_data import StudyData
-from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
+from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
 def report_of(data: StudyData) -> Report:

@@ -14,8 +14,8 @@ from headway.events import LABELS
 from headway.stats import Interval, MeanStd, frames, mean_std, plots
 from headway.store import Selection
 from headway.store.query import LABELS as WHOSE
-from headway_launch.runner.jobs import flat
-from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM, difference
+from headway_launch.experiments.parameters import flat
+from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway_launch.studies.runs import (
     configuration,
     counted_runs,

@@ -15,16 +15,10 @@ from headway.store.session import Cell, Run, SessionStore
 from headway.training.loop import TrainingJob
 from headway_launch.console.output import tell
 from headway_launch.console.progress_display import Counted
-from headway_launch.runner.jobs import (
-    CellPlan,
-    PlannedJob,
-    Shares,
-    cell_parameters,
-    full_mapping,
-    workers_of,
-)
+from headway_launch.experiments.parameters import cell_parameters, full_mapping
+from headway_launch.runner.comparison import rule_episodes
+from headway_launch.runner.jobs import CellPlan, PlannedJob, Shares, workers_of
 from headway_launch.runner.results import SeedResult, stored_result
-from headway_launch.studies.comparison import rule_episodes
 
 Rules = Mapping[str, list[Row]]
 _WHICH_DAYS = "evaluation_seed"

@@ -15,7 +15,7 @@ from headway.store.checkpoint import load_latest
 from headway.store.checkpoint_fit import require_fitting
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.experiments.compose import PreparedEnv
-from headway_launch.experiments.stored_run import StoredRun
+from headway_launch.runner.stored_run import StoredRun
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from headway.events import Row
 from headway.store.run_folder import RunRecord, read_summary
 from headway_launch.console.output import tell
 from headway_launch.console.tables import Cell, print_table, without_empty
-from headway_launch.studies.comparison import print_comparison
+from headway_launch.runner.comparison import print_comparison
 
 if TYPE_CHECKING:
     from headway.store.session import Run

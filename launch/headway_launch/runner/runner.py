@@ -15,17 +15,11 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.session import SessionStore
 from headway.training.loop import TrainingJob
 from headway_launch.console.output import own_name, tell, to_a_reader
+from headway_launch.console.progress import JobProgress
+from headway_launch.experiments.parameters import one_of_a_session
 from headway_launch.runner.cell import CellWork, Rules
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
-from headway_launch.runner.jobs import (
-    CellPlan,
-    PlannedJob,
-    one_of_a_session,
-    require_free_disk,
-    uses_gpu,
-    workers_of,
-)
-from headway_launch.runner.progress import JobProgress
+from headway_launch.runner.jobs import CellPlan, PlannedJob, require_free_disk, uses_gpu, workers_of
 from headway_launch.runner.recorder import TRACEBACK, JobRecording
 from headway_launch.runner.results import print_cells, print_results, seed_result
 from headway_launch.runner.scheduler import Session

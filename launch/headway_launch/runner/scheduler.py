@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice
+from headway_launch.console.progress import JobProgress
 from headway_launch.console.progress_display import Progress
-from headway_launch.runner.progress import JobProgress
 from headway_launch.runner.training_process import TrainingProcess
 
 if TYPE_CHECKING:

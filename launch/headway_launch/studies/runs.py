@@ -112,6 +112,6 @@ def rules_beside(runs: "Selection", metric: str) -> dict[str, dict[str, float]]:
 @lru_cache(maxsize=4096)
 def configuration(directory: str) -> Mapping[str, Any]:
     """The configuration in a run's folder. Raises HeadwayError if it cannot be read."""
-    from headway_launch.experiments.stored_run import read_configuration
+    from headway_launch.runner.stored_run import read_configuration
 
     return read_configuration(Path(directory))

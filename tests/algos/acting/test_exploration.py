@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed, RememberingPolicy, generator
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, WanderingPolicy
-from headway_algos.off_policy.config import NetworkConfig
 from headway_algos.off_policy.ddpg import DeterministicMethod
 from headway_algos.off_policy.dqn import ValueMethod
 from headway_algos.off_policy.learner import ReplayLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES
+from headway_algos.replay_config import NetworkConfig
 
 AGENTS, COPIES, SIZE = 5, 6, 3
 SPACES: dict[str, ActionSpace] = {"madqn": Discrete(4), "ddpg": Box((-1.0, 0.0), (3.0, 1.0))}

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout, generator
 from headway_algos.batches import layout
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Endings, Layout, Piece, minibatches, zero_where_absent
+from headway_algos.grouping import Grouping
 
 SPEC = EnvSpec("made", tuple("abcdef"), 3, Discrete(2), state_size=2, groups=tuple("xyxzxz"))
 STEPS, COPIES, REPLICAS = 4, 3, 2

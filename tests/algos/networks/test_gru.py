@@ -15,11 +15,11 @@ from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway_algos.batches.hidden_states import Memories
 from headway_algos.batches.policy_batch import PolicyRows
-from headway_algos.batches.timeline import Timeline
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork, make_network
+from headway_algos.networks.timeline import Timeline
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.trpo import TRPO

@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, HeadwayError, ReplayingLearner, Trajectory
-from headway_algos.off_policy.config import NetworkConfig, ReplayConfig
 from headway_algos.off_policy.learner import ReplayLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES
+from headway_algos.replay_config import NetworkConfig, ReplayConfig
 
 Fabricate = Callable[..., Trajectory]
 Policies = Literal["independent", "shared", "groups"]

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.off_policy.config import NetworkConfig
 from headway_algos.off_policy.ddpg import DeterministicMethod
 from headway_algos.off_policy.dqn import ValueMethod
 from headway_algos.off_policy.replay_buffer import Batch
 from headway_algos.off_policy.target_networks import TargetNetwork, mean_over_batch, regression_loss
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
+from headway_algos.replay_config import NetworkConfig
 
 DOUBLE = torch.float64
 CPU = torch.device("cpu")

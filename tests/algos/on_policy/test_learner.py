@@ -15,10 +15,10 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Endings, Layout, zero_where_absent
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.behaviour_policy import Behaviour
 from headway_algos.on_policy.critics import CRITICS

@@ -13,8 +13,8 @@ from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.off_policy.config import NetworkConfig
 from headway_algos.registry import ENTRIES
+from headway_algos.replay_config import NetworkConfig
 from headway_envs.toy.entry import ENTRIES as TOYS
 
 ROOT, EPISODES = 77, 20

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.orders import ORDERS, sequential, simultaneous

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import make_network
 from headway_algos.on_policy.critics.critic_inputs import VIEWS

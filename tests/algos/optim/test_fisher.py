@@ -14,8 +14,8 @@ from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import ModelConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.optim.fisher import double_backward, fisher_product, flat, gauss_newton, unflat
-from headway_algos.optim.linearised import LinearisedMLP
 
 P, B, D, A = 3, 14, 3, 4
 DOUBLE = torch.float64

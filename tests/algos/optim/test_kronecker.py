@@ -5,9 +5,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.kronecker import KroneckerFactors, inner, joined
-from headway_algos.optim.linearised import LinearisedMLP
 
 P, B, D, OUTPUTS = 3, 9, 3, 2
 DOUBLE = torch.float64

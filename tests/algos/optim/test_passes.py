@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from headway_algos.batches.timeline import Timeline
 from headway_algos.config import ModelConfig
 from headway_algos.networks.gru import make_network
-from headway_algos.optim.passes import forward_pass
+from headway_algos.networks.passes import forward_pass
+from headway_algos.networks.timeline import Timeline
 
 SEEDS, INPUTS, OUTPUTS, LENGTH, SEQUENCES = (0, 1, 2), 4, 2, 3, 5
 ROWS = LENGTH * SEQUENCES

@@ -13,7 +13,7 @@ from headway_envs.intersection.config import IntersectionConfig, RewardConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.prepared import prepare
-from headway_envs.intersection.simulation import libsumo
+from headway_envs.intersection.sumo.simulation import libsumo
 
 FULL, NOTHING = np.full((1, 96, 1), 3, np.float32), np.zeros((1, 96, 1), np.float32)
 SEED = np.array([3], np.uint64)
@@ -247,7 +247,7 @@ def test_an_environment_that_nobody_has_any_more_holds_nothing(crossing: Callabl
 
 
 def test_without_sumo_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("headway_envs.intersection.simulation.find_spec", lambda name: None)
+    monkeypatch.setattr("headway_envs.intersection.sumo.simulation.find_spec", lambda name: None)
     with pytest.raises(HeadwayError) as failure:
         prepare(IntersectionConfig())
     assert str(failure.value) == (

@@ -23,7 +23,7 @@ from headway_envs.intersection.layout import (
     Traffic,
 )
 from headway_envs.intersection.reporting import METRICS, Ledger, jain
-from headway_envs.intersection.simulation import libsumo
+from headway_envs.intersection.sumo.simulation import libsumo
 
 SEED = np.array([3], np.uint64)
 LENGTH = 1796.72

@@ -13,7 +13,7 @@ from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import RunRecord
 from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
-from headway_launch.experiments.stored_run import StoredRun, jobs_to_resume
+from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
 TINY = (
     "env=trivial",
@@ -146,6 +146,6 @@ def test_a_study_goes_on_with_what_failed_too(tmp_path: Path, monkeypatch: pytes
         resumed.extend(run.record.run_id for run in runs)
         return []
 
-    monkeypatch.setattr("headway_launch.experiments.stored_run.jobs_to_resume", note)
+    monkeypatch.setattr("headway_launch.runner.stored_run.jobs_to_resume", note)
     assert run(["resume", "--study", "default"]) == 0
     assert resumed == ["run-0-s0", "run-1-s1"]

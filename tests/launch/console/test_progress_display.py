@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from headway.events import EvaluationFinished, Failed, IterationFinished, Started, Usage
+from headway_launch.console.progress import JobProgress, overall, seconds_left
 from headway_launch.console.progress_display import Counted, Progress
-from headway_launch.runner.progress import JobProgress, overall, seconds_left
 
 
 def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:

@@ -9,16 +9,10 @@ from headway.config.schema import describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
 from headway_launch.experiments.compose import compose, groups, resolve, summary_of
+from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.search import read_search
 from headway_launch.experiments.sweep import compose_sweep
-from headway_launch.runner.jobs import (
-    Shares,
-    cell_parameters,
-    full_mapping,
-    new_jobs,
-    plan_jobs,
-    share_cores,
-)
+from headway_launch.runner.jobs import Shares, new_jobs, plan_jobs, share_cores
 from headway_launch.studies.plan import distinct
 
 

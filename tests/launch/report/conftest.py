@@ -14,7 +14,7 @@ from headway.store import RunLog, RunRecord, Status
 from headway.store.atomic_files import write_json, write_text
 from headway.store.run_folder import Process, create_run_folder, now, rules_file
 from headway_launch.experiments.compose import Experiment, compose
-from headway_launch.runner.jobs import cell_parameters, full_mapping
+from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `sections`
 

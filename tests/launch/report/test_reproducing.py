@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import pytest
 
 from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.parameters import full_mapping
 from headway_launch.report.reproducing import reproducing_line
-from headway_launch.runner.jobs import full_mapping
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,10 @@ from headway.store.run_folder import Process, cell_name, create_run_folder, now,
 from headway.store.session import SessionStore
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cell import CellWork
-from headway_launch.runner.jobs import Shares, cell_parameters, full_mapping, workers_of
+from headway_launch.runner.jobs import Shares, workers_of
 from headway_launch.studies.plan import Standing, keep_plan, kept_plans, plan_cells
 from headway_launch.studies.session import require_all_ended
 

@@ -16,8 +16,8 @@ from headway.contracts import HeadwayError
 from headway.events import Event, Notice, Started
 from headway.store.checkpoint import load_latest
 from headway.training.loop import TrainingJob
-from headway_algos.off_policy.config import NetworkConfig
 from headway_algos.registry import ENTRIES
+from headway_algos.replay_config import NetworkConfig
 
 TASKS = {"madqn": "visitors", "ddpg": "tracking"}
 every_algorithm = pytest.mark.parametrize("algorithm", TASKS)

@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, Trajectory
-from headway_algos.batches.grouping import Grouping
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 from headway_algos.on_policy.behaviour_policy import Behaviour
 from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
 from headway_algos.on_policy.critics.estimate import Estimate

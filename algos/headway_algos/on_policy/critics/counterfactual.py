@@ -11,10 +11,10 @@ from torch import Tensor
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, generator
 from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.hidden_states import Memories
 from headway_algos.batches.layout import Layout
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 from headway_algos.on_policy.behaviour_policy import Behaviour
 from headway_algos.on_policy.critics.critic_inputs import CounterfactualView
 from headway_algos.on_policy.critics.estimate import Estimate

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec
 from headway_algos.acting.mlp import actor_outputs
 from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import zero_where_absent
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 
 
 class View(Protocol):

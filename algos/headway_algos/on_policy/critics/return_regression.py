@@ -14,17 +14,17 @@ from headway_algos.batches.critic_batch import Scene
 from headway_algos.batches.hidden_states import Memories
 from headway_algos.batches.layout import Layout, Piece, even_slices
 from headway_algos.batches.sequences import learning_batches
-from headway_algos.batches.timeline import Timeline
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.gru import RecurrentNetwork, make_network
 from headway_algos.networks.normalisation import RunningMoments
+from headway_algos.networks.passes import PerceptronPass, forward_pass
+from headway_algos.networks.timeline import Timeline
 from headway_algos.on_policy.critics.critic_inputs import View
 from headway_algos.on_policy.critics.estimate import Estimate
 from headway_algos.on_policy.critics.reward_streams import Streams, presence
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.fast_path import Learn, regression, uncut
 from headway_algos.optim.kfac_regression import NaturalRegression
-from headway_algos.optim.passes import PerceptronPass, forward_pass
 
 
 class ReturnNetworks(nn.Module):

@@ -13,8 +13,8 @@ from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
+from headway_algos.networks.passes import forward_pass
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.passes import forward_pass
 
 
 class A2C:

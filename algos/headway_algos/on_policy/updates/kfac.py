@@ -14,8 +14,8 @@ from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.optim.kfac import StackedKFAC
-from headway_algos.optim.linearised import LinearisedMLP
 
 Before = list[tuple[WholeBatch, MaskedCategorical | DiagonalGaussian]]
 """Pieces of a batch, and what the policies did there."""

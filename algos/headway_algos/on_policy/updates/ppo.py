@@ -14,9 +14,9 @@ from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.batches.sequences import learning_batches, over_rows
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
+from headway_algos.networks.passes import forward_pass
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.fast_path import surrogate, uncut
-from headway_algos.optim.passes import forward_pass
 
 
 def slope_of_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:

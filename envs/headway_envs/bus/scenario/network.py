@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Network
-from headway_envs.bus.prepared import arrivals_per_boarding
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
 from headway_envs.bus.scenario.timetable import Departures, Trip, as_observed, chain, smooth, work_until_depot
@@ -51,7 +50,7 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
     deadhead = _deadheads(tables, calls, pattern_calls, line_patterns)
     timetable = _timetable(departures, nominal, pattern_calls, line_patterns, deadhead, config)
     rates, regular = _rates(boarding, departures, nominal, pattern_calls, line_patterns, config)
-    others = (1 - config.captive_share) * arrivals_per_boarding(config)
+    others = (1 - config.captive_share) * config.arrivals_per_boarding
     arrival_rate = rates * (config.captive_share + others)
     network = Network(
         line_slots=timetable["line_slots"].astype(np.int64),
@@ -313,7 +312,7 @@ def _rates(
     middles = config.start_hour * 3600.0 + (np.arange(bins) + 0.5) * BIN_S
     rates = np.zeros((len(boarding), bins))
     regular = np.zeros((len(line_patterns) - 1, bins))
-    x, per_boarding = config.competing_headway_share, arrivals_per_boarding(config)
+    x, per_boarding = config.competing_headway_share, config.arrivals_per_boarding
     others = (1 - config.captive_share) * per_boarding * x * (1 - 1 / per_boarding)
     for p, departing in enumerate(departures):
         line = int(np.searchsorted(line_patterns, p, side="right")) - 1

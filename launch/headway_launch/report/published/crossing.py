@@ -16,7 +16,7 @@ from headway_launch.report.published.episodes import (
     written,
 )
 from headway_launch.report.study_data import StudyData
-from headway_launch.studies.comparison import SEEDS_FOR_A_CLAIM
+from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
     from headway.stats import Interval

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from torch.distributions import Categorical, Independent, Normal
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.a2c import A2C
 

@@ -12,17 +12,17 @@ from torch import Tensor, nn
 from torch.distributions import Categorical, Independent, Normal, kl_divergence
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, generator
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.mlp import StackedMLP
+from headway_algos.networks.passes import PerceptronPass, forward_pass
 from headway_algos.on_policy.updates.kfac import KFAC
 from headway_algos.optim.fisher import flat, unflat
 from headway_algos.optim.kfac_regression import NaturalRegression
-from headway_algos.optim.passes import PerceptronPass, forward_pass
 
 P, B, D, A = 3, 24, 3, 3
 DOUBLE = torch.float64

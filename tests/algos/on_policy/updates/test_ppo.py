@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.distributions import Categorical, kl_divergence
 
 from headway.contracts import Discrete, EnvSpec, generator
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows, standardise
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.ppo import PPO, slope_of_surrogate
 from headway_algos.optim.adam import StackedAdam

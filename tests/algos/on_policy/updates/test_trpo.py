@@ -13,10 +13,10 @@ from torch import Tensor
 from torch.distributions import Categorical, Independent, Normal, kl_divergence
 
 from headway.contracts import Box, Discrete, EnvSpec
-from headway_algos.batches.grouping import Grouping
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyRows
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.trpo import TRPO
 from headway_algos.optim.fisher import flat, unflat

@@ -6,10 +6,10 @@ from heapq import heapify, heapreplace
 from headway.rollout.workers.usage import usable_cores
 from headway.stats.plots import counted
 from headway_launch.console.output import tell
+from headway_launch.console.progress import duration
 from headway_launch.console.tables import Cell, print_table, without_empty
 from headway_launch.runner.calibration import Expectation, Pace, calibrate
 from headway_launch.runner.jobs import CellPlan, share_cores
-from headway_launch.runner.progress import duration
 from headway_launch.studies.plan import Standing
 
 

@@ -22,8 +22,8 @@ from headway_envs.intersection.layout import (
     Floats,
 )
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
-from headway_envs.intersection.roster import Roster
-from headway_envs.intersection.simulation import Simulation
+from headway_envs.intersection.sumo.roster import Roster
+from headway_envs.intersection.sumo.simulation import Simulation
 
 NO_LANE_CHANGES = 512
 _SUMOS_OWN = -1.0

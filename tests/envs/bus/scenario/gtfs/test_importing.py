@@ -20,7 +20,7 @@ from headway_envs.bus.scenario.tables import Tables, check_tables
 
 FeedWriter = Callable[..., Path]
 Files = Mapping[str, str]
-BRT = Path(__file__).parents[5] / "shared" / "data" / "sunt_raw" / "brt_gtfs"
+BRT = Path(__file__).parents[6] / "shared" / "data" / "sunt_raw" / "brt_gtfs"
 
 
 def imported(folder: Path, **options: Any) -> Tables:  # noqa: ANN401 - any of the options

@@ -11,10 +11,10 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from headway_algos.batches.timeline import Timeline
 from headway_algos.networks.gru import Network, RecurrentNetwork
+from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.optim.linearised import LinearisedMLP
+from headway_algos.networks.timeline import Timeline
 
 
 class Pass(Protocol):

@@ -14,7 +14,7 @@ from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.sunt.importing import SuntOptions, import_sunt
 from headway_envs.bus.scenario.tables import Tables, check_tables, read_tables, write_tables
 
-SHARED = Path(__file__).parents[5] / "shared" / "data"
+SHARED = Path(__file__).parents[6] / "shared" / "data"
 WEEKDAY, SUNDAY = dt.date(2024, 8, 26), dt.date(2024, 9, 15)
 STOPS = 6
 

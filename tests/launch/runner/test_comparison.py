@@ -2,7 +2,7 @@ import pytest
 
 from headway.events import Row
 from headway.stats import paired_difference, paired_difference_over_seeds
-from headway_launch.studies.comparison import print_comparison
+from headway_launch.runner.comparison import print_comparison
 
 
 def days(*returns: float) -> list[Row]:

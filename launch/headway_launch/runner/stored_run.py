@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,8 @@ from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
 from headway.store.run_folder import RunRecord, find_run
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
+from headway_launch.experiments.parameters import identity
 from headway_launch.runner.jobs import PlannedJob
-
-_DECIDES = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
 
 
 @dataclass(frozen=True)
@@ -81,17 +80,6 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     if not isinstance(mapping, dict):
         raise HeadwayError(f"{path} holds no configuration: the run cannot be used")
     return mapping
-
-
-def identity(mapping: Mapping[str, Any]) -> str:
-    """What makes two runs of a seed the same run: the study and everything that decides their curves. How
-    many processes train them, where they are kept, which rules play beside them and whether energy is
-    measured decides nothing."""
-    decides = {name: mapping.get(name) for name in _DECIDES}
-    evaluation = mapping.get("evaluation") or {}
-    decides["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
-    stack = mapping.get("backend", {}).get("stack", 1)
-    return json.dumps([decides, stack], sort_keys=True, default=str)
 
 
 def jobs_to_resume(

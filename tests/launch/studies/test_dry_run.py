@@ -13,9 +13,9 @@ from headway.training.loop import TrainingJob
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.calibration import Pace, Trial, calibrate
-from headway_launch.runner.dry_run import makespan, spans
 from headway_launch.runner.jobs import CellPlan, Shares
 from headway_launch.runner.training_process import TrainingProcess, Work
+from headway_launch.studies.dry_run import makespan, spans
 
 PACE = Pace(
     start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
@@ -99,7 +99,7 @@ def test_cells_share_the_processes_that_measure_them(
         return found, modes
 
     monkeypatch.setattr(TrainingProcess, "__init__", counted)
-    monkeypatch.setattr("headway_launch.runner.dry_run.calibrate", kept)
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", kept)
     sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout=short",
              "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off")  # fmt: skip
     assert run([*sweep, f"store.root={tmp_path / 'runs'}", "--dry-run"]) == 0

@@ -1,0 +1,1 @@
+"""SUMO: the simulation, its traffic, its vehicles by slot."""
