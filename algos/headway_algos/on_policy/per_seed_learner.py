@@ -17,8 +17,8 @@ class PerSeedLearner:
     On a CPU the last bits of a batched matrix product depend on more than its factors. With MKL on an AMD
     processor they change with the number of rows, with the number of matrices in the batch (one, or several)
     and with the address of a matrix (a multiple of 16 bytes, or not). A seed learns bit for bit the same in
-    any stack only if no product holds numbers of two seeds. On-policy batches are so large that sharing calls
-    saves nothing.
+    any stack only if no product holds numbers of two seeds. The price is the share of torch's calls, which a
+    stack would have divided by R: little where batches are large, most of the time where they are tiny.
 
     States and acting parameters have the layout of one learner of R seeds: a leading axis of R x K policies.
     """
@@ -51,12 +51,11 @@ class PerSeedLearner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of `state_dict`; takes the state of one learner of R seeds as well."""
         for r, learner in enumerate(self.learners):
-            learner.load_state_dict(_share(state, r, len(self.learners)))
+            learner.load_state_dict(_split(state, r, len(self.learners)))
 
 
 def _joined(states: Sequence[Any]) -> Any:  # noqa: ANN401 - states are nested plain values
-    """One state of several: tensors one after another along their first axis; what is no tensor is the same
-    in all."""
+    """Several states as one: tensors concatenated along their first axis, all else taken from the first."""
     first = states[0]
     if isinstance(first, Tensor):
         return torch.cat(list(states))
@@ -67,12 +66,12 @@ def _joined(states: Sequence[Any]) -> Any:  # noqa: ANN401 - states are nested p
     return first
 
 
-def _share(state: Any, place: int, of: int) -> Any:  # noqa: ANN401 - states are nested plain values
-    """The inverse of `_joined`: the state at a place, of so many."""
+def _split(state: Any, index: int, parts: int) -> Any:  # noqa: ANN401 - states are nested plain values
+    """State `index` of `parts` equal parts: the inverse of `_joined`."""
     if isinstance(state, Tensor):
-        return torch.tensor_split(state, of)[place]
+        return torch.tensor_split(state, parts)[index]
     if isinstance(state, Mapping):
-        return {name: _share(value, place, of) for name, value in state.items()}
+        return {name: _split(value, index, parts) for name, value in state.items()}
     if isinstance(state, list):
-        return [_share(value, place, of) for value in state]
+        return [_split(value, index, parts) for value in state]
     return state

@@ -215,7 +215,7 @@ class BusConfig:
     observation: Literal["paper", "published", "control"] = "control"
     """`paper`: the paper's four; `published`: the released code's eight; `control`: all that a controller
     needs."""
-    state: Literal["auto", "full", "aggregate"] = "auto"
+    state: Literal["auto", "full", "aggregate"] = "aggregate"
     """`full`: line aggregates and all observations; `aggregate`: line aggregates; `auto`: full up to 50
     agents."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)

@@ -56,7 +56,7 @@ def print_table(
 def without_empty(
     columns: Sequence[str], rows: Sequence[Sequence[Cell]], names: Collection[str]
 ) -> tuple[list[str], list[list[Cell]]]:
-    """Columns and rows without those of the columns named in which every cell is empty."""
+    """Drop the named columns whose cells are all empty."""
     kept = [
         index
         for index, name in enumerate(columns)

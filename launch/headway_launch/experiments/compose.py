@@ -20,8 +20,12 @@ from headway.rollout.workers.shared_memory import give_back_memory
 from headway_launch.console.output import tell
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
-_DELETION = re.compile(r"~[^=+~]+(=.*)?", re.DOTALL)
+_DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
 _SEVERAL = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
+_DEFAULT = "default_"
+"""Begins the names of presets that stand where none is chosen: `default_bus` with `env=bus`."""
+_NO_ENV = "none"
+"""The option of the group `env` that stands where none is chosen."""
 _SENTENCE = re.compile(r".*?\.(?=\s|$)")
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
@@ -155,7 +159,7 @@ def compose(overrides: Sequence[str]) -> Experiment:
     mapping, choices = _compose_mapping([_prepared(override, overrides) for override in overrides])
     presets = mapping.pop("preset", None) or {}
     preset = choices.get("preset") or NO_PRESET
-    values = _preset_values(presets, mapping, by_default=preset == choices.get("env"))
+    values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
     try:
         return resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
     except HeadwayError as error:
@@ -240,7 +244,12 @@ def groups() -> dict[str, tuple[str, ...]]:
     folders = sorted(folder for folder in configs_folder().iterdir() if folder.is_dir())
     return {
         folder.name: tuple(
-            sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+            sorted(
+                option
+                for file in folder.rglob("*.yaml")
+                if (option := str(file.relative_to(folder).with_suffix(""))) != _NO_ENV
+                or folder.name != "env"
+            )
         )
         for folder in folders
     }
@@ -260,7 +269,9 @@ def summary_of(group: str, option: str) -> str:
 
 def _prepared(override: str, overrides: Sequence[str]) -> str:
     """One of the overrides as Hydra must see it: seeds spelt out, values added where no file has them."""
-    if _DELETION.fullmatch(override):
+    if deletion := _DELETION.fullmatch(override):
+        if deletion["key"] in groups():
+            raise HeadwayError(f"{override}: {deletion['key']} cannot be taken away; choose another option")
         return override
     parts = _OVERRIDE.fullmatch(override)
     if parts is None:
@@ -304,7 +315,7 @@ def _head_of(override: str) -> str:
 def _keys_that_end_in(key: str, overrides: Sequence[str]) -> list[str]:
     """Keys of the experiment that `overrides` describe, in which the first parts are missing from `key`."""
     try:
-        found = compose(overrides)
+        found = compose(overrides if _names_env(overrides) else [*overrides, "env=trivial"])
     except HeadwayError:
         return []
     described = (
@@ -313,6 +324,10 @@ def _keys_that_end_in(key: str, overrides: Sequence[str]) -> list[str]:
         *describe(type(found.algo_config), "algo"),
     )
     return [field.key for field in described if field.key.endswith(f".{key}")]
+
+
+def _names_env(overrides: Sequence[str]) -> bool:
+    return any(_head_of(override) in ("env", "experiment") for override in overrides)
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
@@ -353,16 +368,28 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
         mapping = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     except MissingMandatoryValue as error:
         key = error.full_key
-        if key == "env.id" and chosen.get("env") == "none":
+        if key == "env.id" and chosen.get("env") == _NO_ENV:
             raise HeadwayError(
                 "no experiment is named; write experiment=NAME (`headway list experiments`), such as "
                 "experiment=bus_mappo, or env=NAME and algo=NAME of your own choice"
             ) from error
         raise HeadwayError(f"{key} is missing and has no default; write {key}=VALUE") from error
     except (HydraException, OmegaConfBaseException, YAMLError, ValueError) as error:
+        deleted = [override for override in overrides if _DELETION.fullmatch(override)]
+        if deleted:
+            others = [override for override in overrides if override not in deleted]
+            _require_set(deleted, _compose_mapping(others)[0])
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
     return {str(key): value for key, value in mapping.items()}, chosen
+
+
+def _require_set(deleted: Sequence[str], mapping: Mapping[str, Any]) -> None:
+    """Raise HeadwayError for the first of the deletions whose key nothing sets."""
+    for override in deleted:
+        key = override[1:].partition("=")[0]
+        if not _has(mapping, key):
+            raise HeadwayError(f"{override}: nothing sets {key}, so its default holds already")
 
 
 def _one_line(error: Exception) -> str:

@@ -24,20 +24,20 @@ NOT_MEASURED = (
 def energy_section(data: StudyData) -> Section:
     """kWh, CPU seconds and, where the country is known, CO2 per controller, and the picture of them."""
     used = data.summaries
-    emitted = bool(used["kg_co2"].notna().any())
-    title = "Energy and CO2" if emitted else "Energy"
     known = used["kwh"].notna()
     if not known.any():
-        return Section("energy", title, [NOT_MEASURED])
-    kwh_unit, kwh_factor = scale_of(float(used["kwh"].max()), "kWh")
-    units = {"kwh": (kwh_unit, kwh_factor)}
-    if emitted:
-        units["kg_co2"] = scale_of(float(used["kg_co2"].max()), "kg")
+        return Section("energy", "Energy", [NOT_MEASURED])
     costs = frames.costs(data.runs.summaries())
+    emitted = bool(costs["kg_co2"].notna().any())
+    title = "Energy and CO2" if emitted else "Energy"
+    kwh_unit, kwh_factor = scale_of(float(used["kwh"].max()), "kWh")
+    co2_unit, co2_factor = scale_of(float(used["kg_co2"].max()), "kg") if emitted else ("kg", 1.0)
+    units = {"kwh": (kwh_unit, kwh_factor)} | ({"kg_co2": (co2_unit, co2_factor)} if emitted else {})
     sums = used[known].groupby(["task", "controller"])[["kwh", "cpu_seconds"]].sum()
     rows, labels = [], []
     for task, controller in costs.index:
         of_cell, whole = costs.loc[(task, controller)], sums.loc[(task, controller)]
+        co2 = with_deviation(of_cell["kg_co2"] * co2_factor, of_cell["kg_co2_std"] * co2_factor)
         labels.append(f"{controller}{data.where(task).replace(' on ', ', ')}")
         rows.append(
             [
@@ -45,11 +45,7 @@ def energy_section(data: StudyData) -> Section:
                 controller,
                 str(int(of_cell["runs"])),
                 with_deviation(of_cell["kwh"] * kwh_factor, of_cell["kwh_std"] * kwh_factor),
-                *(
-                    with_deviation(of_cell[name] * factor, of_cell[f"{name}_std"] * factor)
-                    for name, (_, factor) in units.items()
-                    if name == "kg_co2"
-                ),
+                *([co2] if emitted else []),
                 with_deviation(of_cell["cpu_seconds"], of_cell["cpu_seconds_std"]),
                 *(figure(of_cell[part] * kwh_factor) for part in _PARTS),
                 figure(whole["kwh"] * kwh_factor),
@@ -62,6 +58,12 @@ def energy_section(data: StudyData) -> Section:
         "the session itself, is no run's. A seed of a stack has an equal share of it. Only finished runs "
         "are counted here: tuning and failed runs used energy beside it.",
     ]
+    without_country = int(used["kg_co2"][known].isna().sum())
+    if 0 < without_country < int(known.sum()):
+        body.append(
+            f"{counted(without_country, 'run')} had no `energy.country`: CO2 is given where all runs of a "
+            "controller had one."
+        )
     if not known.all():
         without = int((~known).sum())
         body.append(f"{counted(without, 'run')} had no measurement and are left out of the means here.")
@@ -74,7 +76,7 @@ def energy_section(data: StudyData) -> Section:
                 "controller",
                 "seeds",
                 f"{kwh_unit} a run",
-                *(f"{unit} CO2eq a run" for name, (unit, _) in units.items() if name == "kg_co2"),
+                *([f"{co2_unit} CO2eq a run"] if emitted else []),
                 "CPU s a run",
                 f"CPU, {kwh_unit}",
                 f"GPU, {kwh_unit}",

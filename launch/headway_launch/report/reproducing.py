@@ -53,7 +53,8 @@ def _line(words: Sequence[str]) -> str:
 
 def _words(values: Mapping[str, Any], preset: str) -> list[str]:
     chosen = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
-    chosen += [f"preset={preset}"] if preset != NO_PRESET or values["env.id"] in groups()["preset"] else []
+    by_default = f"default_{values['env.id']}" in groups()["preset"]
+    chosen += [f"preset={preset}"] if preset != NO_PRESET or by_default else []
     known = _chosen(*chosen)
     differing = [key for key, value in values.items() if key not in known or known[key] != value]
     return [*chosen, *(f"{key}={_written(values[key])}" for key in differing)]

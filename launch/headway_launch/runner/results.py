@@ -187,7 +187,9 @@ def print_cells(
         rewards = [result.final_reward for result in finished if result.final_reward is not None]
         areas = [result.auc for result in finished if result.auc is not None]
         done = f"{len({result.seed for result in finished})} of {planned}"
-        used = (_sum(results, name) for name in ("cpu_seconds", "kwh", "kg_co2"))
+        co2 = [result.use.get("kg_co2") for result in results]
+        kg_co2 = None if None in co2 else _sum(results, "kg_co2")
+        used = (_sum(results, "cpu_seconds"), _sum(results, "kwh"), kg_co2)
         rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
     estimated = any(_estimated(results) for _, _, results in cells)
     columns = _headings(_CELL_COLUMNS, estimated, days)

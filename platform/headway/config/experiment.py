@@ -94,10 +94,10 @@ class BackendConfig:
     number of workers."""
     stack: int = 1
     """Seeds trained in one process. On a GPU they learn together. On a CPU they share workers and, with
-    `madqn` and `ddpg`, torch's calls, which are most of a small batch; otherwise each learns by itself, and
-    processes side by side are faster. Where a process can hold fewer copies of the environment than a stack
-    has seeds, each worker has copies of a part of the seeds only, and each part is evaluated apart; `serial`
-    refuses such a stack."""
+    `madqn` and `ddpg`, torch's calls, which are most of a small batch; with other algorithms each learns by
+    itself, and processes side by side are faster. Where a process can hold fewer copies of the environment
+    than one block of every seed, each worker has copies of a part of the seeds only, and each part is
+    evaluated apart; `serial` refuses such a stack."""
     address: str = "local"
     """Of `ray`: HOST:PORT of a cluster's head; `auto`: the cluster that this machine is part of, or that
     RAY_ADDRESS names; `local`: one on this machine, for this session only."""

@@ -14,7 +14,7 @@ from headway.contracts import HeadwayError
 
 _NEVER = 10 * 365 * 86400.0
 _ANY_COUNTRY = "FRA"
-"""CodeCarbon wants one even where only its energy is asked for."""
+"""A placeholder: CodeCarbon requires a country even if its CO2 is not used."""
 _COUNTERS = {"intel_rapl": "RAPL", "windows_emi": "EMI", "intel_power_gadget": "Power Gadget"}
 NOT_MEASURED = "not measured"
 

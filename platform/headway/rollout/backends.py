@@ -45,8 +45,8 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
 
 
 def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
-    """One worker for all replicas. Where these must be played apart, as many as one part of them has for
-    training: for so many cores such a stack counts, wherever several trainings share a machine."""
+    """Workers that only evaluate: one, or, where training has the replicas in groups, as many as one group
+    has for training, since a stack counts for so many cores where several trainings share a machine."""
     name = "process" if backend.name == "serial" else backend.name
     groups = len(plan.groups)
     apart, number = plan.evaluating_apart, min(groups, max(1, workers // groups))

@@ -176,12 +176,15 @@ def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
 def costs(summaries: pd.DataFrame) -> pd.DataFrame:
     """What a run cost, of each task and controller (the index), from `Selection.summaries`: of `kwh`, its
     parts, `kg_co2` and `cpu_seconds` the mean and, `..._std`, the deviation over runs (ddof = 1; NaN for
-    one), and how many `runs`. Only of runs whose energy was measured; what is not known is NaN, never 0."""
+    one), and how many `runs`. Only of runs whose energy was measured; what is not known is NaN, never 0, and
+    the CO2 is known where that of every such run is."""
     whole = summaries.reindex(columns=["task", "controller", *_COSTS])
     measured = whole[whole["kwh"].notna()].astype(dict.fromkeys(_COSTS, np.float64))
     grouped = measured.groupby(["task", "controller"], sort=False)
     deviations = grouped[list(_COSTS)].std(ddof=1).add_suffix("_std")
-    return grouped[list(_COSTS)].mean().join(deviations).assign(runs=grouped.size())
+    found = grouped[list(_COSTS)].mean().join(deviations).assign(runs=grouped.size())
+    complete = grouped["kg_co2"].count() == found["runs"]
+    return found.assign(**{name: found[name].where(complete) for name in ("kg_co2", "kg_co2_std")})
 
 
 def normalised_by_rules(

@@ -286,15 +286,16 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     """
     places, names = np.arange(len(energy)), [_in_lines(str(name)) for name in energy.index]
     figure = _figure(_WIDTH, 1.4 + _rows_height(names))
-    *left, middle, right = figure.subplots(1, 3 if "kg_co2" in units else 2, sharey=True)
+    panels = list(figure.subplots(1, 3 if "kg_co2" in units else 2, sharey=True))
+    middle, right = panels[-2:]
     errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
     kwh_unit, kwh_factor = units["kwh"]
     labels = [f"{kwh_unit} a run", "CPU s a run"]
-    for axes in left:
+    if "kg_co2" in units:
         co2_unit, co2_factor = units["kg_co2"]
-        labels.insert(0, f"{co2_unit} CO2eq a run")
+        labels = [f"{co2_unit} CO2eq a run", *labels]
         spread = energy["kg_co2_std"].fillna(0) * co2_factor
-        axes.barh(places, energy["kg_co2"] * co2_factor, xerr=spread, color="#228833", **errors)
+        panels[0].barh(places, energy["kg_co2"] * co2_factor, xerr=spread, color="#228833", **errors)
     drawn = np.zeros(len(energy))
     for part, name in _PARTS.items():
         share = energy[part].fillna(0).to_numpy() * kwh_factor
@@ -306,7 +307,6 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     right.barh(
         places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
     )
-    panels = [*left, middle, right]
     _name_rows(panels[0], names)
     for axes, letter, label in zip(panels, "abc", labels, strict=False):
         _finish(axes, f"({letter}) {label}", "")

@@ -13,7 +13,7 @@ from headway_envs.bus.scenario.tables import Tables
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.jobs import plan_jobs
 
-BUS = ["env=bus", "algo=ippo", "seed=0..2"]
+BUS = ["env=bus", "preset=none", "algo=ippo", "seed=0..2"]
 OWN = "env.training_args.reward.scope=own"
 WRAPPERS = "env.wrappers=[{name: clip_reward_v0, lower_bound: -1, upper_bound: 1}]"
 
@@ -46,7 +46,9 @@ def test_a_scenario_is_generated_once(generated: list[tuple[str, int]], others: 
 
 
 def test_what_more_than_rewards_changes_is_prepared_anew(generated: list[tuple[str, int]]) -> None:
-    (job,) = plan_jobs(compose(["env=bus", "algo=ippo", "seed=0", "env.training_args.capacity=50"]))
+    (job,) = plan_jobs(
+        compose(["env=bus", "preset=none", "algo=ippo", "seed=0", "env.training_args.capacity=50"])
+    )
     assert generated == [("line", 0)] * 2
     alone = prepare(BusConfig(capacity=50))
     assert job.training_prepared.config == alone.config

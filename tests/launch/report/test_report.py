@@ -301,6 +301,21 @@ def test_co2_stands_with_its_country_or_not_at_all(
     assert ("of CO2 equivalent" in said(report)) == (country is not None)
 
 
+def test_co2_of_some_runs_of_a_cell_is_not_given_as_that_of_all(keep_run: KeepRun, root: Path) -> None:
+    for seed in range(2):
+        for algorithm in ("ippo", "ia2c"):
+            known = seed == 0 or algorithm == "ia2c"
+            energy = {**KNOWN, "kg_co2": 3e-6 if known else None}
+            country = f"energy.country={'FRA' if known else 'null'}"
+            keep_run((*TRACKING, f"algo={algorithm}", country), seed, 1.0, rules=RULES, energy=energy)
+    report = made(root)
+    energies = table(report, "energy").set_index("controller")["kg_co2"]
+    assert math.isnan(energies["ippo"])
+    assert energies["ia2c"] == pytest.approx(3e-6)
+    assert "1 run had no `energy.country`" in said(report)
+    assert "of CO2 equivalent" not in said(report)
+
+
 def test_energy_that_was_not_measured_is_not_zero(keep_run: KeepRun, root: Path) -> None:
     for seed in range(2):
         keep_run((*TRACKING, "energy=off"), seed, 1.0, rules=RULES)

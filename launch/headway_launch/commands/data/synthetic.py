@@ -15,7 +15,7 @@ EXAMPLES = """\
 examples:
   headway data synthetic towns/line --size line
   headway data synthetic towns/city --size city --seed 7
-  headway run env=bus env.args.scenario=towns/city algo=ippo
+  headway run env=bus env.args.scenario=towns/city algo=ippo preset=bus_lines env_steps=28_500
 
 sizes, with the buses that run at once on a weekday:
   line       1 line, 14 buses

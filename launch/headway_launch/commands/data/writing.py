@@ -1,6 +1,7 @@
 """The folder that a scenario is written to, and what is said of it."""
 
 import argparse
+import math
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,8 +13,12 @@ from headway_launch.console.unwritten import unwritten
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
 
-_LARGE = 50
-"""Buses at once, above which a network is learned from with the settings of `bus_study_network`."""
+_SETTINGS = (
+    (50, "algo=mappo"),
+    (400, "algo=ippo algo.gamma=0.99 algo.gae_lambda=0.95 rollout.copies=1 rollout.block=1"),
+    (math.inf, "algo=ippo preset=bus_lines env_steps=28_500"),
+)
+"""Most buses at once, and what is trained there: as on the line, as `bus_study_network`, as `bus_city`."""
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,7 +104,6 @@ def tell_written(tables: "Tables", out: Path) -> None:
     for name, count in tables.meta.get("counted", {}).items():
         if count:
             print(f"{name}: {count:,}")
-    # Many buses give enough experience in one copy, and IPPO was the best of the nine on networks of lines.
-    large = max(day.peak_buses for day in days) > _LARGE
-    best = "algo=ippo rollout.copies=1 rollout.block=1" if large else "algo=mappo"
-    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {best}")
+    buses = max(day.peak_buses for day in days)
+    settings = next(settings for most, settings in _SETTINGS if buses <= most)
+    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {settings}")

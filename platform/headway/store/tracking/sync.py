@@ -220,7 +220,7 @@ def local_experiment(folder: Path) -> str | None:
     database does not have it."""
     try:
         return str(read_json(folder / _STATE)["experiment"])
-    except (HeadwayError, KeyError, OSError):
+    except (HeadwayError, KeyError):
         return None
 
 

@@ -107,9 +107,16 @@ def test_a_written_scenario_is_the_built_in_one(
         np.testing.assert_array_equal(mine, theirs)
 
 
-@pytest.mark.parametrize(("size", "algorithm", "copies"), [("line", "mappo", 8), ("corridor", "ippo", 1)])
-def test_the_command_that_is_recommended_trains_with_values_that_learn(
-    size: str, algorithm: str, copies: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("size", "like"),
+    [
+        ("line", ("env=bus", "algo=mappo", "preset=bus_tuned")),
+        ("corridor", ("experiment=bus_study_network", "algo=ippo")),
+        ("city", ("experiment=bus_city",)),
+    ],
+)
+def test_the_command_that_is_recommended_has_the_values_of_the_study_of_such_networks(
+    size: str, like: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine"
     assert run(["data", "synthetic", str(out), "--size", size]) == 0
@@ -118,8 +125,10 @@ def test_the_command_that_is_recommended_trains_with_values_that_learn(
     assert describe == f"headway data describe {out}"
     experiment = compose(train.removeprefix("headway run ").split())
     assert experiment.env_config.scenario == str(out)
-    assert (experiment.algo_name, experiment.config.rollout.copies) == (algorithm, copies)
-    assert experiment.config.preset == "bus"
+    study = compose(like)
+    assert (experiment.algo_name, experiment.algo_config) == (study.algo_name, study.algo_config)
+    assert experiment.config.rollout == study.config.rollout
+    assert experiment.training_env_config.reward == study.training_env_config.reward
 
 
 def test_what_lies_there_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
