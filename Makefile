@@ -44,15 +44,14 @@ test check: export OMP_NUM_THREADS = 1
 test check: export OPENBLAS_NUM_THREADS = 1
 test check: export MKL_NUM_THREADS = 1
 
-test: $(STAMP) ## run the tests
-	@$(PYTEST) $(ARGS)
+test: $(STAMP) ## run the tests that take little time: those without a mark
+	@$(PYTEST) -m "not slow and not cluster and not browser and not data" $(ARGS)
+	@echo "left out: tests marked slow, cluster, browser or data (pyproject.toml says which); make check runs all"
 
-check: $(STAMP) ## formatting, lint, types and tests, as CI does; with apt and root, installs Chromium and Slurm for them
+check: $(STAMP) ## formatting, lint, types and all tests; those that need Chromium, Slurm or data skip without
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
-	@.ci/install_browser
-	@.ci/install_cluster
 	$(PYTEST) -q $(ARGS)
 
 lint: $(STAMP) ## look for mistakes and bad style

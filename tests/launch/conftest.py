@@ -5,11 +5,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 import chromium
+import pytest
 
 
 @pytest.fixture(scope="session")

@@ -28,6 +28,8 @@ from headway.rollout.serial_collector import SerialCollector
 from headway.rollout.workers.async_worker import AsynchronousPlan
 from headway.training.modes import Asynchronous, InStep, Mode
 
+pytestmark = pytest.mark.slow
+
 ITERATIONS, SEEDS, COPIES = 2, (3, 8), 2
 SMALL: Mapping[str, Any] = {
     "model": {"hidden": [8]}, "epochs": 2, "minibatches": 2, "kl_bound": 0.1,

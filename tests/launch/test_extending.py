@@ -13,6 +13,8 @@ import pytest
 
 from headway.store.index import RunIndex, RunRow
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[2]
 GUIDE = (PROJECT / "launch" / "EXTENDING.md").read_text(encoding="utf-8")
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -17,6 +17,8 @@ from headway_algos.registry import ENTRIES
 from headway_algos.replay_config import NetworkConfig
 from headway_envs.toy.entry import ENTRIES as TOYS
 
+pytestmark = pytest.mark.slow
+
 ROOT, EPISODES = 77, 20
 """Evaluation seeds, the same for learners and rules."""
 CONFIGS = {name: entry.config() for name, entry in ENTRIES.items()}

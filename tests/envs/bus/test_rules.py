@@ -24,7 +24,7 @@ def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("mover", ["always_move", "move_with_service"])
-@pytest.mark.parametrize("scenario", ["line", str(LINE1)])
+@pytest.mark.parametrize("scenario", ["line", pytest.param(str(LINE1), marks=pytest.mark.data)])
 def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) -> None:
     """On wait, headway variation and team reward, by a paired 95% interval over days that excludes 0; also
     where both go to service alike, so that it is the holding that matters."""

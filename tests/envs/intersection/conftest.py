@@ -1,16 +1,12 @@
 """Crossings that are closed after each test, since a process holds one simulation."""
 
-import sys
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from headway_envs.intersection.config import IntersectionConfig
-
-sys.path.insert(0, str(Path(__file__).parent))  # processes that tests start import modules from here
 
 Open = Callable[..., Any]
 

@@ -14,6 +14,8 @@ from chromium import Page
 
 from headway.store import RunRow, select
 
+pytestmark = pytest.mark.browser
+
 
 @pytest.fixture(scope="module")
 def address(trained: Path) -> Iterator[str]:

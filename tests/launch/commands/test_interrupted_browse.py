@@ -18,6 +18,8 @@ from headway_launch.commands.main import run as run_command
 from headway_launch.runner.recorder import JobRecording
 from headway_launch.runner.training_process import TrainingProcess
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     "env=trivial",
     "algo=ippo",

@@ -15,6 +15,8 @@ from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     "env=trivial",
     "algo=ippo",

@@ -13,6 +13,8 @@ from headway_launch.commands import search
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import Conductor
 
+pytestmark = pytest.mark.slow
+
 HEADWAY = str(Path(sys.executable).with_name("headway"))
 
 

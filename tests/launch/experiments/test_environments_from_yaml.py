@@ -17,6 +17,8 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment, compose, resolve
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
+pytestmark = pytest.mark.slow
+
 SPREAD = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.args.N=3")
 STACK = "env.wrappers=[{name: frame_stack_v1, stack_size: 2}, clip_reward_v0]"
 TINY = (

@@ -1,6 +1,5 @@
 """Studies written by hand into a store: configurations are real, figures are chosen."""
 
-import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -15,8 +14,6 @@ from headway.store.atomic_files import write_json, write_text
 from headway.store.run_folder import Process, create_run_folder, now, rules_file
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
-
-sys.path.insert(0, str(Path(__file__).parent))  # for `sections`
 
 DAYS = 4
 

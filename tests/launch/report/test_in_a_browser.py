@@ -7,6 +7,8 @@ from chromium import Page
 
 from headway_launch.commands.main import run as run_command
 
+pytestmark = pytest.mark.browser
+
 
 @pytest.fixture(scope="module")
 def address(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> str:

@@ -23,6 +23,8 @@ from headway.store.index import RunIndex, RunRow
 from headway_launch.runner.runner import Conductor
 from headway_launch.runner.scheduler import StopRequests
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     "env=trivial",
     "algo=ippo",

@@ -17,6 +17,8 @@ from headway_launch.runner.jobs import CellPlan, Shares
 from headway_launch.runner.training_process import TrainingProcess, Work
 from headway_launch.studies.dry_run import makespan, spans
 
+pytestmark = pytest.mark.slow
+
 PACE = Pace(
     start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
     kwh=1e-6, kg_co2=1e-7,

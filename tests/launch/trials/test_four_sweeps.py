@@ -6,8 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from headway.store import RunIndex, sync_each
 from headway.store.parquet_log import read_curve
+
+pytestmark = pytest.mark.slow
 
 SWEEP = (
     "env=trivial",

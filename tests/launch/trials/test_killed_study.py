@@ -14,6 +14,8 @@ from headway_launch.trials import killed_study
 from headway_launch.trials.killed_study import BASE, Blow, trial
 from headway_launch.trials.same_study import differences
 
+pytestmark = pytest.mark.slow
+
 SMALL = (
     *BASE,
     "seed=0",

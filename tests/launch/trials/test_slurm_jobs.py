@@ -9,6 +9,8 @@ from headway.contracts import HeadwayError
 from headway_launch.trials.slurm_jobs import STUDY, slurm, trial
 from headway_launch.trials.two_nodes import SMALL
 
+pytestmark = pytest.mark.cluster
+
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_slurm_jobs_train_what_one_machine_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import psutil
 import pytest
+from ray_processes import assert_gone, ray_processes
 
 from headway.contracts import HeadwayError
 from headway_launch.trials import hosts, two_nodes
 from headway_launch.trials.hosts import two_hosts
 from headway_launch.trials.two_nodes import SMALL, STUDY, TURNS, trial
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "platform" / "rollout"))
-from ray_processes import assert_gone, ray_processes
+pytestmark = pytest.mark.cluster
 
 SWEEP = (
     *SMALL,

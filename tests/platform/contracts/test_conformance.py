@@ -17,6 +17,8 @@ from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
 from headway.adapters.recording import Recording
 from headway_envs.registry import ENTRIES
 
+pytestmark = pytest.mark.slow
+
 WITH_PARALLEL_ENV = [name for name, entry in ENTRIES.items() if entry.parallel_env is not None]
 SHORT: Mapping[str, Mapping[str, Any]] = {
     "intersection": {"horizon": 400},

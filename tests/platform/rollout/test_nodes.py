@@ -16,9 +16,12 @@ from headway.rollout.plan import RolloutPlan
 if TYPE_CHECKING:
     from ray.cluster_utils import Cluster
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
-)
+pytestmark = [
+    pytest.mark.cluster,
+    pytest.mark.skipif(
+        importlib.util.find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
+    ),
+]
 
 
 @pytest.fixture

@@ -15,8 +15,6 @@ import numpy as np
 import psutil
 import pytest
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "rollout"))  # workers, too, must find these two
 from rehearsal import (
     TOYS,
     VISITORS,
@@ -45,6 +43,8 @@ from headway.training.loop import TrainingJob, train
 from headway.training.modes import Asynchronous
 from headway_algos.config import ModelConfig
 from headway_algos.registry import ENTRIES
+
+pytestmark = pytest.mark.slow
 
 MEBIBYTE = 2**20
 
@@ -487,7 +487,8 @@ if __name__ == "__main__":
 
 def test_a_killed_parent_leaves_no_process(tmp_path: Path) -> None:
     here = Path(__file__).parent
-    command = [sys.executable, "-c", _TRAIN_FOR_EVER, str(here), str(here / "rollout"), str(tmp_path)]
+    support = here.parents[1] / "support"
+    command = [sys.executable, "-c", _TRAIN_FOR_EVER, str(here), str(support), str(tmp_path)]
     with psutil.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         try:
             while "IterationFinished" not in parent.stdout.readline():

@@ -1,7 +1,6 @@
 """One seed, one curve: whatever the backend, the company, the interruptions and the accidents."""
 
 import multiprocessing
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,6 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "rollout"))  # workers, too, must find these two
 from rehearsal import TOYS, VISITORS, Fault, FaultConfig, FaultyVisitors, LoneVisitors
 from runs import Backend, Log, job_of, log_of, logs_of, train_quietly, trained
 

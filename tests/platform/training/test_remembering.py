@@ -1,14 +1,11 @@
 """Policies that remember: one seed, one curve, whatever the backend, the interruptions and the accidents."""
 
-import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "rollout"))  # workers, too, must find these two
 from rehearsal import (
     FaultConfig,
     FaultyVisitors,

@@ -1,14 +1,11 @@
 """Learners that replay: one curve whatever the backend, the interruptions and the accidents; and what their
 experience leaves on the disk."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "rollout"))  # workers, too, must find these two
 from rehearsal import TOYS, FaultConfig, FaultyVisitors
 from runs import Log, job_of, logs_of, trained
 

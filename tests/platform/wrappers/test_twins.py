@@ -14,6 +14,8 @@ from headway.wrappers.listed import listed_wrappers
 from headway.wrappers.parallel import bounds_of
 from headway_envs.registry import ENTRIES
 
+pytestmark = pytest.mark.slow
+
 STACK = {"name": "frame_stack_v1", "stack_size": 3}
 STACK_REPEATING = {"name": "frame_stack_v2", "stack_size": 3}
 NORMALISE = {"name": "normalize_obs_v0", "env_min": -1.0, "env_max": 2.0}

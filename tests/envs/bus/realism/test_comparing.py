@@ -113,6 +113,7 @@ def test_every_measured_figure_has_a_tolerance() -> None:
         assert set(values) <= set(TOLERANCES)
 
 
+@pytest.mark.data
 @pytest.mark.parametrize("day_type", ["weekday", "sunday"])
 def test_salvador_s_busy_lines_are_irregular_as_they_were(day_type: str) -> None:
     folder = SHARED / "sunt" / "lines10"

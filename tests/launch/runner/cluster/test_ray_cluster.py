@@ -11,8 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[3] / "platform" / "rollout"))
 from ray_processes import assert_gone, ray_processes
 
 from headway.config.experiment import BackendConfig
@@ -24,6 +22,8 @@ from headway.store.parquet_log import TABLES, read_rows
 from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import Shares, gpus_of, share_cores
+
+pytestmark = pytest.mark.cluster
 
 needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'

@@ -16,6 +16,9 @@ from rehearsal import collector_of, parameters_of, plan_of_toy
 
 from headway.rollout.pool_collector import CrewCollector
 
+pytestmark = pytest.mark.slow
+
+SUPPORT = str(Path(__file__).parents[3] / "support")
 MEBIBYTE = 2**20
 HEAVY = {"torch", "pandas", "pyarrow", "mlflow", "scipy", "pettingzoo", "gymnasium", "matplotlib"}
 
@@ -88,7 +91,7 @@ for iteration in range(10**9):
 
 def test_a_worker_is_light(tmp_path: Path) -> None:
     report = tmp_path / "modules"
-    command = [sys.executable, "-c", _MEASURE, str(Path(__file__).parents[1]), str(report)]
+    command = [sys.executable, "-c", _MEASURE, SUPPORT, str(report)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     imported = {name.partition(".")[0] for name in report.read_text().split()}
     assert "headway" in imported
@@ -104,7 +107,7 @@ def test_a_worker_runs_the_main_script_only_if_its_environment_is_there(
     """So a script needs neither a guard nor light imports."""
     script, report = tmp_path / "script.py", tmp_path / "modules"
     script.write_text(_HEAVY_MAIN)
-    command = [sys.executable, str(script), str(Path(__file__).parents[1]), str(report), environment]
+    command = [sys.executable, str(script), SUPPORT, str(report), environment]
     subprocess.run(command, check=True, timeout=60)
     imported = {name.partition(".")[0] for name in report.read_text().split()}
     assert ("pandas" in imported) == (environment == "its own")
@@ -113,7 +116,7 @@ def test_a_worker_runs_the_main_script_only_if_its_environment_is_there(
 @contextmanager
 def _collecting(how: str) -> Iterator[tuple[psutil.Popen, list[psutil.Process]]]:
     """A process that collects, and all its descendants: workers, the forkserver, its tracker."""
-    command = [sys.executable, "-c", _COLLECT_FOR_EVER, str(Path(__file__).parents[1]), how]
+    command = [sys.executable, "-c", _COLLECT_FOR_EVER, SUPPORT, how]
     with psutil.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         try:
             assert parent.stdout.readline() == "ready\n"

@@ -16,6 +16,8 @@ from headway.config.experiment import BackendConfig
 from headway.contracts import HeadwayError
 from headway.rollout.workers import ray_cluster
 
+pytestmark = pytest.mark.cluster
+
 
 def _refusal(address: str) -> str:
     with pytest.raises(HeadwayError) as refusal:

@@ -40,6 +40,9 @@ from headway.rollout.workers.usage import usable_cores
 from headway.rollout.workers.worker import Contribute
 from headway.rollout.workers.worker_pool import WorkerFailedError
 
+pytestmark = pytest.mark.cluster
+
+SUPPORT = str(Path(__file__).parents[3] / "support")
 without_ray = importlib.util.find_spec("ray") is None
 needs_ray = pytest.mark.skipif(without_ray, reason='Ray is not installed: pip install "headway[ray]"')
 
@@ -232,7 +235,7 @@ def test_contributors_are_actors_too() -> None:
 def test_a_script_s_own_environment_reaches_the_actors(local: str, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(_SCRIPT)
-    command = [sys.executable, str(script), str(Path(__file__).parents[1]), local]
+    command = [sys.executable, str(script), SUPPORT, local]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "8 episodes", "")
 

@@ -22,6 +22,8 @@ from headway.store.checkpoint import save_checkpoint
 from headway.store.tracking import thread
 from headway.store.tracking.client import Tracker, database_uri, require_answer
 
+pytestmark = pytest.mark.slow
+
 ITERATIONS = 40
 PATIENCE_S = 300.0
 

@@ -323,6 +323,7 @@ def test_files_of_two_feeds_are_not_mixed(write_feed: FeedWriter, tmp_path: Path
         imported(tmp_path / "two.zip")
 
 
+@pytest.mark.data
 def test_the_real_feed_of_the_brt_is_whole_and_runs() -> None:
     if not BRT.is_dir():
         pytest.skip("the BRT's feed ../shared/data/sunt_raw/brt_gtfs is not there")

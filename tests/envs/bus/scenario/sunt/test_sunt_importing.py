@@ -222,6 +222,7 @@ def test_wrong_folders_are_one_line(tmp_path: Path) -> None:
         imported(raw)
 
 
+@pytest.mark.data
 def test_the_real_files_give_the_figures_of_the_ready_extract() -> None:
     raw, ready = SHARED / "sunt_raw", SHARED / "sunt" / "line1"
     if not raw.is_dir() or not ready.is_dir():
