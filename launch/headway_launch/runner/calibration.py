@@ -1,7 +1,7 @@
-"""A short calibration: each cell is trained for some iterations, and nothing is kept of it.
+"""A short calibration: train each cell for a few iterations, measure it and keep nothing else.
 
-As many processes run at once as later will; each takes several cells in turn, as starting one (torch, the
-kernels, a server of workers) takes longer than what is measured of a cell in it.
+As many processes run at once as in the real session. Each measures several cells in turn, because starting a
+process (torch, the kernels, a server of workers) takes longer than the measurement of one cell.
 """
 
 import tempfile
@@ -26,34 +26,36 @@ if TYPE_CHECKING:
     from headway.training.loop import TrainingJob
 
 _ITERATIONS = 6
-"""Measured of each cell, after a first that does not count: it holds what happens once."""
+"""Iterations measured of each cell, after a first one that is not counted because it includes one-off
+work."""
 _FEWEST, _SECONDS = 2, 3.0
-"""After so long so few are enough."""
+"""After `_SECONDS` of training, `_FEWEST` measured iterations are enough."""
 _PATIENCE_S = 600.0
 _POLL_S = 0.2
 
 
 @dataclass(frozen=True)
 class Pace:
-    """What parts of one job take, as measured; CPU seconds are of its training process and workers."""
+    """Measured durations of the parts of one job; CPU seconds are those of its training process and
+    workers."""
 
     start_s: float
-    """To the beginning of training."""
+    """Seconds from launch to the beginning of training."""
     evaluation_s: float
-    """One evaluation that is not the last."""
+    """Seconds of one evaluation with the usual number of episodes; the last one may have more."""
     iteration_s: float
     cpu_start_s: float
-    """To the first iteration, the first evaluation included."""
+    """CPU seconds before the first iteration, the first evaluation included."""
     cpu_iteration_s: float
     iterations: int
-    """Measured."""
+    """Number of iterations measured."""
     kwh: float | None = None
-    """Of a CPU second; None where energy is not measured."""
+    """kWh per CPU second; None if energy is not measured."""
     kg_co2: float | None = None
-    """Of a CPU second."""
+    """kg CO2eq per CPU second; None if energy is not measured."""
 
     def of_job(self, config: ExperimentConfig, done: int) -> "Expectation":
-        """What a job takes from iteration `done` on."""
+        """Return the expected cost of a job that continues after iteration `done`."""
         evaluations = evaluations_left(config, done)
         evaluating = evaluations * self.evaluation_s
         left = config.iterations - done
@@ -65,7 +67,7 @@ class Pace:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What one job takes."""
+    """Expected cost of one job: wall-clock seconds, CPU seconds, energy and CO2."""
 
     seconds: float
     cpu_s: float
@@ -74,18 +76,18 @@ class Expectation:
 
     @property
     def kwh(self) -> float | None:
-        """None where energy is not measured."""
+        """Energy in kWh; None if it is not measured."""
         return None if self.kwh_per_cpu_s is None else self.cpu_s * self.kwh_per_cpu_s
 
     @property
     def kg_co2(self) -> float | None:
-        """None where energy is not measured."""
+        """Emissions in kg CO2eq; None if energy is not measured."""
         return None if self.kg_per_cpu_s is None else self.cpu_s * self.kg_per_cpu_s
 
 
 def evaluations_left(config: ExperimentConfig, done: int) -> float:
-    """Evaluations from iteration `done` to the end, the last counted as so many as it has episodes; the
-    first, before training, belongs to the start."""
+    """Return how many evaluations follow iteration `done`, the last one weighted by its number of episodes
+    relative to the others. The evaluation before training is not counted: it belongs to the start."""
     a_step, every = config.rollout.copies * config.rollout.steps, config.evaluation.every
     reached = sum(
         iteration * a_step // every > (iteration - 1) * a_step // every
@@ -95,10 +97,11 @@ def evaluations_left(config: ExperimentConfig, done: int) -> float:
 
 
 def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace], str]:
-    """The pace of each cell, by its `id`, and how its power is known. Where cells do not go round, the first
-    are trained again beside the others.
+    """Return the pace of each cell, keyed by its `id()`, and a text on how its power is measured or
+    estimated.
 
-    Raises HeadwayError if one cannot be trained.
+    Where the cells do not fill the last round of processes, the first ones are trained again to keep the load
+    realistic. Raises HeadwayError if a cell cannot be trained.
     """
     compile_kernels_of([cell.experiment for cell in cells])
     rounds = -(-len(cells) // shares.parallel)
@@ -139,20 +142,21 @@ def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace
 
 @dataclass
 class _Little:
-    """A training of one cell that ends once enough has been measured, in the process that trains it."""
+    """A shortened training of one cell, run in the training process: it stops once enough has been
+    measured."""
 
     report: Report
     asked_to_stop: ShouldStop
     iterations: int
-    """Of the whole training."""
+    """Iterations of the full training."""
     cpu_before_s: float
-    """What the process had used when it began with this cell."""
+    """CPU seconds that the process had used before this cell."""
     _counted: int = -1
-    """Without the first."""
+    """Iterations finished, without the first; -1 before any."""
     _evaluated: float = 0.0
 
     def take(self, event: Event) -> None:
-        """Report an event, with CPU seconds of this cell only."""
+        """Report an event, its CPU seconds reduced to those of this cell."""
         if isinstance(event, IterationFinished | EvaluationFinished):
             spent = event.usage.cpu_seconds - self.cpu_before_s
             event = replace(event, usage=replace(event.usage, cpu_seconds=spent))
@@ -163,14 +167,14 @@ class _Little:
         self.report(event)
 
     def should_stop(self) -> bool:
-        """Whether it is enough, or the session ends."""
+        """Return whether enough has been measured or the session is ending."""
         late = time.monotonic() - self._evaluated > _SECONDS
         all_there_are = self._counted >= min(_ITERATIONS, self.iterations - 1)
         return all_there_are or (self._counted >= _FEWEST and late) or self.asked_to_stop()
 
 
 def _train_a_little(jobs: Sequence["TrainingJob"], report: Report, should_stop: ShouldStop) -> None:
-    """What one process does: one job after another, each to its last event."""
+    """Train the jobs one after another in this process, each until its last event."""
     before = 0.0
     for job in jobs:
         little = _Little(report, should_stop, job.config.iterations, before)
@@ -180,18 +184,18 @@ def _train_a_little(jobs: Sequence["TrainingJob"], report: Report, should_stop: 
 
 @dataclass
 class Trial:
-    """One cell as it is measured, seen from the session."""
+    """The measurement of one cell, seen from the session."""
 
     name: str
-    """No other one's."""
+    """Unique among all trials."""
     launched: float
     uses_gpu: bool = False
     start_s: float = 0.0
     evaluation_s: float = 0.0
     cpu_start_s: float = 0.0
-    """CPU seconds to the end of the first evaluation, of a process that begins with this cell."""
+    """CPU seconds until the end of the first evaluation, for a process that begins with this cell."""
     marks: list[tuple[float, float]] = field(default_factory=list)
-    """(seconds, CPU seconds) of each iteration, without the evaluation that may have come before it."""
+    """(seconds, CPU seconds) of each iteration, without the evaluation that may precede it."""
     used: Usage = field(default_factory=Usage)
     process_ids: tuple[int, ...] = ()
 
@@ -212,7 +216,7 @@ class Trial:
 
     @property
     def usage(self) -> JobUsage:
-        """So far."""
+        """Resources used so far."""
         return JobUsage(self.used.cpu_seconds, self.used.memory_bytes, self.uses_gpu, self.process_ids)
 
     def pace(self, kwh: float | None, kg_co2: float | None) -> Pace:
@@ -230,21 +234,22 @@ class Trial:
 
 
 class _Lane:
-    """One process and the cells that it trains a little, in turn; `trial` is of the first one waiting. Each
-    is told as it begins."""
+    """One process and the cells that it measures in turn; `trial` belongs to the first cell in `waiting`. The
+    user is told as each cell begins."""
 
     def __init__(self, cells: Sequence[CellPlan], shares: Shares, folder: Path, told: Counted) -> None:
         self.waiting, self._told = list(cells), told
         jobs = [_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
         self.trial = self._begun()
         self._start: tuple[float, float] | None = None
-        """Of its first cell, s and CPU s: what the others would take, each in a process of its own."""
+        """Start-up of the first cell, s and CPU s: a lower bound for the other cells, which would each need a
+        process of their own in the real session."""
         self.process = TrainingProcess(jobs[0], partial(_train_a_little, jobs))
 
     def hear(self) -> bool:
-        """Take the events that have arrived, to the end of a cell; returns whether that was there.
+        """Take the events that have arrived, up to the end of a cell; return whether that end was reached.
 
-        Raises HeadwayError if training has failed, or takes too long.
+        Raises HeadwayError if training fails or takes too long.
         """
         while self.process.has_event():
             event = self.process.receive()
@@ -263,7 +268,7 @@ class _Lane:
         return False
 
     def next(self) -> tuple[CellPlan, Trial]:
-        """The cell that has been measured; the lane goes on with the next."""
+        """Return the cell just measured with its trial, and move on to the next cell."""
         trial = self.trial
         if self._start is None:
             self._start = trial.start_s, trial.cpu_start_s
@@ -275,7 +280,7 @@ class _Lane:
         return cell, trial
 
     def end(self) -> None:
-        """End the process, if it has not."""
+        """Kill the process if it is still running."""
         self.process.kill()
         self.process.join()
 
@@ -290,7 +295,7 @@ class _Lane:
 
 
 def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:
-    """Those of the lanes that have come to the end of a cell; waits a moment if there are none."""
+    """Return the lanes that have reached the end of a cell, after waiting up to `_POLL_S` for events."""
     wait([lane.process.connection for lane in lanes], _POLL_S)
     return [lane for lane in lanes if lane.hear()]
 

@@ -1,4 +1,4 @@
-"""One cell in a session: its runs in the store, what its training processes are given, its rules."""
+"""One cell in a session: its runs in the store, the jobs of its training processes, its rules."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -22,28 +22,29 @@ from headway_launch.runner.results import SeedResult, stored_result
 
 Rules = Mapping[str, list[Row]]
 _WHICH_DAYS = "evaluation_seed"
-"""Column of the rules' days: `episode_seed` counts days from 0 whatever they follow from."""
+"""Column of the evaluation seed in the rules' rows; `episode_seed` alone counts from 0 for every evaluation
+seed."""
 
 
 class CellWork:
-    """What a session does for one cell."""
+    """The work of a session for one cell."""
 
     def __init__(self, store: SessionStore, plan: CellPlan) -> None:
         experiment = plan.experiment
         self.plan, self.experiment, self.config = plan, experiment, experiment.config
         self.results: list[SeedResult] = [stored_result(folder) for folder in plan.finished]
-        """One a seed that has ended, in this session or before it."""
+        """One result per seed that has ended, in this session or before it."""
         self.rules: Rules = {}
         self.touched = bool(plan.jobs)
-        """Whether the session adds to it."""
+        """Whether the session adds anything to the cell."""
         self._store = store
         self._cell: Cell = store.begin_cell(
             self.config.study, self.config.env.id, experiment.algo_name, cell_parameters(experiment)
         )
 
     def runs(self, planned: PlannedJob, shares: Shares) -> list[Run]:
-        """The runs of a job, made or taken up again, one a seed. Raises HeadwayError where the store cannot
-        be written or another session has taken them."""
+        """Return the runs of a job, one per seed, newly created or resumed. Raises HeadwayError if the store
+        cannot be written or another session holds a run."""
         if planned.resumed:
             stacked = len(planned.seeds) > 1
             return [self._store.resume(run_id, of_a_stack=stacked) for run_id in planned.resumed]
@@ -69,15 +70,18 @@ class CellWork:
         ]
 
     def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: Shares) -> TrainingJob:
-        """What the training process of a job is given."""
+        """Return what the training process of a job is given."""
         directories = [run.directory for run in runs]
         resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
         gates = [run.gate for run in runs]
         return planned.training_job(planned.config, workers_of(planned, shares), directories, gates, resume)
 
     def play_rules(self, played: dict[str, Rules]) -> None:
-        """Let the rules play beside the finished seeds, once for all cells of the same environment (in
-        `played`), and keep what they did. Where nothing was trained, what is kept already will do."""
+        """Play the rules on the finished seeds' evaluation episodes and store the results.
+
+        Cells with the same environment share one evaluation through `played`. If the session trains nothing
+        here and stored results are complete, those are used instead.
+        """
         if not any(result.status == "FINISHED" for result in self.results):
             return
         kept = self._kept_rules()
@@ -95,7 +99,7 @@ class CellWork:
         self._cell.keep_rules(self.rules)
 
     def _played(self, days: int) -> Rules:
-        """What the rules do on so many evaluation days."""
+        """Play all rules for `days` evaluation episodes each and return their rows."""
         from headway.stats.plots import counted
 
         jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
@@ -106,7 +110,7 @@ class CellWork:
         return {rule: [{**row, _WHICH_DAYS: seed} for row in rows] for rule, rows in episodes.items()}
 
     def finish(self, statuses: Sequence[Status], figures: Mapping[str, float]) -> None:
-        """End the cell in MLflow, with the session's figures; `statuses` are those of its jobs."""
+        """End the cell in MLflow with the session's `figures`; `statuses` are those of its jobs."""
         rules = {
             f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
             for rule, rows in self.rules.items()
@@ -114,12 +118,12 @@ class CellWork:
         self._cell.finish(status_of_all(statuses), {**figures, **rules})
 
     def in_order(self) -> list[SeedResult]:
-        """The results, in the order of the experiment's seeds."""
+        """Return the results in the order of the experiment's seeds."""
         order = {seed: place for place, seed in enumerate(self.config.seed)}
         return sorted(self.results, key=lambda result: order.get(result.seed, 0))
 
     def _kept_rules(self) -> Rules | None:
-        """What earlier sessions kept of all its rules and days; None if something is missing."""
+        """Return the stored results of all rules on all evaluation episodes; None if any are missing."""
         path = rules_file(Path(self.config.store.root), self.config.study, self._cell.name)
         kept = read_json(path) if path.exists() else {}
         evaluation = self.config.evaluation

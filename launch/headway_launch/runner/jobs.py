@@ -1,4 +1,4 @@
-"""What a session will do, decided and checked before anything starts."""
+"""The jobs of a session, planned and checked before anything starts."""
 
 import os
 import shutil
@@ -20,30 +20,30 @@ from headway_launch.experiments.compose import Experiment, PreparedEnv
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_A_SEED = 10 * 2**20
 _CHECKPOINTS_AT_ONCE = 3
-"""Two are kept, and a third is written before the oldest goes."""
+"""Two checkpoints are kept, and a third is written before the oldest is deleted."""
 
 
 @dataclass(frozen=True)
 class PlannedJob:
-    """One stack of seeds that one training process will train."""
+    """One stack of seeds for one training process."""
 
     experiment: Experiment
-    """As it was asked for, and is kept."""
+    """The experiment as it was requested and is stored."""
     config: ExperimentConfig
-    """As it trains: with blocks and workers as `within_processes` has them."""
+    """The configuration as trained, with blocks and workers adjusted by `within_processes`."""
     prepared: Any
-    """What `EnvEntry.prepare` gave; shared by all jobs of an experiment."""
+    """Result of `EnvEntry.prepare`; shared by all jobs of an experiment."""
     training_prepared: Any
-    """The same for the environment that is learned from."""
+    """Result of `EnvEntry.prepare` for the training environment."""
     spec: EnvSpec
-    """What is learned from."""
+    """Spec of the training environment."""
     seeds: tuple[int, ...]
     resumed: tuple[str, ...] = ()
-    """Identities of the runs to go on with, one a seed; empty: new ones."""
+    """Identities of the runs to resume, one per seed; empty for new runs."""
     iteration: int = 0
-    """The last durable one of the runs to go on with."""
+    """Last durable iteration of the runs to resume; 0 for new runs."""
     workers: int | None = None
-    """Rollout workers that its checkpoint knows; None for a new job, which takes its share of the cores."""
+    """Number of rollout workers in its checkpoint; None for a new job, which takes its share of the cores."""
 
     def training_job(
         self,
@@ -53,8 +53,8 @@ class PlannedJob:
         gates: Sequence[Path] = (),
         resume: bool = False,
     ) -> TrainingJob:
-        """What its training process is given: how it trains here and now, and the folder of each seed, with
-        the gate to it if it has one."""
+        """Return what the training process is given: `config` as it trains here and now, and one folder per
+        seed, with its gate if it has one."""
         experiment = self.experiment
         return TrainingJob(
             make_env=experiment.env.make,
@@ -78,36 +78,38 @@ class PlannedJob:
 
 @dataclass(frozen=True)
 class Shares:
-    """How the cores are shared out."""
+    """How the cores are shared among training processes."""
 
     parallel: int
     """Training processes at once."""
     workers: int
-    """Rollout workers of each that does not say how many it needs."""
+    """Rollout workers of each training process whose number of workers is not fixed."""
 
 
 @dataclass(frozen=True)
 class CellPlan:
-    """What a session has to do for one experiment: all seeds of one configuration."""
+    """The work of a session for one experiment: all seeds of one configuration."""
 
     experiment: Experiment
     jobs: tuple[PlannedJob, ...]
     finished: tuple[Path, ...] = ()
-    """Folders of runs that finished in earlier sessions, and count."""
+    """Folders of runs that finished in earlier sessions and count as results."""
     label: str = ""
-    """What it is called where a session has several."""
+    """Name of the cell in a session with several; empty otherwise."""
 
 
 def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
-    """The jobs of a new experiment. Raises HeadwayError for what cannot run."""
+    """Return the jobs of a new experiment. Raises HeadwayError if it cannot run."""
     return new_jobs(experiment, experiment.config.seed)
 
 
 def new_jobs(
     experiment: Experiment, seeds: Sequence[int], known: dict[str, PreparedEnv] | None = None
 ) -> tuple[PlannedJob, ...]:
-    """The jobs of some seeds of an experiment; `known` as for `Experiment.prepare`, raises as it does, and
-    HeadwayError for a budget that its algorithm refuses."""
+    """Return the jobs that train `seeds` of an experiment. `known`: as in `Experiment.prepare`.
+
+    Raises HeadwayError as `Experiment.prepare` does, and for a budget that the algorithm refuses.
+    """
     found = experiment.prepare(known)
     asked, rollout = experiment.config, experiment.config.rollout
     if reason := experiment.algo.refuses_budget(experiment.algo_config, asked.iterations):
@@ -135,8 +137,8 @@ def new_jobs(
 
 
 def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:
-    """The configuration with blocks small enough, and workers enough, for an environment of which a process
-    holds few copies. Raises HeadwayError where what is set does not allow it."""
+    """Return the configuration with small enough blocks and enough workers for an environment that limits the
+    copies per process. Raises HeadwayError if the settings do not allow it."""
     limit, rollout, backend = spec.max_copies_per_process, config.rollout, config.backend
     if limit is None:
         return config
@@ -157,7 +159,7 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
 
 
 def _serially(limit: int, stack: int, rollout: RolloutConfig) -> str:
-    """Settings with which one process holds no more than `limit` copies."""
+    """Return settings with which a single process holds at most `limit` copies."""
     if rollout.copies <= limit < stack:
         return f"backend.stack={limit // rollout.copies}"
     copies = limit // stack or limit
@@ -169,15 +171,15 @@ def _serially(limit: int, stack: int, rollout: RolloutConfig) -> str:
 
 
 def _by_processes(limit: int, stack: int, config: ExperimentConfig) -> str:
-    """Settings with which processes hold no more than `limit` copies each."""
+    """Return settings with which each of several processes holds at most `limit` copies."""
     _, workers = within_limit(limit, stack, config.rollout.copies, config.rollout.block)
     few = config.backend.workers is not None and config.backend.workers < workers
     return f"backend=process and backend.workers={workers}" if few else "backend=process"
 
 
 def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
-    """The configuration as an asynchronous algorithm trains: as `within_processes`, but only blocks decide
-    how many workers there are. Raises HeadwayError where something else is set."""
+    """Return the configuration for an asynchronous algorithm: as `within_processes`, but with one worker per
+    block. Raises HeadwayError if the settings ask for anything else."""
     if min(asked.backend.stack, len(asked.seed)) > 1:
         raise HeadwayError(
             f"{algorithm} trains one seed a process: its gradients are found in workers, on CPUs, where a "
@@ -196,7 +198,8 @@ def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: st
 
 
 def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
-    """What an asynchronous algorithm learns from, which is not what its neighbours' settings make of it."""
+    """Tell the user how many workers an asynchronous algorithm has and how long its rollouts are, because its
+    number of gradients follows from them."""
     number = rollout.copies // rollout.block
     workers = "1 worker" if number == 1 else f"{number} workers"
     line = (
@@ -213,10 +216,13 @@ def share_cores(
     cluster_cpus: int | None = None,
     node_cpus: int | None = None,
 ) -> Shares:
-    """As many training processes as cores (at most one a job); each has its share of the cores as workers,
-    or, where workers are on a cluster, of its CPUs. Jobs whose number of workers is fixed run side by side as
-    far as these go round: each keeps its place on a cluster, and beside their learner they count as
-    `cores_taken` says. `node_cpus`: all that one job can have, where `cores` are of several machines."""
+    """Return how many training processes run at once, and how many rollout workers each has.
+
+    At most one training process runs per core and per job. The workers share the cores, or the cluster's CPUs
+    if they run on a cluster. Jobs with a fixed number of workers run in parallel as far as the cores suffice:
+    on a cluster every worker counts, otherwise a job counts as `cores_taken` says. `node_cpus`: upper limit
+    per job if `cores` are spread over several machines.
+    """
     fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
     if cluster_cpus is None:
         most = max(
@@ -238,22 +244,25 @@ def share_cores(
 
 
 def cores_taken(spec: EnvSpec, seeds: int, block: int, workers: int, node_cpus: int | None = None) -> int:
-    """Cores that a training process with its workers beside it counts as, at most those of a machine: one a
-    worker, as workers take turns with the learner. Of a stack whose parts have workers of their own only one
-    part's count: its learner has as many times more to do, and all of them would leave cores idle
-    meanwhile."""
+    """Return the cores that a training process and its workers count as: one per worker, since the workers
+    alternate with the learner, and at most `node_cpus`.
+
+    If the replicas of a stack are split over worker groups, only one group counts: the learner's work grows
+    with the number of groups, and counting all of them would leave cores idle while it learns.
+    """
     taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds, block)))
     return taken if node_cpus is None else min(taken, node_cpus)
 
 
 def workers_of(job: PlannedJob, shares: Shares) -> int:
-    """Rollout workers of a job: what its checkpoints were made with, or what it asks for, or its share of the
-    cores; a new job has no more than have work to do."""
+    """Return the number of rollout workers of a job: that of its checkpoint, else the one it asks for, else
+    its share of the cores. A new job never has more workers than blocks."""
     return _fixed_workers(job) or min(shares.workers, _most_workers(job))
 
 
 def _fixed_workers(job: PlannedJob) -> int | None:
-    """Rollout workers that a job has however many cores there are; None where it takes its share."""
+    """Return the number of rollout workers if it does not depend on the cores; None if the job takes its
+    share."""
     if job.workers is not None:
         return job.workers
     backend = job.config.backend
@@ -263,8 +272,7 @@ def _fixed_workers(job: PlannedJob) -> int | None:
 
 
 def _most_workers(job: PlannedJob) -> int:
-    """That have work to do: each has a block of the copies of all seeds, or of those that a process can hold
-    at once."""
+    """Return the number of workers that have something to do: one per block of copies and worker group."""
     rollout = job.config.rollout
     return len(_groups(job)) * (rollout.copies // rollout.block)
 
@@ -274,20 +282,21 @@ def _groups(job: PlannedJob) -> list[tuple[int, int]]:
 
 
 def gpus_of(device: str, there: float) -> float:
-    """GPUs that a training process asks of a cluster which has so many: `cuda` one, `auto` one if there is
-    any."""
+    """Return the GPUs that a training process asks of a cluster with `there` GPUs: one for `cuda`, one for
+    `auto` if the cluster has any, else none."""
     return 1.0 if device.startswith("cuda") or (device == "auto" and there >= 1.0) else 0.0
 
 
 def uses_gpu(job: PlannedJob) -> bool:
-    """Whether a job trains on a GPU."""
+    """Return whether a job trains on a GPU."""
     device = job.config.device
     return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
 
 
 def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> None:
-    """Raise HeadwayError if the folder of the store cannot be made or written, or its disk is too full for
-    these jobs, `parallel` at once: experience goes with the end of its job."""
+    """Raise HeadwayError if the store's folder cannot be created or written, or has too little free space for
+    `jobs`, of which `parallel` run at once. Experience is counted for these only: it is deleted when its job
+    ends."""
     make_folder(root)
     if not os.access(root, os.W_OK | os.X_OK):
         raise HeadwayError(f"store.root: {root} cannot be written; give it another folder")
@@ -303,7 +312,7 @@ def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> 
 
 
 def _experience_bytes(job: PlannedJob) -> int:
-    """What the checkpoints of a job that are there at once keep beside them."""
+    """Return the bytes of experience kept beside the checkpoints of a job that exist at once."""
     experiment = job.experiment
     each = experiment.algo.kept_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
     return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each

@@ -1,4 +1,4 @@
-"""What an experiment came to: one row a seed, their mean and deviation."""
+"""Results of an experiment: one row per seed, their mean and standard deviation."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -42,12 +42,12 @@ _CELL_COLUMNS = (
     CO2_HEADING,
 )
 _SPARE = ("steps/s", CO2_HEADING)
-"""Left out first on a narrow terminal."""
+"""Columns left out first on a narrow terminal."""
 
 
 @dataclass(frozen=True)
 class SeedResult:
-    """One seed at its end; None where a figure is not known."""
+    """Final metrics of one seed; None where a metric is not known."""
 
     seed: int
     status: str
@@ -56,18 +56,19 @@ class SeedResult:
     final_reward: float | None
     """Mean of the evaluation return over the last 20% of the curve's steps."""
     auc: float | None
-    """Area under the evaluation curve, normalised by its own extremes; none of a curve of too few points."""
+    """Area under the evaluation curve, normalised by the curve's own range; None if the curve has too few
+    points."""
     env_steps: int
-    """Those that are kept: up to the last checkpoint."""
+    """Environment steps up to the last checkpoint."""
     steps_per_second: float | None
     use: Mapping[str, float | None]
-    """CPU seconds, energy and CO2: its equal share of its stack's, over all sessions that trained it."""
+    """CPU seconds, energy and CO2 over all sessions that trained the seed: its equal share of its stack's."""
     energy_modes: Mapping[str, str]
-    """How the power of each part is known."""
+    """How the power of each part is known, for example measured or estimated."""
 
     @property
     def summary(self) -> dict[str, float | int | str | None]:
-        """For the store."""
+        """The metrics as stored in the run folder."""
         return {
             "final_reward": self.final_reward,
             "auc": self.auc,
@@ -79,7 +80,7 @@ class SeedResult:
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """A row of the table."""
+        """The metrics as a row of the table."""
         return (
             self.seed,
             self.status,
@@ -100,7 +101,7 @@ def seed_result(
     used: Row,
     energy_modes: Mapping[str, str],
 ) -> SeedResult:
-    """The figures of a run whose training has ended, from its log and its last energy sample."""
+    """Return the metrics of a run whose training has ended, from its log and its last energy sample."""
     final, area = curve_figures(run, mode)
     return SeedResult(
         seed=run.record.seed,
@@ -117,7 +118,7 @@ def seed_result(
 
 
 def stored_result(directory: Path) -> SeedResult:
-    """The figures of a run that ended in an earlier session, as that kept them."""
+    """Return the metrics of a run that ended in an earlier session, as stored by that session."""
     record, summary = RunRecord.read(directory), read_summary(directory)
 
     def figure(name: str) -> float | None:
@@ -139,9 +140,12 @@ def stored_result(directory: Path) -> SeedResult:
 
 
 def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
-    """(final reward, AUC) of the evaluation curve as far as a checkpoint knows it; None where that has no
-    point yet (for the AUC: fewer than three), or nothing was trained: the evaluation before training is no
-    result. What the log holds beyond is dropped when the run goes on."""
+    """Return (final reward, AUC) of the evaluation curve up to the last checkpoint.
+
+    Each is None if the curve has no point yet (for the AUC: fewer than three), and both are if nothing was
+    trained, since the evaluation before training is not a result. Points after the last checkpoint are
+    ignored because they are dropped when the run is resumed.
+    """
     if not run.record.durable_env_steps:
         return None, None
     from headway.stats import auc, final_reward
@@ -159,8 +163,8 @@ def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
 def print_results(
     config: ExperimentConfig, results: Sequence[SeedResult], rules: Mapping[str, Sequence[Row]]
 ) -> None:
-    """The table of seeds, with mean and sample standard deviation of the finished ones, and the comparison
-    with the rules."""
+    """Print the table of seeds, with mean and sample standard deviation over the finished ones, and the
+    comparison with the rules."""
     if not results:
         return
     rows = [result.cells for result in results]
@@ -179,8 +183,11 @@ def print_results(
 def print_cells(
     study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]], days: Collection[int]
 ) -> None:
-    """A row a cell (its label, its planned seeds, the results of those that ended or were stopped): means
-    over the finished seeds, and what all of them used. `days`: how many the curves' points are of."""
+    """Print one row per cell: means over its finished seeds, and the resources used by all its seeds.
+
+    `cells`: (label, number of planned seeds, results of the seeds that ended or were stopped). `days`: the
+    distinct numbers of episodes per point of the evaluation curves.
+    """
     rows: list[tuple[Cell, ...]] = []
     for label, planned, results in cells:
         finished = [result for result in results if result.status == "FINISHED"]
@@ -199,7 +206,7 @@ def print_cells(
 
 
 def _explain(results: Sequence[SeedResult]) -> None:
-    """What the table's words mean, and why it lacks figures."""
+    """Print what the final reward means, and why some runs have no AUC."""
     from headway.stats import FEWEST_POINTS, FINAL_SHARE
     from headway.stats.plots import counted
 
@@ -214,8 +221,8 @@ def _explain(results: Sequence[SeedResult]) -> None:
 
 
 def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) -> tuple[str, ...]:
-    """With how energy is known, and of how many days a point of the curve is: figures of other columns and
-    tables are of the last evaluation, which may have more."""
+    """Return the headings with remarks: whether energy is estimated, and how many episodes each point of the
+    evaluation curve averages. Other columns and tables use the last evaluation, which may have more."""
     from headway.stats.plots import counted
 
     over = f"({counted(next(iter(days)), 'episode')})" if len(days) == 1 else "(episodes differ)"
@@ -224,7 +231,8 @@ def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) ->
 
 
 def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """Mean and the sample's deviation; None where there is none."""
+    """Return the mean and the sample standard deviation; None for each that too few values leave
+    undefined."""
     from headway.stats import mean_std
 
     if not values:
@@ -243,7 +251,8 @@ def _estimated(results: Sequence[SeedResult]) -> bool:
 
 
 def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> list[list[Row]]:
-    """The last evaluation of each finished seed, in the first mode: seeds x days, days in order."""
+    """Return the last evaluation of each finished seed in the first mode: seeds x episodes, ordered by
+    episode seed."""
     from headway.store.parquet_log import read_rows
 
     mode = config.evaluation.modes[0]
@@ -260,7 +269,7 @@ def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> 
 
 
 def _over_seeds(rows: Sequence[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
-    """The rows of means and of deviations."""
+    """Return the row of means and the row of standard deviations."""
     figures = [
         _mean_std([float(cell) for row in rows if isinstance(cell := row[column], int | float)])
         for column in range(2, len(_COLUMNS))

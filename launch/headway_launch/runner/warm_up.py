@@ -1,4 +1,4 @@
-"""Compiled kernels: compiled once, before anything fans out, and the user is told."""
+"""Compiles the kernels once, before any process starts, and tells the user."""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -16,13 +16,13 @@ _LINE = "compiling kernels, once"
 
 
 def compile_kernels(env: "EnvEntry") -> None:
-    """Call `warm` of the modules that an environment preloads, where they have it. Left to themselves all
-    training processes and workers would compile the same at the same time, and show no progress meanwhile."""
+    """Call `warm` in those preloaded modules of an environment that define it. Otherwise every training
+    process and worker would compile the same kernels at the same time, without showing progress."""
     _warm(env.preload)
 
 
 def compile_kernels_of(experiments: "Iterable[Experiment]") -> None:
-    """Those of what is to be trained: of environments, and of algorithms."""
+    """Compile the kernels of the environments and algorithms of `experiments`."""
     entries = [(experiment.env.preload, experiment.algo.kernels) for experiment in experiments]
     _warm(dict.fromkeys(name for of_env, of_algo in entries for name in (*of_env, *of_algo)))
 
@@ -37,7 +37,7 @@ def _warm(names: Iterable[str]) -> None:
 
 @contextmanager
 def _told_of_compiling() -> Iterator[None]:
-    """Tell when numba begins to compile; what it finds in its cache it only loads."""
+    """Tell the user when numba begins to compile; loading from its cache is not reported."""
     if "numba" not in sys.modules:
         yield
         return
@@ -52,7 +52,7 @@ def _told_of_compiling() -> Iterator[None]:
             self.told = True
 
         def on_end(self, event: object) -> None:
-            """Of one function among many."""
+            """Do nothing: numba calls this for each function."""
 
     with event.install_listener("numba:compile", Teller()):
         yield
