@@ -1,4 +1,5 @@
-"""Batched environments whose whole state is arrays: a kernel's world, and what was observed with it."""
+"""Base class of batched environments whose whole state is NumPy arrays: the kernel's world and its
+outputs."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from headway.contracts import EnvSpec, HeadwayError, Observed
 
 Snapshot = dict[str, dict[str, NDArray[Any]]]
-"""The whole state of a batch and what was observed with it: plain arrays by name, as checkpoints hold."""
+"""Whole state of a batch with its current observations, as checkpoints hold it: {"world" or "outputs": {name:
+plain array}}."""
 
 
 WorldT = TypeVar("WorldT", bound=NamedTuple)
@@ -18,14 +20,17 @@ OutputsT = TypeVar("OutputsT", bound=NamedTuple)
 
 
 class KeptArrays(ABC, Generic[WorldT, OutputsT]):
-    """What `headway.contracts.BatchedEnv` asks for but `step`, for C copies whose state is in `world` and
-    `outputs` alone. A subclass sets both, each with the copies first, and `_spec`."""
+    """Implementation of `headway.contracts.BatchedEnv`, except `step`, for C copies whose whole state is the
+    arrays of `world` and `outputs`.
+
+    A subclass sets `world`, `outputs` (axis C first in each array) and `_spec`.
+    """
 
     world: WorldT
     outputs: OutputsT
     _spec: EnvSpec
     _KIND: ClassVar[str]
-    """What must be the same where a snapshot is restored."""
+    """Noun for the error message of `restore`: what must match between snapshot and environment."""
 
     @property
     def spec(self) -> EnvSpec:
@@ -37,11 +42,13 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
 
     @abstractmethod
     def observed(self) -> Observed:
-        """What the agents face now; views of the environment's arrays."""
+        """Return the current observations, states, alive mask and action masks: views of the environment's
+        arrays."""
 
     @abstractmethod
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
-        """Episode 0 of every copy, from zeros; seeds (C,)."""
+        """Begin episode 0 of every copy; all arrays are zero on entry, except those named `final_*`. Seeds
+        (C,)."""
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observed:
         """Begin episode 0 of every copy; seeds (C,). Raises ValueError for another shape."""
@@ -49,18 +56,19 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
         if seeds.shape != (self.num_copies,):
             raise ValueError(f"seeds must have shape ({self.num_copies},), not {seeds.shape}")
         for name, array in {**_named(self.world), **_named(self.outputs)}.items():
-            # The end before stays: the adapter of a ParallelEnv begins anew before the end can be drawn.
+            # Keep the last episode's end: the ParallelEnv adapter resets before that end can be painted.
             if not name.startswith("final_"):
                 array[...] = np.zeros(1, array.dtype)
         self._begin(seeds)
         return self.observed()
 
     def snapshot(self) -> Snapshot:
-        """Copies of all arrays."""
+        """Return copies of all arrays."""
         return {"world": copied(_named(self.world)), "outputs": copied(_named(self.outputs))}
 
     def restore(self, snapshot: Snapshot) -> Observed:
-        """Continue from a snapshot. Raises HeadwayError where `_KIND` or the number of copies is another."""
+        """Continue from a snapshot and return its observations. Raises HeadwayError if `_KIND` or the number
+        of copies differs."""
         saved = {**snapshot["world"], **snapshot["outputs"]}
         for name, array in {**_named(self.world), **_named(self.outputs)}.items():
             mine = _plain(array)
@@ -72,11 +80,12 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
         return self.observed()
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: the environment holds no open resources."""
         return
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[np.int64]:
-        """A copy of actions (C, N), as a kernel may replace some. Raises ValueError for another shape."""
+        """Return an int64 copy of actions (C, N); a copy, because a kernel may replace some of them. Raises
+        ValueError for any other shape."""
         wanted = (self.num_copies, len(self._spec.agents))
         if np.shape(actions) != wanted:
             raise ValueError(f"actions must have shape {wanted}, not {np.shape(actions)}")
@@ -88,10 +97,10 @@ def _named(arrays: NamedTuple) -> Mapping[str, NDArray[Any]]:
 
 
 def copied(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """As a snapshot holds them."""
+    """Return copies of the arrays in a snapshot's format: by name, records as bytes."""
     return {name: _plain(array).copy() for name, array in arrays.items()}
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """The same memory as numbers: records become bytes."""
+    """View an array as plain numbers, without a copy: record arrays become bytes."""
     return array.view(np.uint8) if array.dtype.names else array

@@ -1,8 +1,8 @@
-"""Keyed draws: every random number is a function of an episode's key, a purpose and two indices.
+"""Keyed random numbers: each one is a function of the episode's key, a purpose and two indices.
 
-No draw depends on how many were made before, so two controllers that play the same episode meet the same
-accidents. The mixing function is the finaliser of SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable
-pseudorandom number generators").
+No draw depends on how many were made before it, so two controllers that play the same episode meet the same
+random events. The mixing function is the finaliser of SplitMix64 (Steele, Lea and Flood 2014, "Fast
+splittable pseudorandom number generators").
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(
 
 @compiled
 def mix(value: np.uint64) -> np.uint64:
-    """SplitMix64's finaliser of `value` + the golden gamma."""
+    """Return SplitMix64's finaliser of `value` + the golden gamma."""
     value = value + _GOLDEN
     value = (value ^ (value >> _S30)) * _FIRST
     value = (value ^ (value >> _S27)) * _SECOND
@@ -30,13 +30,13 @@ def mix(value: np.uint64) -> np.uint64:
 
 @compiled
 def episode_key(seed: np.uint64, episode: int) -> np.uint64:
-    """Key of one episode of one copy."""
+    """Return the key of one episode of one copy, from the copy's seed and the episode's index."""
     return mix(mix(seed) ^ np.uint64(episode))
 
 
 @compiled
 def uniform(key: np.uint64, purpose: int, first: int, second: int) -> float:
-    """Uniform on (0, 1), the ends excluded."""
+    """Return a uniform number on the open interval (0, 1)."""
     value = mix(key ^ (np.uint64(purpose) << np.uint64(56)) ^ np.uint64(first))
     value = mix(value ^ np.uint64(second))
     return (np.float64(value >> _S11) + 0.5) * (1.0 / 9007199254740992.0)

@@ -1,4 +1,4 @@
-"""How kernels are compiled and when what was compiled is no longer theirs."""
+"""Compilation of the kernels with numba, and removal of stale compiled code."""
 
 import os
 import zlib
@@ -13,14 +13,15 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 SHARED = ("numba_setup.py", "keyed_draws.py")
-"""Sources in this folder that every kernel is compiled with."""
+"""Source files of this folder that every kernel is compiled with."""
 
 
 def drop_stale_cache(folder: Path) -> None:
-    """Remove compiled code of an older state of the kernel in `folder`.
+    """Remove cached machine code compiled from an older state of the kernel in `folder`.
 
-    Numba looks only at the file of the function that is called, not at those it calls in turn, so after a
-    change elsewhere it would go on with the old machine code."""
+    Numba checks only the file of the function that is called, not those of the functions it calls in turn, so
+    after a change elsewhere it would keep using the old machine code.
+    """
     state = 0
     shared = [Path(numba_setup.__file__), *(Path(__file__).with_name(name) for name in SHARED)]
     for source in [*sorted(folder.glob("*.py")), *shared]:
@@ -37,22 +38,25 @@ def drop_stale_cache(folder: Path) -> None:
         written.write_text(f"{state}")
         written.replace(stamp)
     except OSError:
-        return  # A read-only installation: numba keeps its cache elsewhere, and sources do not change.
+        return  # In a read-only installation numba caches elsewhere, and sources do not change.
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """See `headway.contracts.numba_setup.compiled_with`.
+    """Compile a kernel function inline, without array allocation (see
+    `headway.contracts.numba_setup.compiled_with`).
 
-    It cannot allocate arrays: without numba's reference counting of the many arrays that travel through a
-    kernel it runs several times as fast."""
+    Without numba's reference counting of the many arrays passed through a kernel it runs several times as
+    fast; the price is that the function cannot allocate arrays.
+    """
     return compiled_with(function, _nrt=False, forceinline=True)
 
 
 def compiled_apart(function: Callable[P, R]) -> Callable[P, R]:
-    """As `compiled`, for functions called from many places, which would be long if they stood in each."""
+    """Compile a kernel function without inlining and without array allocation, for functions called from many
+    places, where inlined copies would bloat the code."""
     return compiled_with(function, _nrt=False)
 
 
 def compiled_allocating(function: Callable[P, R]) -> Callable[P, R]:
-    """As `compiled`, for the rare functions that allocate arrays."""
+    """Compile one of the few kernel functions that allocate arrays, with numba's reference counting."""
     return compiled_with(function)

@@ -25,11 +25,12 @@ Stepped = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool]
 
 
 class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
-    """`reset(seed=s)` begins episode 0 of seed s; `reset()` one of a seed derived from the last.
+    """PettingZoo ParallelEnv over one copy of a batched environment.
 
-    Agents stay in `agents` until they are terminated or truncated. Infos hold `alive` and `acting` where
-    agents come and go (one that is away observes zeros), `action_mask` where actions are masked, and
-    `episode_metrics` at an episode's end.
+    `reset(seed=s)` begins episode 0 of seed s; `reset()` begins one of a seed derived from the last seed. An
+    agent stays in `agents` until it is terminated or truncated. Infos hold `alive` and `acting` in
+    environments whose agents come and go (an absent agent observes zeros), `action_mask` in environments with
+    action masks, and `episode_metrics` at the end of an episode.
     """
 
     render_mode: str | None = None
@@ -42,8 +43,11 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
         low: float | None = None,
         agents: Sequence[str] | None = None,
     ) -> None:
-        """`make`: (copies) -> batched environment. Shown are `name` and `agents` (default: the spec's), and
-        observations from `low` (default: -`bound`) to `bound`."""
+        """Wrap one copy made by `make`: (copies) -> batched environment.
+
+        `name` and `agents` (default: those of the spec) are the names shown outside. Observations are
+        declared to lie between `low` (default: -`bound`) and `bound`.
+        """
         self._env = make(1)
         spec = self._env.spec
         self.metadata = {
@@ -66,7 +70,8 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
 
     @property
     def native(self) -> tuple[BatchedEnv, Observed]:
-        """The batch of one copy behind it, and what that observed last: where rules look."""
+        """The batched environment of one copy and its latest observations, as rules need them. Requires a
+        `reset` first."""
         assert self._observed is not None, "reset first"
         return self._env, self._observed
 
@@ -111,13 +116,13 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
         return (observations, *self._results(stepped, outcome), infos)
 
     def state(self) -> NDArray[np.float32]:
-        """(S,); raises NotImplementedError where the environment gives no state."""
+        """Return the state (S,). Raises NotImplementedError if the environment has no state."""
         if not self._env.spec.state_size:
             raise NotImplementedError(f"environment '{self._env.spec.name}' has no state")
         return self._state
 
     def render(self) -> NDArray[np.uint8] | None:
-        """There is nothing to see."""
+        """Return None: there is no picture unless a subclass draws one."""
         return None
 
     def close(self) -> None:
@@ -139,7 +144,8 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
         return dict(zip(self._env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
 
     def _shown(self, values: NDArray[np.float32], given: NDArray[np.bool_]) -> Observations:
-        """Values (1, N, D) of the agents there are, zeros where not `given` (1, N)."""
+        """Return the rows of `values` (1, N, D) by name of the current agents; zeros where `given` (1, N) is
+        false."""
         rows = np.where(given[0, :, None], values[0], np.float32(0))
         return {agent: rows[self._index[agent]] for agent in self.agents}
 

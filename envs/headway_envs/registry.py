@@ -1,4 +1,4 @@
-"""Headway's environments by name. Importing this imports no compiled kernels and no data frames."""
+"""Registry of Headway's environments by name. Importing it imports no compiled kernels and no data frames."""
 
 from headway.contracts import EnvEntry
 from headway_envs.bus.entry import ENTRY as BUS

@@ -1,4 +1,4 @@
-"""The bus environment's arguments. Every default stands here and nowhere else."""
+"""Arguments of the bus environment, with all their defaults."""
 
 import math
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from headway.contracts.checks import require, require_at_least
 
 SCENARIOS = ("line", "corridor", "district", "city")
-"""Names of the built-in synthetic scenarios; anything else is the path of a scenario folder."""
+"""Names of the built-in synthetic scenarios; any other value is the path of a scenario folder."""
 
 
 def _share(**values: float) -> None:
@@ -23,34 +23,38 @@ def _above(low: float, **values: float) -> None:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights and shape of the reward r = a1 q + a2 e + a3 m + a4 c, paid once a control interval."""
+    """Weights and shape of the reward r = a1 q + a2 e + a3 m + a4 c, paid once per control interval."""
 
     RENAMED: ClassVar[Mapping[str, str]] = {"shared": "scope: team (for true), line or own (for false)"}
 
     service: float = 0.4
-    """a1: weight of q, passengers waiting against those a regular service would leave waiting."""
+    """a1: weight of the service component q, which compares the number of waiting passengers with the number
+    a regular service would leave waiting."""
     efficiency: float = 0.1
-    """a2: weight of e, crowding."""
+    """a2: weight of the efficiency component e, a penalty for crowding."""
     maintenance: float = 0.1
-    """a3: weight of m, fuel and wear below their warning levels, breakdowns."""
+    """a3: weight of the maintenance component m, a penalty for breakdowns and for fuel or uptime below the
+    warning level."""
     regularity: float = 0.4
-    """a4: weight of c, even spacing."""
+    """a4: weight of the regularity component c, which rewards even spacing of buses."""
     scope: Literal["team", "line", "own"] = "team"
-    """Whose r a bus is paid. `team`: every slot, at the depot too, the mean of all lines, so that the return
-    of a day cannot be raised by staying out longer. `line`: every slot its line's, whose mean over all slots
-    is the team's: it tells a bus more of what it did. `own`: each its own with its line's q, and 0 at the
-    depot."""
+    """Which reward r each slot receives. `team`: every slot, also at the depot, receives the mean over all
+    lines, so that staying out longer cannot raise the return of a day. `line`: every slot receives the reward
+    of its line, which reflects its own actions more closely; the mean over all slots equals the team's
+    reward. `own`: each bus receives its own e, m and c with its line's q, and 0 at the depot."""
     follower_share: float = 0.0
-    """With `scope=own`: a bus is also paid, for each bus that follows it next, this share of the other's c
-    less its own, since holding moves both spacings; 0: it answers for the spacing ahead of it alone."""
+    """Only with `scope=own`: share of the follower's regularity in a bus's reward. For each bus directly
+    behind it, a bus also receives this share of (the follower's c - its own c), because holding changes both
+    spacings. 0: only the spacing ahead counts."""
     foresee_upkeep: bool = False
-    """True: what low fuel and wear are still to cost until the next time at the depot is charged as it
-    becomes due and refunded by service: a potential (Ng, Harada and Russell 1999, undiscounted), which adds
-    the same constant to every day, whatever is done. What lies hours ahead, beyond the usual discount
-    factors, is so felt at once. For learning; `team_reward` never holds it."""
+    """True: charge the future cost of low fuel and wear, up to the next time at the depot, as soon as it
+    becomes foreseeable, and refund it when the bus is serviced. This makes costs that lie hours ahead, beyond
+    usual discount factors, felt at once. It is a potential (Ng, Harada and Russell 1999, undiscounted) that
+    adds the same constant to every day, whatever the actions. For learning only: the metric `team_reward`
+    excludes it."""
     preset: Literal["default", "paper"] = "default"
-    """`default`: e punishes occupancy above 0.9 only; `paper`: also below 0.6, as the
-    released code."""
+    """Shape of e. `default`: penalises occupancy above 0.9 only; `paper`: also below 0.6, as in the released
+    code."""
 
     def __post_init__(self) -> None:
         require(self.scope in ("team", "line", "own"), f"scope must be team, line or own, not '{self.scope}'")
@@ -73,32 +77,37 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class NoiseConfig:
-    """What differs from day to day. All factors have mean 1; sd as a share of it.
+    """Random variation between days and trips. All factors have mean 1; sd is a share of that mean.
 
-    Source of the fitted ones: SUNT, doi 10.17632/85fdtx3kr5.1, weekday 2024-08-26 and ten Sundays."""
+    Source of the fitted values: SUNT, doi 10.17632/85fdtx3kr5.1, weekday 2024-08-26 and ten Sundays.
+    """
 
     trip_sd: float = 0.08
-    """Travel-time factor of a whole trip."""
+    """Sd of the travel-time factor of each trip."""
     day_sd: float = 0.11
-    """Travel-time factor of a whole day."""
+    """Sd of the travel-time factor of each day."""
     evening_peak: float = 0.25
-    """Weekdays, 16 to 19 h: travel times up by a share drawn evenly from 0 to this (mean taken out)."""
+    """Evening peak on weekdays, about 16 to 19 h: the largest relative increase of travel times. Each day's
+    increase is uniform between 0 and this; its mean is divided out."""
     network_sd: float = 0.05
-    """Slowly varying travel-time factor of the whole network (correlation time one hour)."""
+    """Sd of the slowly varying travel-time factor of the whole network (correlation time one hour)."""
     incident_probability: float = 0.003
-    """Chance of an incident on one link of one trip (assumption: one trip in eight meets one)."""
+    """Probability of an incident per link and trip (assumption: one trip in eight meets one)."""
     incident_factor: float = 5.0
-    """Mean factor on the link time in an incident; drawn evenly from 2 to twice this less 2."""
+    """Mean factor by which an incident multiplies the link's travel time; uniform from 2 to (2 x this -
+    2)."""
     link_floor_sd: float = 0.10
-    """Least sd of the link term left when the other factors' variance is taken from the measured one."""
+    """Minimum sd of the link's travel-time factor (log), when the variance of the other factors is subtracted
+    from the measured one."""
     dwell_sd: float = 0.12
-    """Share of the measured link-time sd that dwell explains (assumption; dwell is simulated)."""
+    """Sd of the log of link times that is due to dwell (assumption). Its variance is subtracted from the
+    measured one because dwell is simulated."""
     demand_day_sd: float = 0.03
-    """Demand factor of a whole day."""
+    """Sd of the demand factor of each day."""
     demand_stop_hour_sd: float = 0.13
-    """Gamma factor on the arrivals of each stop in each hour."""
+    """Sd of the gamma-distributed factor on passenger arrivals per stop and hour."""
     dispatch_s: float = 45.0
-    """Mean delay between the decision to leave a terminal and leaving it, exponential, s (assumption)."""
+    """Mean delay between the decision to leave a terminal and the departure, s; exponential (assumption)."""
 
     def __post_init__(self) -> None:
         require_at_least(
@@ -119,38 +128,38 @@ class NoiseConfig:
 
 @dataclass(frozen=True)
 class UpkeepConfig:
-    """Fuel, wear and the service centre: stylised, for no data exist. Fuel, uptime and their warning as in
-    BusEnv's released constants."""
+    """Fuel, wear and the service centre. Stylised, for lack of data; fuel, uptime and their warning level
+    follow the constants of the released BusEnv."""
 
     fuel_capacity: float = 100.0
-    """Units in a full tank."""
+    """Capacity of the tank, fuel units."""
     seconds_per_fuel_unit: float = 300.0
-    """Driving time on one unit, s."""
+    """Driving time per fuel unit, s."""
     idle_share: float = 0.5
-    """Fuel used standing at a stop, as a share of that used driving; layovers use none."""
+    """Fuel consumption at a stop as a share of that while driving; layovers use none."""
     uptime_hours: float = 12.0
-    """Hours in service over which the uptime falls from 1 to 0."""
+    """Time in service over which the uptime falls from 1 (fresh) to 0 (worn), h."""
     warning: float = 0.2
-    """Share of fuel or uptime under which m punishes."""
+    """Warning level: fuel (as a share of the tank) or uptime below it is penalised by m."""
     breakdowns_per_hour: float = 0.0005
-    """Hazard of a breakdown of a fresh bus."""
+    """Breakdown rate of a fresh bus, per hour."""
     wear_growth: float = 3.7
-    """The hazard is multiplied by exp(wear_growth x (1 - uptime))."""
+    """Growth of the breakdown rate with wear: the rate is multiplied by exp(wear_growth x (1 - uptime))."""
     broken_s: float = 1200.0
-    """A broken bus stands this long before it is towed, s."""
+    """Time from a breakdown until the bus is towed, s."""
     service_s: float = 900.0
-    """Time at the service centre, s."""
+    """Duration of a service at the service centre, s."""
     service_below: float = 0.5
-    """The centre takes buses with fuel or uptime below this share, as a depot would; 1: all. For others
-    SERVICE_CENTER is masked, and is MOVE if chosen all the same. With 1, days on which policies sent buses
-    there again and again, where more waiting passengers cost nothing more, were seen to break trainings."""
+    """The service centre accepts a bus only if its fuel (as a share of the tank) or uptime is below this; 1:
+    any bus. For other buses SERVICE_CENTER is masked, and acts as MOVE if chosen nevertheless. With 1,
+    training was seen to fail: where more waiting passengers cost no further reward, policies sent buses to
+    service again and again."""
     detour_kmh: float = 20.0
-    """Speed to the service centre and back, over 1.3 times the crow's distance."""
+    """Speed on the way to the service centre and back, km/h, over 1.3 times the straight-line distance."""
     detour_fixed_s: float = 120.0
-    """Time added to each way, s."""
+    """Fixed time added to each way of the detour, s."""
     depot_gap_s: float = 2700.0
-    """A bus whose next trip is farther off than this goes to the depot, which refuels and repairs
-    it."""
+    """A bus goes to the depot, which refuels and repairs it, if its next trip is farther off than this, s."""
 
     def __post_init__(self) -> None:
         _above(
@@ -174,60 +183,62 @@ class UpkeepConfig:
 
 @dataclass(frozen=True)
 class BusConfig:
-    """One bus network, its passengers, its rewards and what agents see."""
+    """Bus network, passengers, rewards and observations."""
 
     scenario: str = "line"
-    """`line` (1 line, 14 buses at once), `corridor` (10 lines, about 110), `district` (40, about 440), `city`
-    (382, about 1,360), or the path of a scenario folder."""
+    """`line` (1 line, 14 buses at once), `corridor` (10 lines, about 110 buses), `district` (40 lines, about
+    440), `city` (382 lines, about 1,360), or the path of a scenario folder."""
     scenario_seed: int = 0
-    """Seed of a synthetic scenario's geometry and demand."""
+    """Seed of the geometry and demand of a synthetic scenario."""
     day_type: Literal["weekday", "sunday"] = "weekday"
-    """Which timetable, travel times and demand."""
+    """Day type, which selects timetable, travel times and demand."""
     tick_s: float = 60.0
-    """Control interval, s: agents act together once in each."""
+    """Control interval, s: all agents act together once per interval."""
     hold_s: float = 60.0
-    """WAIT holds a bus this long, s."""
+    """Holding time per WAIT, s."""
     start_hour: int = 5
-    """The service day begins."""
+    """Start of the service day, h."""
     end_hour: int = 24
-    """The service day ends; up to 26 (2 h of the next day)."""
+    """End of the service day, h; up to 26 (02:00 of the next day)."""
     capacity: int = 75
-    """Passengers a bus can take."""
+    """Capacity of a bus, passengers."""
     boarding_s: float = 3.0
-    """Dwell for each boarding, s."""
+    """Dwell time per boarding passenger, s."""
     alighting_s: float = 1.1
-    """Dwell for each alighting, s."""
+    """Dwell time per alighting passenger, s."""
     fixed_dwell_s: float = 6.0
-    """Dwell added when anyone moves, s."""
+    """Fixed dwell time added if any passenger boards or alights, s."""
     captive_share: float = 0.5
-    """Share of the boardings, at the target headway, by passengers who wait for this line only; the others
-    also take a competing service."""
+    """Share of boardings, at the target headway, by captive passengers, who wait for this line only. The
+    others take the competing service if it comes first."""
     competing_headway_share: float = 0.25
-    """The competing service takes the others after an exponential wait with this share of the line's target
-    headway as its mean; with captive_share 0.5 boardings answer the headway with slope 0.54 (measured:
-    0.47)."""
+    """Mean wait for the competing service as a share of the line's target headway; the wait is exponential.
+    With captive_share 0.5, boardings respond to the headway with slope 0.54 (measured: 0.47)."""
     dispatch_window_s: float = 180.0
-    """A bus at a terminal decides from this long before its scheduled departure, s."""
+    """A bus at a terminal starts to decide this long before its scheduled departure, s."""
     minimum_layover_s: float = 120.0
-    """Least time between arriving at a terminal and being ready to leave, s."""
+    """Minimum layover between arriving at a terminal and being ready to leave, s."""
     recovery_share: float = 0.15
-    """The timetable's blocks leave at least this share of a trip's time, and five minutes, for recovery."""
+    """Recovery time after each trip in the timetable's blocks, as a share of the trip's duration; at least
+    five minutes."""
     observation: Literal["paper", "published", "control"] = "control"
-    """`paper`: the paper's four; `published`: the released code's eight; `control`: all that a controller
-    needs."""
+    """Features that an agent observes. `paper`: the four of the paper; `published`: the eight of the released
+    code; `control`: 29, all that a controller needs."""
     state: Literal["auto", "full", "aggregate"] = "aggregate"
-    """`full`: line aggregates and all observations; `aggregate`: line aggregates; `auto`: full up to 50
-    agents."""
+    """Global state for central critics. `aggregate`: features of the day and of each line; `full`: also all
+    agents' observations; `auto`: `full` for up to 50 agents, else `aggregate`."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     upkeep: UpkeepConfig = field(default_factory=UpkeepConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     @property
     def arrivals_per_boarding(self) -> float:
-        """Passengers with a competing service who arrive, per one of them who boards, at the target headway.
+        """Number of arriving passengers with a competing service per one of them who boards, at the target
+        headway.
 
-        Arrivals are uniform over a headway H, and each leaves after an exponential wait of mean x H, where x
-        is `competing_headway_share`: the share x (1 - exp(-1 / x)) still waits when the bus comes."""
+        Arrivals are uniform over a headway H, and each passenger leaves after an exponential wait of mean x
+        H, where x is `competing_headway_share`: the share x (1 - exp(-1 / x)) still waits when the bus comes.
+        """
         x = self.competing_headway_share
         return 1.0 / (x * (1.0 - math.exp(-1.0 / x)))
 
@@ -267,12 +278,12 @@ class BusConfig:
 
     @property
     def day_s(self) -> float:
-        """Length of the service day, s."""
+        """Duration of the service day, s."""
         return (self.end_hour - self.start_hour) * 3600.0
 
     @property
     def ticks(self) -> int:
-        """Control intervals in a day: the length of an episode."""
+        """Number of control intervals in a day: the length of an episode."""
         return int(self.day_s // self.tick_s)
 
 

@@ -1,4 +1,4 @@
-"""The bus environment's entry in the registry. Imports nothing heavy."""
+"""Registry entry of the bus environment. Imports no heavy module until one of its functions is called."""
 
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from headway_envs.bus.prepared import Prepared
 
 HOLDING_SHARES = (0.7, 0.9)
-"""Of the target headway, under which buses are held."""
+"""Headways, as shares of the target, below which the headway_holding rules hold a bus."""
 
 
 def _prepare(config: BusConfig) -> "Prepared":

@@ -1,4 +1,4 @@
-"""The batched face of the bus environment."""
+"""Batched bus environment."""
 
 from typing import Any
 
@@ -13,24 +13,26 @@ from headway_envs.bus.prepared import Prepared
 from headway_envs.kept_arrays import KeptArrays, Snapshot, copied
 
 _WAITING = ("arrived_at", "leaves_at")
-"""Arrays of the world of which only the places are read that queues have taken."""
+"""Arrays of the world that are read only at positions occupied by waiting passengers."""
 
 
 class BusBatchedEnv(KeptArrays[World, Outputs]):
     """C service days stepped together; implements `headway.contracts.BatchedEnv`.
 
-    Agents are vehicle slots; actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
+    Agents are vehicle slots. Actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
     and used at each decision event in it (`acting`). At the end of the service day all agents are terminated,
-    not truncated: the last buses are in, passengers have gone, and nothing that comes after could be
-    influenced by what the agents did, so the return is over.
+    not truncated: the last buses are in, the passengers have gone, and the agents' actions could no longer
+    influence any later reward.
     """
 
     _KIND = "bus scenario"
 
     def __init__(self, prepared: Prepared, copies: int, traced: bool = False) -> None:
-        """`traced`: what happens at every call is kept in `trace` until the step after the day's last.
+        """Allocate `copies` copies. `traced`: record what happens at every call in `trace`, which holds a
+        finished day until the next step.
 
-        Raises HeadwayError if there is not at least one copy."""
+        Raises HeadwayError for fewer than one copy.
+        """
         if copies < 1:
             raise HeadwayError(f"copies must be at least 1, not {copies}")
         config, self.prepared = prepared.config, prepared
@@ -57,8 +59,11 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
-        """One control interval; actions (C, N) int64 of 0 to 2. A bus away or broken ignores them; where the
-        centre does not take a bus, SERVICE_CENTER is MOVE."""
+        """Advance by one control interval; actions (C, N) int64 of 0 to 2. A bus that is away or broken down
+        ignores its action; SERVICE_CENTER acts as MOVE if the centre does not accept the bus.
+
+        Raises ValueError for any other shape of actions.
+        """
         actions = self._checked(actions)
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
@@ -77,25 +82,30 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         return outcome, self.observed()
 
     def observed(self) -> Observed:
-        """What the agents face now; views of the environment's arrays."""
+        """Return the current observations, states, alive mask and action masks: views of the environment's
+        arrays."""
         outputs = self.outputs
         return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
 
     def snapshot(self) -> Snapshot:
-        """Copies of all arrays; of the room for those who wait, which is most of a city's state, only what is
-        taken: every iteration a snapshot goes from worker to learner, and every checkpoint holds one."""
+        """Return copies of all arrays.
+
+        Of the storage for waiting passengers, most of a city's state, only the occupied positions are copied:
+        a snapshot travels from worker to learner at every iteration, and every checkpoint holds one.
+        """
         taken, rest = self._taken(self.world.queues["waiting"]), self.world._asdict()
         waiting = {name: rest.pop(name).ravel()[taken] for name in _WAITING}
         return {"world": {**copied(rest), **waiting}, "outputs": copied(self.outputs._asdict())}
 
     def restore(self, snapshot: Snapshot) -> Observed:
-        """Continue from a snapshot. Raises HeadwayError where its scenario or number of copies is another."""
+        """Continue from a snapshot and return its observations. Raises HeadwayError if the scenario or the
+        number of copies differs."""
         world, queues = dict(snapshot["world"]), np.zeros_like(self.world.queues)
         if "queues" in world and world["queues"].shape == queues.view(np.uint8).shape:
             queues.view(np.uint8)[...] = world["queues"]
             taken = self._taken(np.minimum(queues["waiting"], np.diff(self.network.queue_first)))
             for name in _WAITING:
-                # A checkpoint of before holds the places not taken, too.
+                # Older checkpoints also hold the unoccupied positions and need no unpacking.
                 if name in world and world[name].shape == taken.shape:
                     whole = np.zeros_like(getattr(self.world, name))
                     whole.ravel()[taken] = world[name]
@@ -103,7 +113,8 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         return super().restore({**snapshot, "world": world})
 
     def _taken(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Places in the queues' storage, (C x storage) flattened, that so many who wait (C, Q) have taken."""
+        """Return the occupied positions of the flattened queue storage (C x storage), given the numbers of
+        waiting passengers (C, Q)."""
         first, counts = self.network.queue_first, waiting.ravel()
         begins = (np.arange(self.num_copies)[:, None] * first[-1] + first[:-1]).ravel()
         before = np.cumsum(counts) - counts

@@ -1,4 +1,4 @@
-"""What the metrics of a service day are."""
+"""Descriptions and units of the metrics of a service day."""
 
 MEANINGS = {
     "mean_wait_min": "mean wait of those who boarded or still wait at the end, minutes",

@@ -1,5 +1,5 @@
-"""A picture of a service day: above the map, with its stops, buses and loads; below the time-space diagram of
-one line, a panel for each direction, which grows as the day goes."""
+"""Picture of a service day: the map with stops, buses and loads above, the time-space diagram of one line
+below, with one panel per direction, which grows during the day."""
 
 import math
 from dataclasses import dataclass
@@ -23,30 +23,32 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Point = tuple[float, float]
 Frame = tuple[int, int, int, int]
-"""Left, top, right and bottom, pixels."""
+"""Left, top, right and bottom edge, pixels."""
 
 FINER = 2
-"""Drawn so many times as large and then reduced, for smooth edges."""
+"""Supersampling factor: pictures are drawn this many times as large and then reduced, for smooth edges."""
 WIDTH, HEADER, EDGE = 1180, 54, 14
 MAP_HEIGHTS = (236, 420)
-"""Least and most, by the shape of the network: that of a straight line is a fifth of the width."""
+"""Minimum and maximum height of the map, pixels; between them it follows the shape of the network. For a
+straight line the minimum is a fifth of the width."""
 PANEL_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 190, 24, 18, 26, 46
 ASIDE = 5.0
-"""Pixels by which buses of either direction are drawn to the right of the line."""
+"""Offset of each bus to the right of its line in driving direction, pixels, so that opposite directions stay
+apart."""
 NUMBERED = 40
-"""Up to so many buses have their load written on them."""
+"""Maximum number of buses drawn with their load as a number."""
 
 GROUND, PAPER, ROAD, STOP, QUEUE, GRID, TEXT, FAINT = (
     "#eef1ea", "#ffffff", "#a9b0b6", "#54595e", "#7b4fa3", "#d9dde0", "#20242a", "#6b7177",
 )  # fmt: skip
 OUT_OF_SERVICE = "#d32f2f"
 LOADS = ((0.0, "#2e9d4f"), (0.5, "#f2b705"), (1.0, "#c2185b"))
-"""Colours of the occupancies 0, half and full; between them they are mixed."""
+"""Colours of occupancies 0, 0.5 and 1; interpolated between them."""
 
 
 @dataclass(frozen=True)
 class Geography:
-    """Where the calls of a network lie; Q calls."""
+    """Positions of the Q calls of a network."""
 
     right: Floats
     """(Q,) m along the direction in which the network is longest"""
@@ -55,13 +57,13 @@ class Geography:
     along: Floats
     """(Q,) m from the first call of the pattern"""
     north: Point
-    """Which way north is, right and up"""
+    """Direction of north (right, up), unit vector"""
     directions: tuple[str, ...]
-    """Of each pattern, as the tables call it"""
+    """(P,) direction of each pattern, as named in the tables"""
 
 
 def geography(tables: "Tables", prepared: Prepared) -> Geography:
-    """Of the tables that a network was built from."""
+    """Return the geography of the network that was built from these tables."""
     from headway_envs.bus.scenario.measures import metres_along
     from headway_envs.bus.scenario.network import calls_of, pattern_rows
 
@@ -88,23 +90,26 @@ def geography(tables: "Tables", prepared: Prepared) -> Geography:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The buses of a copy that are out, B of them, at one moment."""
+    """Buses of one copy outside the depot, B of them, at one moment."""
 
     slots: Integers
-    """(B,) which of the slots"""
+    """(B,) slot of each bus"""
     calls: Integers
-    """(B,) the call each is at or has left"""
+    """(B,) the call that each bus stands at or has left"""
     share: Floats
-    """(B,) of the way to the next call"""
+    """(B,) share of the way to the next call covered"""
     occupancy: Floats
     loads: Integers
     out_of_service: NDArray[np.bool_]
-    """(B,) at the service centre, or broken down"""
+    """(B,) away at the service centre, or broken down"""
 
 
 class BusPainter:
-    """Implements `headway.contracts.Painter`. It remembers what it has painted of a day: the diagram begins
-    with the first picture of it. The line shown there is the one with the most buses."""
+    """Painter of a bus environment (`headway.contracts.Painter`).
+
+    It keeps what it has painted of a day: the diagram begins with the first picture of that day. The diagram
+    shows the line with the most slots.
+    """
 
     def __init__(self, prepared: Prepared) -> None:
         from headway_envs.bus.scenario.source import scenario_tables
@@ -129,7 +134,7 @@ class BusPainter:
         self._last: dict[int, tuple[int, Point]] = {}
 
     def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """(height, width, 3). Raises TypeError for any other environment."""
+        """Return a picture (height, width, 3), uint8. Raises TypeError for any other environment."""
         if not isinstance(env, BusBatchedEnv):
             raise TypeError(f"the picture of a bus network needs a BusBatchedEnv, not {type(env).__name__}")
         day = env.world.days[0]
@@ -155,7 +160,7 @@ class BusPainter:
         return _reduced(picture)
 
     def _lay_out(self) -> tuple[Frame, list[Frame]]:
-        """The frames of the map and of the diagram's panels."""
+        """Return the frame of the map and those of the diagram's panels."""
         shape = float(self._places.up.max()) / max(float(self._places.right.max()), 1.0)
         height = int(np.clip(shape * WIDTH, *MAP_HEIGHTS))
         tops = [
@@ -168,7 +173,7 @@ class BusPainter:
         )
 
     def _project(self) -> tuple[Floats, float]:
-        """Pixels of every call (Q, 2), and pixels a metre."""
+        """Return the position of every call (Q, 2), pixels, and the scale, pixels per metre."""
         left, top, right, bottom = (FINER * edge for edge in self._map)
         inset, places = 22 * FINER, self._places
         wide, high = max(float(places.right.max()), 1.0), max(float(places.up.max()), 1.0)
@@ -178,7 +183,7 @@ class BusPainter:
         return np.column_stack((x, y)), scale
 
     def _longest_of(self, direction: str) -> slice:
-        """The calls of the line's longest pattern in a direction."""
+        """Return the calls of the line's longest pattern in a direction."""
         own = [p for p in self._patterns if self._places.directions[p] == direction]
         return max(map(self._calls_of, own), key=lambda calls: float(self._places.along[calls][-1]))
 
@@ -186,8 +191,11 @@ class BusPainter:
         return slice(self._net.pattern_calls[pattern], self._net.pattern_calls[pattern + 1])
 
     def _of_diagram(self) -> Floats:
-        """(Q,) share of the way up their panel of the calls on its line, by metres; NaN on other lines. A
-        pattern begins where the longest one of its direction comes nearest to its first stop."""
+        """Return the height of each call within its panel (Q,), a share from 0 to 1 by distance along the
+        line; NaN on other lines.
+
+        A shorter pattern begins where the longest pattern of its direction comes nearest to its first stop.
+        """
         places, up = self._places, np.full(len(self._places.along), np.nan)
         for pattern in self._patterns:
             longest = self._longest[self._directions.index(places.directions[pattern])]
@@ -220,7 +228,7 @@ class BusPainter:
         return picture
 
     def _draw_scale(self, draw: ImageDraw.ImageDraw) -> None:
-        """A length on the map, and where north is."""
+        """Draw the scale bar and the north arrow."""
         metres = 10.0 ** math.floor(math.log10(120 * FINER / self._scale))
         for more in (5.0, 2.0):
             if metres * more * self._scale <= 120 * FINER:
@@ -274,7 +282,8 @@ class BusPainter:
         draw.text((x + 14 * FINER, y), "broken down or at a centre", TEXT, self._font)
 
     def _draw_queues(self, draw: ImageDraw.ImageDraw, env: BusBatchedEnv) -> int:
-        """Stops as large as their queues; returns how many wait on the network."""
+        """Draw each queue as a disc of proportional area, up to a largest radius, and return the number of
+        waiting passengers on the network."""
         waiting = env.world.queues["waiting"][0]
         for call in np.flatnonzero(waiting):
             x, y = self._pixels[call]
@@ -297,8 +306,8 @@ class BusPainter:
                 draw.text((x, y), f"{seen.loads[n]}", "#ffffff", self._small, anchor="mm")
 
     def _extend_diagram(self, seen: _Seen, now: float) -> None:
-        """Draw on from where each bus of the line was in the last picture. A stroke ends where a bus begins
-        another trip, or is out of service."""
+        """Extend the diagram by one stroke per bus of the line, from its position in the last picture. A bus
+        that has begun another trip or is out of service gets none."""
         draw, reached = ImageDraw.Draw(self._drawn), {}
         for n, call in enumerate(seen.calls):
             up, slot = self._heights[call], int(seen.slots[n])
@@ -321,7 +330,7 @@ class BusPainter:
 
 
 def _look(env: BusBatchedEnv) -> _Seen:
-    """The buses of the first copy that are out."""
+    """Return the buses of the first copy that are outside the depot."""
     slots, capacity = env.world.slots[0], env.prepared.config.capacity
     out = np.flatnonzero(slots["phase"] != DEPOT)
     buses, now = slots[out], float(env.world.days[0]["now"])
@@ -339,7 +348,7 @@ def _look(env: BusBatchedEnv) -> _Seen:
 
 
 def _summary(metrics: Floats) -> str:
-    """What the day came to."""
+    """Return a line of text with the main metrics of the day."""
     of = dict(zip(METRICS, metrics.tolist(), strict=True))
     return (
         f"mean wait {of['mean_wait_min']:.2f} min    headway CV {of['headway_cv']:.2f}    "
@@ -354,7 +363,7 @@ def _clock(seconds: float) -> str:
 
 
 def _colour(occupancy: float) -> str:
-    """Of a bus with such a load."""
+    """Return the colour of an occupancy, "#rrggbb"."""
     place = min(max(occupancy, 0.0), 1.0)
     for (low, begin), (high, end) in pairwise(LOADS):
         if place <= high:

@@ -1,4 +1,5 @@
-"""What all copies of one bus environment share. Light: numpy and the kernel's records only."""
+"""Record shared by all copies of one bus environment, and functions that make it. Imports only numpy and the
+kernel's records until one of these functions is called."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
 
 _NEVER = 1e9
-"""Seconds a unit of fuel, or hours the uptime, last in a replay."""
+"""Replay only: seconds that one unit of fuel lasts, and hours until the uptime reaches 0; never reached."""
 REPLAY_FIXED: Mapping[str, float] = {
     "dispatch_window_s": 0.0,
     "recovery_share": 3.0,
@@ -23,23 +24,23 @@ REPLAY_FIXED: Mapping[str, float] = {
     "upkeep.seconds_per_fuel_unit": _NEVER,
     "upkeep.uptime_hours": _NEVER,
 }
-"""What `prepare_replay` sets, whatever the configuration says."""
+"""Settings that `prepare_replay` overrides in every configuration, by dotted name."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A network and the configuration it was built for; picklable."""
+    """Network and the configuration it was built for; picklable."""
 
     config: BusConfig
     network: Network
     lines: tuple[str, ...]
     """Name of each line (L)."""
     source: str
-    """Where the scenario comes from, with its licence."""
+    """Source of the scenario, with its licence."""
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """One name a slot (N): `LINE_NUMBER`."""
+        """(N,) one name per slot: `LINE_NUMBER`."""
         first = self.network.line_slots
         return tuple(
             f"{line}_{n}" for i, line in enumerate(self.lines) for n in range(first[i + 1] - first[i])
@@ -47,12 +48,13 @@ class Prepared:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Each slot's line (N)."""
+        """(N,) name of each slot's line."""
         return tuple(self.lines[i] for i in self.network.slot_line)
 
     @property
     def full_state(self) -> bool:
-        """Whether the state holds all observations."""
+        """Whether the state includes all agents' observations; `state=auto` includes them for up to 50
+        slots."""
         match self.config.state:
             case "auto":
                 return len(self.network.slot_line) <= 50
@@ -130,10 +132,12 @@ def _settings(prepared: Prepared) -> dict[str, float]:
 
 
 def _breakdown_cost(prepared: Prepared) -> float:
-    """Reward that a bus, or its share of its line or the team, loses while it stands broken and is repaired.
+    """Estimate the reward lost by a breakdown, until the bus is repaired: by the bus itself under
+    `scope=own`, else by its share in the reward of its line or of the team.
 
-    An estimate: for that long m is -1 and c -1 instead of 1; of two intervals between buses one of twice the
-    length remains, which leaves twice as many waiting there, so that the line's q falls by 2 / buses."""
+    For that long m is -1, and c is -1 instead of 1. Two intervals between buses become one of twice the
+    length, which leaves twice as many passengers waiting there, so the line's q falls by 2 / buses.
+    """
     config, reward = prepared.config, prepared.config.reward
     intervals = (config.upkeep.broken_s + config.upkeep.service_s) / config.tick_s
     own = reward.scope == "own"
@@ -142,9 +146,10 @@ def _breakdown_cost(prepared: Prepared) -> float:
 
 
 def prepare(config: BusConfig) -> Prepared:
-    """Read or generate the scenario and build its network, once, in the parent (imports pandas).
+    """Read or generate the scenario and build its network: once, in the parent process. Imports pandas.
 
-    Raises HeadwayError where the scenario cannot be used."""
+    Raises HeadwayError for an unusable scenario.
+    """
     from headway_envs.bus.scenario.network import build
     from headway_envs.bus.scenario.source import scenario_tables
 
@@ -154,21 +159,23 @@ def prepare(config: BusConfig) -> Prepared:
 
 
 def prepare_beside(config: BusConfig, other: Prepared) -> Prepared:
-    """As `prepare`, with the network of another configuration where they differ in nothing but rewards,
-    which leave it as it is: that of a whole city takes seconds to generate."""
+    """Prepare `config` with the network of `other` if the two configurations differ only in rewards, which do
+    not affect the network; else prepare anew. Saves the seconds that generating a whole city takes."""
     if replace(config, reward=other.config.reward) == other.config:
         return replace(other, config=config)
     return prepare(config)
 
 
 def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepared:
-    """As `prepare`, in replay mode: every trip of the table leaves exactly when it did, for the comparison
-    with what was measured.
+    """Prepare a replay for comparison with measurements: every trip of the table leaves exactly at its
+    observed departure time. Raises HeadwayError for an unusable scenario.
 
-    Observed departures hold the delays of the trips before them and whatever failed. So nothing is added to
-    them: no decision before the departure, no dispatch noise, no breakdowns and no want of fuel; and each
-    slot has three times a trip's time before its next one, so that a late arrival moves none: `REPLAY_FIXED`.
-    Slots are therefore more than the buses that ran. `tables`: the scenario, if it has been read already."""
+    Observed departures already contain the delays of earlier trips and the effect of breakdowns, so nothing
+    is added to them (`REPLAY_FIXED`): no decision before departure, no dispatch noise, no breakdowns and
+    unlimited fuel. Each slot recovers for three times a trip's time before its next trip, so that no late
+    arrival delays a departure; there are therefore more slots than buses in the data. `tables`: the scenario,
+    if already read.
+    """
     from headway_envs.bus.scenario.network import build
     from headway_envs.bus.scenario.source import scenario_tables
 
@@ -191,5 +198,5 @@ def prepare_replay(config: BusConfig, tables: "Tables | None" = None) -> Prepare
 
 
 def source_of(meta: Mapping[str, Any]) -> str:
-    """Where a scenario comes from, by its meta data."""
+    """Return the source of a scenario from its metadata, or "unknown"."""
     return str(meta.get("source", "unknown"))

@@ -1,6 +1,6 @@
-"""Classical controllers. All but `always_move` also send buses to the service centre in time, as
-a dispatcher would (see `_due_for_service`); they read the environment's arrays, the estimated arrival of the
-bus included."""
+"""Classical controllers of holding. All but `always_move` also send buses to the service centre in time, as a
+dispatcher would (see `_due_for_service`). They read the environment's arrays, including the bus's next
+arrival time."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,38 +23,41 @@ from headway_envs.bus.kernel.layout import (
 
 Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
-"""A bus is refuelled while it can still drive this many times what it is needed for."""
+"""Safety margin on fuel: a bus is refuelled while it can still drive this many times what it needs."""
 NEAR_S = 60.0
-"""A terminal is near a service centre if the way there is at most this much longer than the shortest."""
+"""A terminal counts as near a service centre if its detour is at most this much longer than the line's
+shortest, s."""
 WORTH_REPAIR = 0.5
-"""A worn bus goes if it would drive more than this share of what is left for it below the warning."""
+"""Minimum share of its remaining planned driving time that a worn bus would drive below the warning level; it
+is not serviced for less."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The buses' situation as (C, N) arrays; times in s."""
+    """Situation of all buses as (C, N) arrays; times in s."""
 
     event: Floats
-    """Next event: arrival of a driving bus, else the next decision."""
+    """Time of the next event: the arrival of a driving bus, else its next decision."""
     now: Floats
-    """(C, 1)"""
+    """(C, 1) current time."""
     terminal: NDArray[np.bool_]
     on_way: NDArray[np.bool_]
     headway: Floats
-    """At the next event, since the last departure from that call; infinite if there was none."""
+    """Headway at the next event, since the last departure from that call, s; infinite before the first
+    departure."""
     target: Floats
     departure: Floats
-    """Scheduled departure of the trip."""
+    """Scheduled departure time of the trip."""
     planned: Floats
-    """Planned time at the call of the next decision."""
+    """Planned time at the call of the next event."""
     ahead: Floats
-    """Spacing over target headway; NaN without a neighbour."""
+    """Spacing to the bus ahead divided by the target headway; NaN without a neighbour."""
     behind: Floats
     due_for_service: NDArray[np.bool_]
 
 
 def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
-    """Rows of (rows, K) knot curves at times, as the kernel reads them."""
+    """Return rows of (rows, K) knot curves at times in s, interpolated as the kernel does."""
     place = np.clip(time / 3600.0 - FIRST_KNOT_HOUR - 0.5, 0.0, KNOTS - 1)
     knot = np.minimum(place.astype(np.int64), KNOTS - 2)
     weight = place - knot
@@ -62,7 +65,7 @@ def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
 
 
 def look(env: BatchedEnv) -> Scene:
-    """The scene of a bus environment; raises TypeError for any other."""
+    """Return the scene of a bus environment. Raises TypeError for any other environment."""
     if not isinstance(env, BusBatchedEnv):
         raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
     net, world = env.network, env.world
@@ -87,13 +90,14 @@ def look(env: BatchedEnv) -> Scene:
 
 
 def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
-    """Buses that, at a terminal, should go to service now, (C, N).
+    """Return which buses should go to service at their current terminal, (C, N).
 
-    A dispatcher knows what a bus has still to drive before it is back at the depot, and which terminal of its
-    line has the shortest way to a service centre. There it goes when its fuel does not last to the depot
-    nor, with a margin, until it comes by again (its longest trips there and back), or when its uptime falls
-    below the warning meanwhile and long enough before the depot (`WORTH_REPAIR`); at other terminals only if
-    the fuel does not last for one more trip."""
+    A dispatcher knows how long a bus still drives before it is back at the depot, and which terminals of its
+    line are nearest to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts
+    neither to the depot nor until it comes by again (twice its line's longest trip), or if its uptime would
+    fall below the warning level before both and early enough to be worth it (`WORTH_REPAIR`). At any other
+    terminal a bus is sent only if its fuel does not last for one more trip.
+    """
     net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
     ends = net.pattern_calls[1:] - 1
     longest, way = np.zeros(len(net.line_slots) - 1), np.zeros(len(net.line_slots) - 1)
@@ -111,33 +115,35 @@ def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
 
 
 def _actions(scene: Scene, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """WAIT where `hold`, else MOVE; service first, at terminals."""
+    """Return WAIT where `hold`, else MOVE; SERVICE_CENTER takes precedence at terminals."""
     actions = np.where(hold, WAIT, MOVE).astype(np.int64)
     actions[scene.terminal & scene.due_for_service] = SERVICE_CENTER
     return actions
 
 
 def _spaced(scene: Scene, share: float) -> NDArray[np.bool_]:
-    """Where the headway at the next decision is under `share` of the target, or the bus ahead has not left
-    that stop yet."""
+    """Return where the headway at the next event is below `share` of the target, or where the bus ahead has
+    not yet left that stop."""
     near = scene.ahead * scene.target < scene.event - scene.now
     return (scene.headway < share * scene.target) | (scene.on_way & near)
 
 
 def _early(scene: Scene) -> NDArray[np.bool_]:
-    """At a terminal, before the scheduled departure."""
+    """Return which buses are at a terminal before their scheduled departure."""
     return scene.terminal & (scene.event < scene.departure)
 
 
 class AlwaysMove:
-    """MOVE and nothing else: leave every stop and terminal at once, and never go to the service centre."""
+    """Baseline that always moves: it leaves every stop and terminal at once and never goes to the service
+    centre."""
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, MOVE, np.int64)
 
 
 class MoveWithService:
-    """As `AlwaysMove`, but served in time like the holding rules: what these gain over it is by holding."""
+    """Baseline that never holds but is serviced in time like the holding rules, so that their gain over it is
+    due to holding alone."""
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
         return _actions(look(env), np.zeros(observed.alive.shape, np.bool_))
@@ -145,8 +151,8 @@ class MoveWithService:
 
 @dataclass(frozen=True)
 class HeadwayHolding:
-    """Hold while the headway to the bus ahead is under a share of the target, at stops and at terminals
-    alike (forward headway control); a terminal is left one dispatch window after schedule at the latest."""
+    """Forward headway control: hold, at stops and terminals, while the headway to the bus ahead is below a
+    share of the target. A bus leaves a terminal at most one dispatch window after schedule."""
 
     share: float
     window_s: float
@@ -158,7 +164,8 @@ class HeadwayHolding:
 
 
 class EvenHeadway:
-    """Hold while the bus behind is farther than the bus ahead; leave terminals by schedule."""
+    """Hold while the bus behind is farther away than the bus ahead and that one is nearer than the target
+    headway; leave terminals by schedule."""
 
     def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
         scene = look(env)

@@ -1,4 +1,4 @@
-"""The smallest network: one bus, one trip, two stops."""
+"""Smallest possible network, with one bus, one trip and two stops, run to load the compiled kernel."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def _whole(*values: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
 
 
 def tiny_network() -> Network:
-    """One trip at 05:10, 100 s long, one passenger every 200 s."""
+    """Return a network of one trip that leaves at 05:10 and takes 100 s, with one passenger every 200 s."""
     return Network(
         line_slots=_whole(0, 1),
         line_patterns=_whole(0, 1),
@@ -40,7 +40,7 @@ def tiny_network() -> Network:
 
 
 def run_tiny() -> None:
-    """One hour of the tiny network, to its end and beyond."""
+    """Run one service day of one hour on the tiny network, and the first interval of the next day."""
     config = BusConfig(end_hour=6)
     env = BusBatchedEnv(Prepared(config, tiny_network(), ("tiny",), "tiny"), 1)
     env.reset(np.zeros(1, np.uint64))
