@@ -37,9 +37,9 @@ def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: st
     from headway_algos.batches.policy_stack import resolve_device
     from headway_algos.on_policy.learner import OnPolicyLearner
     from headway_algos.on_policy.per_seed_learner import PerSeedLearner
-    from headway_algos.on_policy.split_learner import PartingLearner
+    from headway_algos.on_policy.split_learner import SplitLearner
 
-    make = PartingLearner if config.shared_until > 0 else OnPolicyLearner
+    make = SplitLearner if config.shared_until > 0 else OnPolicyLearner
     if len(seeds) == 1 or resolve_device(device).type != "cpu":
         return make(config, spec, seeds, device)
     return PerSeedLearner([make(config, spec, (seed,), device) for seed in seeds])

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import EnvSpec, HeadwayError, Observed
+from headway.contracts import EnvSpec, HeadwayError, Observations
 
 Snapshot = dict[str, dict[str, NDArray[Any]]]
 """Whole state of a batch with its current observations, as checkpoints hold it: {"world" or "outputs": {name:
@@ -19,7 +19,7 @@ WorldT = TypeVar("WorldT", bound=NamedTuple)
 OutputsT = TypeVar("OutputsT", bound=NamedTuple)
 
 
-class KeptArrays(ABC, Generic[WorldT, OutputsT]):
+class ArrayEnv(ABC, Generic[WorldT, OutputsT]):
     """Implementation of `headway.contracts.BatchedEnv`, except `step`, for C copies whose whole state is the
     arrays of `world` and `outputs`.
 
@@ -41,7 +41,7 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
         return len(self.world[0])
 
     @abstractmethod
-    def observed(self) -> Observed:
+    def observed(self) -> Observations:
         """Return the current observations, states, alive mask and action masks: views of the environment's
         arrays."""
 
@@ -50,7 +50,7 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
         """Begin episode 0 of every copy; all arrays are zero on entry, except those named `final_*`. Seeds
         (C,)."""
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         """Begin episode 0 of every copy; seeds (C,). Raises ValueError for another shape."""
         seeds = np.ascontiguousarray(seeds, np.uint64)
         if seeds.shape != (self.num_copies,):
@@ -66,7 +66,7 @@ class KeptArrays(ABC, Generic[WorldT, OutputsT]):
         """Return copies of all arrays."""
         return {"world": copied(_named(self.world)), "outputs": copied(_named(self.outputs))}
 
-    def restore(self, snapshot: Snapshot) -> Observed:
+    def restore(self, snapshot: Snapshot) -> Observations:
         """Continue from a snapshot and return its observations. Raises HeadwayError if `_KIND` or the number
         of copies differs."""
         saved = {**snapshot["world"], **snapshot["outputs"]}

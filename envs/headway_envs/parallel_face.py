@@ -14,17 +14,17 @@ from headway.contracts import (
     Discrete,
     EnvSpec,
     MultiDiscrete,
-    Observed,
-    Outcome,
+    Observations,
+    StepResult,
     child_seeds,
 )
 
-Observations = dict[str, NDArray[np.float32]]
+AgentObservations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
-Stepped = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+Stepped = tuple[AgentObservations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 
-class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
+class ParallelEnvBase(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
     """PettingZoo ParallelEnv over one copy of a batched environment.
 
     `reset(seed=s)` begins episode 0 of seed s; `reset()` begins one of a seed derived from the last seed. An
@@ -66,10 +66,10 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
         self._actions = _no_actions(spec)
         self._seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._state = np.zeros(spec.state_size, dtype=np.float32)
-        self._observed: Observed | None = None
+        self._observed: Observations | None = None
 
     @property
-    def native(self) -> tuple[BatchedEnv, Observed]:
+    def native(self) -> tuple[BatchedEnv, Observations]:
         """The batched environment of one copy and its latest observations, as rules need them. Requires a
         `reset` first."""
         assert self._observed is not None, "reset first"
@@ -83,7 +83,7 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, Infos]:
+    ) -> tuple[AgentObservations, Infos]:
         observed = self._begin(seed)
         self.agents = list(self.possible_agents)
         infos: Infos = {agent: {} for agent in self.agents}
@@ -128,28 +128,28 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
     def close(self) -> None:
         self._env.close()
 
-    def _begin(self, seed: int | None) -> Observed:
+    def _begin(self, seed: int | None) -> Observations:
         self._seed = int(child_seeds(self._seed, "face", 1, 1)[0]) if seed is None else seed
         self._observed = observed = self._env.reset(np.array([self._seed], np.uint64))
         self._state = observed.states[0].copy()
         return observed
 
-    def _advance(self) -> tuple[Outcome, Observed]:
+    def _advance(self) -> tuple[StepResult, Observations]:
         outcome, self._observed = self._env.step(self._actions)
         ended = bool(outcome.episode_ended[0])
         self._state = (outcome.final_states if ended else self._observed.states)[0].copy()
         return outcome, self._observed
 
-    def _metrics(self, outcome: Outcome) -> dict[str, float]:
+    def _metrics(self, outcome: StepResult) -> dict[str, float]:
         return dict(zip(self._env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
 
-    def _shown(self, values: NDArray[np.float32], given: NDArray[np.bool_]) -> Observations:
+    def _shown(self, values: NDArray[np.float32], given: NDArray[np.bool_]) -> AgentObservations:
         """Return the rows of `values` (1, N, D) by name of the current agents; zeros where `given` (1, N) is
         false."""
         rows = np.where(given[0, :, None], values[0], np.float32(0))
         return {agent: rows[self._index[agent]] for agent in self.agents}
 
-    def _add_presence(self, infos: Infos, observed: Observed) -> None:
+    def _add_presence(self, infos: Infos, observed: Observations) -> None:
         for agent, info in infos.items():
             index = self._index[agent]
             if self._env.spec.agents_come_and_go:
@@ -158,7 +158,7 @@ class ParallelFace(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are
                 info["action_mask"] = observed.action_masks[0, index].astype(np.int8)
 
     def _results(
-        self, stepped: list[str], outcome: Outcome
+        self, stepped: list[str], outcome: StepResult
     ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
         index = self._index
         return (

@@ -25,12 +25,12 @@ def _fabricate(
     idle: float = 0.0,
     ends: float = 0.1,
     leaves: float = 0.0,
-    memory_size: int = 0,
+    hidden_size: int = 0,
 ) -> Trajectory:
     """Chances: `absent` of an agent at a step, `idle` of not acting, `ends` of an episode, `leaves` of one
     agent's stream ending while its episode goes on."""
     draw = np.random.default_rng(seed)
-    made = Trajectory.allocate(TrajectoryLayout(spec, steps, copies, memory_size))
+    made = Trajectory.allocate(TrajectoryLayout(spec, steps, copies, hidden_size))
     by_agent = made.rewards.shape
     for array in (made.observations, made.states, made.final_observations, made.final_states):
         array[:] = 1 + 2 * draw.standard_normal(array.shape)
@@ -53,7 +53,7 @@ def _fabricate(
         made.actions[:] = 0.6 * draw.standard_normal(made.actions.shape)
         density = -0.5 * (made.actions / np.exp(-0.5)) ** 2 + 0.5 - 0.5 * np.log(2 * np.pi)
         made.log_probs[:] = density.sum(axis=-1) + 0.2 * draw.standard_normal(by_agent)
-    if memory_size:
+    if hidden_size:
         made.begins[:] = draw.random(made.begins.shape) < 0.3
         made.memory[:] = np.where(made.begins[..., None], 0, draw.uniform(-1, 1, made.memory.shape))
     return made

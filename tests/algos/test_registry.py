@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, MultiDiscrete, Observed
-from headway_algos.acting.mlp import StackedActingPolicy
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, MultiDiscrete, Observations
+from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.recipes.coma import COMAConfig
@@ -205,7 +205,7 @@ def test_impossible_networks_are_named(wrong: dict[str, Any]) -> None:
 
 def test_a_network_without_hidden_layers_is_linear() -> None:
     config = AlgoConfig(model=ModelConfig(hidden=()))
-    learner, acting = OnPolicyLearner(config, SPEC, (0,), "cpu"), StackedActingPolicy.of(config, SPEC)
+    learner, acting = OnPolicyLearner(config, SPEC, (0,), "cpu"), MLPActingPolicy.of(config, SPEC)
     assert learner.acting_parameters().keys() == acting.parameter_shapes(1).keys()
     assert "weight_1" not in learner.acting_parameters()
 
@@ -215,8 +215,8 @@ def test_policies_start_near_the_initial_logits(policies: Any) -> None:  # noqa:
     config = AlgoConfig(
         policies=policies, model=ModelConfig(initial_logits=(0.0, 1.0), actor_gain=1e-9), precision="float64"
     )
-    learner, acting = OnPolicyLearner(config, SPEC, (0, 1), "cpu"), StackedActingPolicy.of(config, SPEC)
-    observed = Observed(
+    learner, acting = OnPolicyLearner(config, SPEC, (0, 1), "cpu"), MLPActingPolicy.of(config, SPEC)
+    observed = Observations(
         np.ones((2, 3, 3), np.float32), np.zeros((2, 0), np.float32), np.ones((2, 3), np.bool_)
     )
     actions, log_probs = acting.act(learner.acting_parameters(), observed, None)

@@ -26,7 +26,7 @@ from headway.rollout.collector import Backend
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway.rollout.workers.async_worker import AsynchronousPlan
-from headway.training.modes import Asynchronous, InStep, Mode
+from headway.training.modes import Asynchronous, Mode, SynchronousMode
 
 pytestmark = pytest.mark.slow
 
@@ -136,7 +136,7 @@ def opened(plan: RolloutPlan, entry: AlgoEntry, config: object) -> tuple[Learner
     learner = entry.learner(config, plan.spec, plan.seeds, "cpu")
     if entry.contributor is None:
         collector = SerialCollector(plan)
-        return learner, collector, InStep(learner, collector)
+        return learner, collector, SynchronousMode(learner, collector)
     assert isinstance(learner, AsynchronousLearner)
     contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
     return learner, contributors, Asynchronous(learner, contributors)

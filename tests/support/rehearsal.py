@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from headway.config.experiment import BackendConfig
 from headway.config.schema import build
-from headway.contracts import BatchedEnv, Contribution, EnvSpec, Observed, Outcome, Trajectory, generator
+from headway.contracts import (
+    BatchedEnv,
+    Contribution,
+    EnvSpec,
+    Observations,
+    StepResult,
+    Trajectory,
+    generator,
+)
 from headway.contracts.acting import Parameters
 from headway.rollout.backends import open_collector
 from headway.rollout.collector import Collector
@@ -85,11 +93,11 @@ class FaultyVisitors:
     def num_copies(self) -> int:
         return self._env.num_copies
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self._steps[:] = 0
         return self._env.reset(seeds)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome, observed = self._env.step(actions)
         self._steps += 1
         if self._steps[0] >= self._config.at and self._strikes():
@@ -101,7 +109,7 @@ class FaultyVisitors:
             return lambda: "this cannot be pickled"
         return {"visitors": self._env.snapshot(), "steps": self._steps.copy()}
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         self._steps[:] = snapshot["steps"]
         return self._env.restore(snapshot["visitors"])
 
@@ -120,7 +128,7 @@ class FaultyVisitors:
             return True
         return False
 
-    def _fail(self, outcome: Outcome, observed: Observed) -> None:
+    def _fail(self, outcome: StepResult, observed: Observations) -> None:
         match self._config.fault:
             case "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
@@ -162,7 +170,7 @@ class Unloadable:
 class TediousVisitors(Visitors):
     """Visitors of whom each step takes half a CPU second where there are two copies."""
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         until = time.process_time() + (0.5 if self.num_copies == 2 else 0)
         while time.process_time() < until:
             pass

@@ -7,10 +7,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, EnvSpec, Observed
+from headway.contracts import Box, EnvSpec, Observations
 from headway.contracts.acting import Parameters
-from headway_algos.acting.live_agents import Answer, ForgettingActs, RememberingActs
-from headway_algos.acting.mlp import StackedActingPolicy
+from headway_algos.acting.live_agents import Answer, FeedforwardActing, RecurrentActing
+from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.replay_config import ReplayConfig
 
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
@@ -20,7 +20,7 @@ Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 class ExploringStack:
     """P networks evaluated at once, and how much each agent explores."""
 
-    flat: StackedActingPolicy
+    flat: MLPActingPolicy
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """Those of the networks, and `exploration` (P, 1, 1)."""
@@ -31,10 +31,10 @@ class ExploringStack:
 
     @property
     def alone(self) -> "ExploringStack | None":
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return None if self.flat.alone is None else ExploringStack(self.flat.alone)
 
-    def outputs(self, parameters: Parameters, observed: Observed) -> NDArray[Any]:
+    def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
         """What the networks give for each agent, (C, N, A)."""
         flat = self.flat
         features = flat.hidden_features(parameters, flat.rows(parameters, observed))
@@ -52,7 +52,7 @@ class ExploringStack:
 
 
 @dataclass(frozen=True)
-class EpsilonGreedyPolicy(ForgettingActs):
+class EpsilonGreedyPolicy(FeedforwardActing):
     """The allowed action of the highest value, or with a chance of epsilon any allowed one."""
 
     stack: ExploringStack
@@ -60,7 +60,7 @@ class EpsilonGreedyPolicy(ForgettingActs):
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec) -> "EpsilonGreedyPolicy":
         """The policy of an algorithm's config on an environment."""
-        return cls(ExploringStack(StackedActingPolicy.of(config, spec)))
+        return cls(ExploringStack(MLPActingPolicy.of(config, spec)))
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """`exploration` is epsilon."""
@@ -72,21 +72,21 @@ class EpsilonGreedyPolicy(ForgettingActs):
 
     @cached_property
     def alone(self) -> Self | None:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return self.stack.flat.replicas(parameters)
 
     def answer(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> Answer:
-        """See `AnsweringPolicy`. Nothing is remembered."""
+        """See `MaskedActingPolicy`. Nothing is remembered."""
         values = self.stack.outputs(parameters, observed)
         allowed = np.ones(values.shape, np.bool_)
         if observed.action_masks is not None:
@@ -103,7 +103,7 @@ class EpsilonGreedyPolicy(ForgettingActs):
 
 
 @dataclass(frozen=True)
-class WanderingPolicy(RememberingActs):
+class OrnsteinUhlenbeckPolicy(RecurrentActing):
     """A deterministic action within the bounds, m + h tanh(network), that exploration lets wander around:
 
         x' = (1 - theta) x + sigma n,   n standard normal;   action = m + h (tanh(network) + scale x')
@@ -117,17 +117,17 @@ class WanderingPolicy(RememberingActs):
     sigma: float
 
     @classmethod
-    def of(cls, config: ReplayConfig, spec: EnvSpec, theta: float, sigma: float) -> "WanderingPolicy":
+    def of(cls, config: ReplayConfig, spec: EnvSpec, theta: float, sigma: float) -> "OrnsteinUhlenbeckPolicy":
         """The policy of an algorithm's config on an environment with a bounded Box."""
-        return cls(ExploringStack(StackedActingPolicy.of(config, spec)), theta, sigma)
+        return cls(ExploringStack(MLPActingPolicy.of(config, spec)), theta, sigma)
 
     @property
-    def memory_size(self) -> int:
+    def hidden_size(self) -> int:
         """A: the size of an action."""
         return len(self._box.low)
 
     @property
-    def memory_type(self) -> np.dtype[Any]:
+    def hidden_dtype(self) -> np.dtype[Any]:
         """Of x."""
         return np.dtype(np.float64)
 
@@ -143,32 +143,32 @@ class WanderingPolicy(RememberingActs):
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Standard normals (T, N, A)."""
-        return generator.standard_normal((steps, self.stack.flat.spec.num_agents, self.memory_size))
+        return generator.standard_normal((steps, self.stack.flat.spec.num_agents, self.hidden_size))
 
     def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+        self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """As where all streams begin."""
-        memory = np.zeros((*observed.alive.shape, self.memory_size))
+        memory = np.zeros((*observed.alive.shape, self.hidden_size))
         return self.act_from(parameters, observed, memory, noise)[:2]
 
     @cached_property
     def alone(self) -> Self | None:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return self.stack.flat.replicas(parameters)
 
     def answer(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> Answer:
-        """See `AnsweringPolicy`. Greedy acting leaves x as it is. A deterministic policy has no density:
+        """See `MaskedActingPolicy`. Greedy acting leaves x as it is. A deterministic policy has no density:
         log-probabilities are 0."""
         assert memory is not None
         low, high = np.array(self._box.low), np.array(self._box.high)

@@ -7,17 +7,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import ActingPolicy, EnvSpec, Observed
+from headway.contracts import ActingPolicy, EnvSpec, Observations
 from headway.contracts.acting import Parameters
-from headway_algos.acting.live_agents import Answer, RememberingActs
-from headway_algos.acting.mlp import StackedActingPolicy, actor_outputs
+from headway_algos.acting.live_agents import Answer, RecurrentActing
+from headway_algos.acting.mlp import MLPActingPolicy, actor_outputs
 from headway_algos.config import AlgoConfig
 
 
 def acting_policy(config: AlgoConfig, spec: EnvSpec) -> ActingPolicy:
     """The policy of an algorithm's config on an environment, with or without memory."""
-    flat = StackedActingPolicy.of(config, spec)
-    return flat if config.model.core == "none" else RecurrentActingPolicy(flat, config.model.gru_size)
+    flat = MLPActingPolicy.of(config, spec)
+    return flat if config.model.core == "none" else GRUActingPolicy(flat, config.model.gru_size)
 
 
 def gated_step(
@@ -41,26 +41,26 @@ def gated_step(
 
 
 @dataclass(frozen=True)
-class RecurrentActingPolicy(RememberingActs):
+class GRUActingPolicy(RecurrentActing):
     """P stacked policies whose hidden layers are followed by gated recurrent units.
 
     What an agent remembers changes with every observation that it is there for, whether or not its action
     is used.
     """
 
-    flat: StackedActingPolicy
+    flat: MLPActingPolicy
     """What comes before and after the units."""
-    memory_size: int
+    hidden_size: int
     """M"""
 
     @property
-    def memory_type(self) -> np.dtype[Any]:
+    def hidden_dtype(self) -> np.dtype[Any]:
         """As of the parameters."""
         return np.dtype(self.flat.precision)
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
         """Those of the policy without memory, whose last layer is given the M numbers, and the units'."""
-        flat, size = self.flat, self.memory_size
+        flat, size = self.flat, self.hidden_size
         stack = replicas * flat.grouping.num_policies
         input_size = flat.hidden[-1] if flat.hidden else flat.spec.observation_size
         shapes = {
@@ -70,36 +70,36 @@ class RecurrentActingPolicy(RememberingActs):
             "gru_bias_input": (stack, 3 * size, 1),
             "gru_bias_memory": (stack, size, 1),
         }
-        return flat.parameter_shapes(replicas) | {name: (s, self.memory_type) for name, s in shapes.items()}
+        return flat.parameter_shapes(replicas) | {name: (s, self.hidden_dtype) for name, s in shapes.items()}
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """As without memory."""
         return self.flat.noise(generator, steps)
 
     def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+        self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """As agents act that remember nothing."""
-        memory = np.zeros((*observed.alive.shape, self.memory_size), self.memory_type)
+        memory = np.zeros((*observed.alive.shape, self.hidden_size), self.hidden_dtype)
         return self.act_from(parameters, observed, memory, noise)[:2]
 
     @cached_property
     def alone(self) -> Self | None:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return None if self.flat.alone is None else replace(self, flat=self.flat.alone)
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         return self.flat.replicas(parameters)
 
     def answer(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> Answer:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         assert memory is not None
         flat, replicas = self.flat, self.flat.replicas(parameters)
         features = flat.hidden_features(parameters, flat.rows(parameters, observed))

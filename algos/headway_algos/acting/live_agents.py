@@ -5,7 +5,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Observed
+from headway.contracts import Observations
 from headway.contracts.acting import Parameters
 
 FEWEST_SLOTS = 32
@@ -18,7 +18,7 @@ Answer = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
 """Actions (C, N, ...), log-probabilities (C, N), and what is remembered (C, N, M), if anything is."""
 
 
-class AnsweringPolicy(Protocol):
+class MaskedActingPolicy(Protocol):
     """An acting policy, of which `answer` computes every slot."""
 
     @property
@@ -35,18 +35,18 @@ class AnsweringPolicy(Protocol):
     def answer(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> Answer:
-        """As `headway.contracts.RememberingPolicy.act_from`; memory is None for a policy without."""
+        """As `headway.contracts.RecurrentPolicy.act_from`; memory is None for a policy without."""
         ...
 
 
 def answer_where_alive(
-    policy: AnsweringPolicy,
+    policy: MaskedActingPolicy,
     parameters: Parameters,
-    observed: Observed,
+    observed: Observations,
     memory: NDArray[Any] | None,
     noise: NDArray[np.float64] | None,
 ) -> Answer:
@@ -67,7 +67,7 @@ def answer_where_alive(
             policy,
             alone,
             {name: array[r : r + 1] for name, array in parameters.items()},
-            Observed(
+            Observations(
                 observed.observations[block],
                 observed.states[block],
                 observed.alive[block],
@@ -90,10 +90,10 @@ def _mostly_empty(alive: NDArray[np.bool_]) -> bool:
 
 
 def _answer_of_one(
-    policy: AnsweringPolicy,
-    alone: AnsweringPolicy,
+    policy: MaskedActingPolicy,
+    alone: MaskedActingPolicy,
     parameters: Parameters,
-    observed: Observed,
+    observed: Observations,
     memory: NDArray[Any] | None,
     noise: NDArray[np.float64] | None,
 ) -> Answer:
@@ -102,7 +102,7 @@ def _answer_of_one(
         return policy.answer(parameters, observed, memory, noise)
     there = observed.alive.ravel().nonzero()[0]
     masks, shape = observed.action_masks, observed.alive.shape
-    picked = Observed(
+    picked = Observations(
         _pick(observed.observations, there),
         np.zeros((len(there), 0), np.float32),
         np.ones((len(there), 1), np.bool_),
@@ -137,13 +137,13 @@ def _place(picked: NDArray[Any], there: NDArray[np.int64], by_agent: NDArray[Any
     return by_agent
 
 
-class ForgettingActs:
-    """Acts as it answers, for an `AnsweringPolicy` without memory."""
+class FeedforwardActing:
+    """Acts as it answers, for an `MaskedActingPolicy` without memory."""
 
     def act(
-        self: AnsweringPolicy,
+        self: MaskedActingPolicy,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action, zeros where
@@ -152,17 +152,17 @@ class ForgettingActs:
         return actions, log_probs
 
 
-class RememberingActs:
+class RecurrentActing:
     """The same for one with memory."""
 
     def act_from(
-        self: AnsweringPolicy,
+        self: MaskedActingPolicy,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any],
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
-        """See `headway.contracts.RememberingPolicy`. Rows of agents not alive as without memory; what they
+        """See `headway.contracts.RecurrentPolicy`. Rows of agents not alive as without memory; what they
         remember stays."""
         actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
         assert remembered is not None

@@ -8,9 +8,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Observed
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Observations
 from headway.contracts.acting import Parameters
-from headway_algos.acting.live_agents import FEWEST_SLOTS, Answer, ForgettingActs
+from headway_algos.acting.live_agents import FEWEST_SLOTS, Answer, FeedforwardActing
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.replay_config import ReplayConfig
@@ -40,7 +40,7 @@ def actor_outputs(spec: EnvSpec) -> int:
 
 
 @dataclass(frozen=True)
-class StackedActingPolicy(ForgettingActs):
+class MLPActingPolicy(FeedforwardActing):
     """P multilayer perceptrons evaluated at once, then a masked categorical or a diagonal Gaussian."""
 
     spec: EnvSpec
@@ -52,7 +52,7 @@ class StackedActingPolicy(ForgettingActs):
     """Observations are normalised, and cut, before the network."""
 
     @classmethod
-    def of(cls, config: AlgoConfig | ReplayConfig, spec: EnvSpec) -> "StackedActingPolicy":
+    def of(cls, config: AlgoConfig | ReplayConfig, spec: EnvSpec) -> "MLPActingPolicy":
         """The policy of an algorithm's config on an environment."""
         actor_outputs(spec)
         model, grouping = config.model, Grouping.of(config.policies, spec)
@@ -83,17 +83,17 @@ class StackedActingPolicy(ForgettingActs):
     def answer(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> Answer:
-        """See `AnsweringPolicy`. Nothing is remembered."""
+        """See `MaskedActingPolicy`. Nothing is remembered."""
         x = self.hidden_features(parameters, self.rows(parameters, observed))
         return *self.decided(parameters, observed, self.outputs(parameters, x), noise), memory
 
     @cached_property
     def alone(self) -> Self | None:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         spec = self.spec
         several = self.grouping.num_policies > 1
         if not spec.agents_come_and_go or several or spec.num_agents < FEWEST_SLOTS:
@@ -102,11 +102,11 @@ class StackedActingPolicy(ForgettingActs):
         return replace(self, spec=single, grouping=Grouping.of("shared", single))
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `AnsweringPolicy`."""
+        """See `MaskedActingPolicy`."""
         stack: int = parameters["observation_mean"].shape[0]
         return stack // self.grouping.num_policies
 
-    def rows(self, parameters: Parameters, observed: Observed) -> NDArray[np.float32]:
+    def rows(self, parameters: Parameters, observed: Observations) -> NDArray[np.float32]:
         """Observations by policy, (P, B, D), zeros where an agent is not alive."""
         replicas = self.replicas(parameters)
         rows = self.grouping.gather(observed.observations[None], replicas)
@@ -119,7 +119,7 @@ class StackedActingPolicy(ForgettingActs):
     def decided(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         outputs: NDArray[Any],
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:

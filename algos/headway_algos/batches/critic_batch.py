@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Trajectory
-from headway_algos.batches.hidden_states import Memories
-from headway_algos.batches.layout import Endings, zero_where_absent
+from headway_algos.batches.hidden_states import HiddenStates
+from headway_algos.batches.layout import Truncations, zero_where_absent
 
 
 @dataclass(frozen=True)
-class Scene:
+class CriticBatch:
     """M moments of C copies. Rows of absent agents are 0, and all actions are allowed to them."""
 
     observations: NDArray[np.float32]
@@ -27,11 +27,11 @@ class Scene:
     """(M, C, N, A), or None where the environment has none."""
     actions: NDArray[Any] | None = None
     """(M, C, N) or (M, C, N, size): what was chosen; None where nothing was, or nobody asks."""
-    remembered: Callable[[Memories], NDArray[Any]] = attrgetter("of_steps")
+    remembered: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
     """What was remembered at these moments, (M, C, W, size), of all that was along the trajectory."""
 
     @classmethod
-    def of_steps(cls, trajectory: Trajectory) -> "Scene":
+    def of_steps(cls, trajectory: Trajectory) -> "CriticBatch":
         """The T steps, as the agents faced them, and what they chose."""
         alive = trajectory.alive[:-1]
         return cls(
@@ -43,7 +43,7 @@ class Scene:
         )
 
     @classmethod
-    def after_the_last_step(cls, trajectory: Trajectory) -> "Scene":
+    def after_the_last_step(cls, trajectory: Trajectory) -> "CriticBatch":
         """The one moment that nobody has acted on yet."""
         alive = trajectory.alive[-1:]
         return cls(
@@ -55,7 +55,7 @@ class Scene:
         )
 
     @classmethod
-    def after_endings(cls, trajectory: Trajectory, endings: Endings) -> "Scene":
+    def after_endings(cls, trajectory: Trajectory, endings: Truncations) -> "CriticBatch":
         """F moments of R copies, right after the step of each ending: final observations and states where
         they are valid, what came next for those who went on.
 

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.layout import Endings, Layout
+from headway_algos.batches.layout import Layout, Truncations
 from headway_algos.batches.sequences import Sequences, over_rows
 from headway_algos.networks.gru import RecurrentNetwork
 
 
 @dataclass(frozen=True)
-class Memories:
+class HiddenStates:
     """M numbers at every moment of T steps of C copies, from W viewpoints (for policies: N agents)."""
 
     before: NDArray[Any]
@@ -64,6 +64,6 @@ class Memories:
         """(1, C, W, M)"""
         return self.before[-1:]
 
-    def after_endings(self, endings: Endings) -> NDArray[Any]:
+    def after_endings(self, endings: Truncations) -> NDArray[Any]:
         """(F, R, W, M): of what ended there, before it was forgotten."""
         return endings.take(self.after)

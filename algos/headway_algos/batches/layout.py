@@ -61,7 +61,7 @@ def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArr
 
 
 @dataclass(frozen=True)
-class Endings:
+class Truncations:
     """Where streams were cut by truncation, gathered so that every replica has F slots (padded)."""
 
     steps: NDArray[np.int64]
@@ -72,7 +72,7 @@ class Endings:
     """(F, R): not padding."""
 
     @classmethod
-    def of(cls, trajectory: Trajectory, replicas: int) -> "Endings":
+    def of(cls, trajectory: Trajectory, replicas: int) -> "Truncations":
         """All (step, copy) in which some agent was truncated and not terminated."""
         cut = (trajectory.truncated & ~trajectory.terminated).any(axis=2)
         steps, copies = np.nonzero(cut)

@@ -11,7 +11,7 @@ from headway_algos.batches.sequences import Sequences
 
 
 @dataclass(frozen=True)
-class PolicyRows:
+class PolicyBatch:
     """What the policies did, laid out by policy."""
 
     observations: Tensor

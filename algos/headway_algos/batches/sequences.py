@@ -45,9 +45,10 @@ class Sequences:
         begins: NDArray[np.bool_],
         keeps: NDArray[np.bool_],
     ) -> Self:
-        """Cut at multiples of `length`, where `starts` (ceil(T / length), C, W, M) was remembered; begins and
-        keeps (T, C, W) as in `headway_algos.batches.hidden_states.Memories`. The last is filled up if T is no
-        multiple."""
+        """Cut at multiples of `length`, from the hidden states `starts` (ceil(T / length), C, W, M).
+
+        `begins` and `keeps` (T, C, W) are those of `HiddenStates`. The last sequence is padded if T is no
+        multiple of `length`."""
         steps, copies, _ = begins.shape
         each = copies // layout.replicas
         step = np.arange(length)[:, None] + length * np.arange(len(starts))  # (L, chunks)

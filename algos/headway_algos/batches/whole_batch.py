@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.batches.layout import Piece, even_slices
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.networks.timeline import Timeline
 
 
@@ -43,7 +43,7 @@ class WholeBatch:
     """(P, W, A): of the network at the parameters that acted, once someone has asked."""
 
     @classmethod
-    def of(cls, rows: PolicyRows, advantages: Tensor) -> Self:
+    def of(cls, rows: PolicyBatch, advantages: Tensor) -> Self:
         """From rows and their advantages (P, B). Padding repeats a selected row of the same policy, if it
         has any."""
         if rows.sequences is not None:
@@ -62,7 +62,7 @@ class WholeBatch:
         )
 
     @classmethod
-    def _of_sequences(cls, rows: PolicyRows, advantages: Tensor) -> Self:
+    def _of_sequences(cls, rows: PolicyBatch, advantages: Tensor) -> Self:
         assert rows.sequences is not None
         order, weight = _in_front(rows.sequences.holding(rows.selected))
         network = np.arange(len(order))[:, None]

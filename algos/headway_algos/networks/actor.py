@@ -14,7 +14,7 @@ from headway_algos.config import ModelConfig
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.gru import RecurrentNetwork, make_network
 from headway_algos.networks.mlp import acting_arrays
-from headway_algos.networks.normalisation import RunningMoments
+from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.passes import Pass, add_gradients
 from headway_algos.networks.timeline import Timeline
 
@@ -32,7 +32,7 @@ class Actor(nn.Module):
         if model.initial_logits and isinstance(spec.action_space, Discrete):
             logits = torch.tensor(model.initial_logits, dtype=dtype)[None, :, None]
             self.network.biases[-1].data += logits
-        self.moments = RunningMoments(len(seeds) * policies, spec.observation_size)
+        self.moments = RunningStatistics(len(seeds) * policies, spec.observation_size)
         self.log_std: nn.Parameter | None = None
         if isinstance(spec.action_space, Box):
             shape = (len(seeds) * policies, outputs, 1)

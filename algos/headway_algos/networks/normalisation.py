@@ -13,7 +13,7 @@ _ROWS_AT_ONCE = 8192
 """Of one network: so many are gathered before they are copied to float64, so that few lie there twice."""
 
 
-class RunningMoments(nn.Module):
+class RunningStatistics(nn.Module):
     """Mean and variance of all rows seen, by Chan's parallel formula, in float64; (P, 1, size) each.
 
     Until something was seen the mean is 0, and until two rows were the variance is 1, of which nothing

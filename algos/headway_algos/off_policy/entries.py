@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
-from headway_algos.acting.exploration import EpsilonGreedyPolicy, WanderingPolicy
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 from headway_algos.grouping import Grouping, missing_groups
 from headway_algos.recipes import ddpg, madqn
 from headway_algos.replay_config import ReplayConfig
@@ -13,16 +13,16 @@ from headway_algos.replay_config import ReplayConfig
 
 def _madqn(config: madqn.MADQNConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
     from headway_algos.off_policy.dqn import ValueMethod
-    from headway_algos.off_policy.learner import ReplayLearner
+    from headway_algos.off_policy.learner import OffPolicyLearner
 
-    return ReplayLearner(config, spec, seeds, device, ValueMethod)
+    return OffPolicyLearner(config, spec, seeds, device, ValueMethod)
 
 
 def _ddpg(config: ddpg.DDPGConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
     from headway_algos.off_policy.ddpg import DeterministicMethod
-    from headway_algos.off_policy.learner import ReplayLearner
+    from headway_algos.off_policy.learner import OffPolicyLearner
 
-    return ReplayLearner(config, spec, seeds, device, DeterministicMethod)
+    return OffPolicyLearner(config, spec, seeds, device, DeterministicMethod)
 
 
 def _kind(spec: EnvSpec) -> str:
@@ -61,10 +61,10 @@ def _epsilon_greedy(config: madqn.MADQNConfig, spec: EnvSpec) -> EpsilonGreedyPo
     return EpsilonGreedyPolicy.of(config, spec)
 
 
-def _wandering(config: ddpg.DDPGConfig, spec: EnvSpec) -> WanderingPolicy:
+def _wandering(config: ddpg.DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
     if (line := _ddpg_refuses(config, spec)) is not None:
         raise HeadwayError(line)
-    return WanderingPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
+    return OrnsteinUhlenbeckPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
 
 
 def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:

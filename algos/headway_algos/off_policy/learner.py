@@ -14,8 +14,8 @@ from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_stack import Stack, resolve_device
 from headway_algos.grouping import Grouping
 from headway_algos.networks.mlp import StackedMLP, acting_arrays
-from headway_algos.networks.normalisation import RunningMoments
-from headway_algos.off_policy.replay_buffer import Batch, ReplayMemory
+from headway_algos.networks.normalisation import RunningStatistics
+from headway_algos.off_policy.replay_buffer import Batch, ReplayBuffer
 from headway_algos.off_policy.transitions import TransitionMaker
 from headway_algos.replay_config import ReplayConfig
 
@@ -49,9 +49,9 @@ MakeMethod = Callable[[Any, EnvSpec, Sequence[int], int, torch.device], Method]
 """(config, environment, seeds of the replicas, policies of each, device)"""
 
 
-class ReplayLearner:
+class OffPolicyLearner:
     """Experience in, better parameters out, from a memory of all transitions so far (see
-    `headway.contracts.ReplayingLearner`)."""
+    `headway.contracts.LearnerWithReplay`)."""
 
     def __init__(
         self, config: ReplayConfig, spec: EnvSpec, seeds: Sequence[int], device: str, method: MakeMethod
@@ -63,9 +63,9 @@ class ReplayLearner:
         self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
         policies = len(seeds) * self.grouping.num_policies
         self.method = method(config, spec, self.seeds, self.grouping.num_policies, self.device)
-        self.moments = RunningMoments(policies, spec.observation_size).to(self.device)
+        self.moments = RunningStatistics(policies, spec.observation_size).to(self.device)
         self.maker = TransitionMaker(spec, config.gamma, config.n_step)
-        self.memory = ReplayMemory(spec, policies, config.capacity, self.device)
+        self.memory = ReplayBuffer(spec, policies, config.capacity, self.device)
         self.policy_of = np.empty(spec.num_agents, np.int64)
         """(N,): which of a replica's K policies each agent follows."""
         for policy, members in enumerate(self.grouping.members):

@@ -31,7 +31,7 @@ class Batch:
     """(P, b, A)"""
 
 
-class ReplayMemory:
+class ReplayBuffer:
     """The newest `capacity` transitions of each of P policies. A policy's is filled and drawn from by itself,
     whatever the others of its stack have."""
 

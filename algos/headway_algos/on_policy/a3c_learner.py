@@ -12,7 +12,7 @@ from torch import Tensor
 
 from headway.contracts import Contribution, EnvSpec, HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
-from headway_algos.networks.normalisation import RunningMoments
+from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.a2c import A2C
@@ -53,7 +53,7 @@ class _Shared:
         return {"actor": self.actor.optimiser, "critic": regression}
 
     @property
-    def moments(self) -> dict[str, RunningMoments]:
+    def moments(self) -> dict[str, RunningStatistics]:
         """Normalisers, which batches are added to."""
         networks = self.critic.networks
         return {

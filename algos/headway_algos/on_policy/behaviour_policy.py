@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import ActingPolicy, Observed, RememberingPolicy
-from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.hidden_states import Memories
+from headway.contracts import ActingPolicy, Observations, RecurrentPolicy
+from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout, even_slices, zero_where_absent
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
@@ -18,7 +18,7 @@ from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.networks.timeline import Timeline
 
 
-class Behaviour:
+class BehaviourPolicy:
     """What the policies do at their present parameters: ask before they are improved."""
 
     def __init__(
@@ -27,17 +27,17 @@ class Behaviour:
         actor: Actor,
         acting: ActingPolicy,
         layout: Layout,
-        memories: Memories | None = None,
+        memories: HiddenStates | None = None,
     ) -> None:
         """`memories`: what was remembered along the trajectory that is judged, by policies that do."""
         self.config, self.actor, self.acting, self.layout = config, actor, acting, layout
         self.memories = memories
 
-    def remembering(self, memories: Memories | None) -> "Behaviour":
+    def remembering(self, memories: HiddenStates | None) -> "BehaviourPolicy":
         """The same along a trajectory of which this was remembered."""
-        return Behaviour(self.config, self.actor, self.acting, self.layout, memories)
+        return BehaviourPolicy(self.config, self.actor, self.acting, self.layout, memories)
 
-    def probabilities(self, scene: Scene) -> NDArray[np.float64]:
+    def probabilities(self, scene: CriticBatch) -> NDArray[np.float64]:
         """Chances of each action, (M, C, N, A), of Discrete actions only; exactly 0 for forbidden ones.
         Computed in pieces that stay in the cache."""
         observations = self.layout.rows(scene.observations)
@@ -57,12 +57,12 @@ class Behaviour:
                 parts.append(distribution.log_probs.exp().transpose(1, 2))
         return self.layout.by_agent(torch.cat(parts, dim=1), len(scene.observations))
 
-    def drawn(self, scene: Scene, generators: Sequence[np.random.Generator]) -> Scene:
+    def drawn(self, scene: CriticBatch, generators: Sequence[np.random.Generator]) -> CriticBatch:
         """The scene with actions as a worker would have drawn them next, each replica's with its own of the
         generators (R,)."""
         moments, replicas = len(scene.observations), len(generators)
         masks = None if scene.masks is None else _by_replica(scene.masks, replicas)
-        observed = Observed(
+        observed = Observations(
             _by_replica(scene.observations, replicas),
             _by_replica(scene.states, replicas),
             _by_replica(scene.present, replicas),
@@ -71,7 +71,7 @@ class Behaviour:
         each = len(observed.alive) // replicas
         noise = np.concatenate([self.acting.noise(random, each) for random in generators])
         parameters = self.actor.acting_parameters()
-        if isinstance(self.acting, RememberingPolicy):
+        if isinstance(self.acting, RecurrentPolicy):
             assert self.memories is not None
             memory = _by_replica(scene.remembered(self.memories), replicas)
             actions = self.acting.act_from(parameters, observed, memory, noise)[0]

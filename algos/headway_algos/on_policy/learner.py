@@ -10,15 +10,15 @@ from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
 from headway_algos.acting.gru import acting_policy
-from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows, standardise
+from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.batches.policy_stack import Stack, resolve_device
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
-from headway_algos.on_policy.behaviour_policy import Behaviour
+from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import CRITICS, Critic
 from headway_algos.on_policy.orders import ORDERS
 from headway_algos.on_policy.updates import UPDATES
@@ -39,7 +39,7 @@ class OnPolicyLearner:
         self.critic: Critic = CRITICS[config.critic](
             config, spec, self.grouping, seeds, self.device, self.dtype
         )
-        self.behaviour = Behaviour(config, self.actor, acting_policy(config, spec), self.layout)
+        self.behaviour = BehaviourPolicy(config, self.actor, acting_policy(config, spec), self.layout)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """The actor's tensors and its normaliser, by the names of the acting policy."""
@@ -86,7 +86,7 @@ class OnPolicyLearner:
             observations = self.actor.moments.normalised(observations)
         return observations
 
-    def _memories(self, trajectory: Trajectory, observations: Tensor) -> Memories | None:
+    def _memories(self, trajectory: Trajectory, observations: Tensor) -> HiddenStates | None:
         """What policies that remember did, as they acted."""
         network = self.actor.network
         if not isinstance(network, RecurrentNetwork):
@@ -94,13 +94,13 @@ class OnPolicyLearner:
         begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
         start, alive = trajectory.memory[0], trajectory.alive[:-1]
         samples = self.config.piece_samples
-        return Memories.replayed(network, observations, start, begins, alive, self.layout, samples)
+        return HiddenStates.replayed(network, observations, start, begins, alive, self.layout, samples)
 
     def _improve_policies(
         self,
         trajectory: Trajectory,
         observations: Tensor,
-        memories: Memories | None,
+        memories: HiddenStates | None,
         advantages: NDArray[np.float64],
         iteration: int,
     ) -> dict[str, Tensor]:
@@ -111,7 +111,7 @@ class OnPolicyLearner:
         if self.spec.has_action_mask:
             # Rows that only lead up to others may have to be evaluated, too: they must stay finite.
             masks = self.layout.rows(trajectory.action_masks[:-1] | ~used[..., None])
-        rows = PolicyRows(
+        rows = PolicyBatch(
             observations,
             masks,
             self.layout.rows(trajectory.actions, used),

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.grouping import Grouping
 from headway_algos.on_policy.updates import Update
 
 Order = Callable[
-    [Update, Grouping, PolicyRows, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
+    [Update, Grouping, PolicyBatch, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
     dict[str, Tensor],
 ]
 """(update, grouping, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,))
@@ -22,7 +22,7 @@ Order = Callable[
 def simultaneous(
     update: Update,
     grouping: Grouping,
-    rows: PolicyRows,
+    rows: PolicyBatch,
     advantages: Tensor,
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
@@ -34,7 +34,7 @@ def simultaneous(
 def sequential(
     update: Update,
     grouping: Grouping,
-    rows: PolicyRows,
+    rows: PolicyBatch,
     advantages: Tensor,
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
@@ -66,7 +66,7 @@ def sequential(
     return info
 
 
-def _log_ratio(update: Update, rows: PolicyRows) -> Tensor:
+def _log_ratio(update: Update, rows: PolicyBatch) -> Tensor:
     """log(pi / pi_old) of what was done, (P, B), 0 where a row is not selected."""
     batch = WholeBatch.of(rows, torch.zeros_like(rows.log_probs))
     result = torch.zeros_like(rows.log_probs, dtype=torch.float64)

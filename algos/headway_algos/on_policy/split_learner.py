@@ -17,7 +17,7 @@ from headway_algos.config import AlgoConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 
 
-class PartingLearner:
+class SplitLearner:
     """Learns one shared policy for `shared_until` of the training; then every policy of its own goes on from
     there, normalisers, critics and optimisers included (see `headway.contracts.Learner`)."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.batches.layout import Piece
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import Network
@@ -81,7 +81,7 @@ def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
 def surrogate(
     actor: Actor,
     optimiser: StackedAdam,
-    rows: PolicyRows,
+    rows: PolicyBatch,
     advantages: Tensor,
     old: tuple[Tensor | None, Tensor | None],
     kl_coeff: Tensor,
@@ -127,8 +127,10 @@ def regression(
     targets: Tensor,
     config: AlgoConfig,
 ) -> Learn | None:
-    """Compiled, what `Regression._learn` does, of inputs (P, B, D), the outputs (P, B) that were taken, None
-    where there is but one, and targets (P, B). None where torch is to learn."""
+    """Compiled twin of `ReturnRegression._learn`, or None where torch has to learn.
+
+    Takes inputs (P, B, D), the outputs (P, B) that were taken (None if there is only one) and targets (P, B).
+    """
     networks = Perceptrons.of(network, optimiser, inputs.shape[1], config.minibatches)
     if networks is None:
         return None

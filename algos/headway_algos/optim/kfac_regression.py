@@ -12,7 +12,7 @@ from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.optim.kfac import StackedKFAC
 
 
-class NaturalRegression:
+class KFACRegression:
     """Steps of `StackedKFAC` for networks that regress on one number a row.
 
     What is learned is seen as the mean of a Gaussian of standard deviation 1, so that squared errors are

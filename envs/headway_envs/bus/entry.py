@@ -3,7 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
+from headway.contracts import BatchedEnv, EnvEntry, Renderer, Rule, RuleEntry
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.metrics import MEANINGS
 
@@ -38,10 +38,10 @@ def _parallel_env(config: BusConfig) -> Any:  # noqa: ANN401 - PettingZoo comes 
     return BusParallelEnv(config)
 
 
-def _painter(prepared: "Prepared") -> Painter:
-    from headway_envs.bus.picture import BusPainter
+def _renderer(prepared: "Prepared") -> Renderer:
+    from headway_envs.bus.picture import BusRenderer
 
-    return BusPainter(prepared)
+    return BusRenderer(prepared)
 
 
 def _always_move(prepared: "Prepared") -> Rule:
@@ -105,6 +105,6 @@ ENTRY = EnvEntry(
         ),
     },
     metrics=MEANINGS,
-    painter=_painter,
+    renderer=_renderer,
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),
 )

@@ -5,18 +5,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
 from headway_envs.bus.kernel import tick
 from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
 from headway_envs.bus.kernel.memory import allocate_outputs, allocate_trace, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
-from headway_envs.kept_arrays import KeptArrays, Snapshot, copied
+from headway_envs.kept_arrays import ArrayEnv, Snapshot, copied
 
 _WAITING = ("arrived_at", "leaves_at")
 """Arrays of the world that are read only at positions occupied by waiting passengers."""
 
 
-class BusBatchedEnv(KeptArrays[World, Outputs]):
+class BusBatchedEnv(ArrayEnv[World, Outputs]):
     """C service days stepped together; implements `headway.contracts.BatchedEnv`.
 
     Agents are vehicle slots. Actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
@@ -58,7 +58,7 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
             snapshots=True,
         )
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """Advance by one control interval; actions (C, N) int64 of 0 to 2. A bus that is away or broken down
         ignores its action; SERVICE_CENTER acts as MOVE if the centre does not accept the bus.
 
@@ -69,7 +69,7 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
             tick.turn(self.network, self.settings, self.world, outputs)
         self._terminated[...] = outputs.ended[:, None]
-        outcome = Outcome(
+        outcome = StepResult(
             rewards=outputs.rewards,
             terminated=self._terminated,
             truncated=self._never,
@@ -81,11 +81,11 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         )
         return outcome, self.observed()
 
-    def observed(self) -> Observed:
+    def observed(self) -> Observations:
         """Return the current observations, states, alive mask and action masks: views of the environment's
         arrays."""
         outputs = self.outputs
-        return Observed(outputs.observations, outputs.states, outputs.alive, outputs.masks)
+        return Observations(outputs.observations, outputs.states, outputs.alive, outputs.masks)
 
     def snapshot(self) -> Snapshot:
         """Return copies of all arrays.
@@ -97,7 +97,7 @@ class BusBatchedEnv(KeptArrays[World, Outputs]):
         waiting = {name: rest.pop(name).ravel()[taken] for name in _WAITING}
         return {"world": {**copied(rest), **waiting}, "outputs": copied(self.outputs._asdict())}
 
-    def restore(self, snapshot: Snapshot) -> Observed:
+    def restore(self, snapshot: Snapshot) -> Observations:
         """Continue from a snapshot and return its observations. Raises HeadwayError if the scenario or the
         number of copies differs."""
         world, queues = dict(snapshot["world"]), np.zeros_like(self.world.queues)

@@ -3,13 +3,13 @@
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.prepared import Prepared, prepare
-from headway_envs.parallel_face import ParallelFace
+from headway_envs.parallel_face import ParallelEnvBase
 
 _BOUND = 5.0
 """Bound on every component of the observation `control`; those of `paper` and `published` lie in [0, 1]."""
 
 
-class BusParallelEnv(ParallelFace):
+class BusParallelEnv(ParallelEnvBase):
     """Service day as a ParallelEnv.
 
     Every slot stays in `agents` all day. Each agent's `info` holds `alive`, `acting` and `action_mask`, and

@@ -104,8 +104,8 @@ class _Seen:
     """(B,) away at the service centre, or broken down"""
 
 
-class BusPainter:
-    """Painter of a bus environment (`headway.contracts.Painter`).
+class BusRenderer:
+    """Draws pictures of a bus environment (`headway.contracts.Renderer`).
 
     It keeps what it has painted of a day: the diagram begins with the first picture of that day. The diagram
     shows the line with the most slots.
@@ -133,7 +133,7 @@ class BusPainter:
         self._drawn, self._before = self._empty.copy(), -math.inf
         self._last: dict[int, tuple[int, Point]] = {}
 
-    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+    def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """Return a picture (height, width, 3), uint8. Raises TypeError for any other environment."""
         if not isinstance(env, BusBatchedEnv):
             raise TypeError(f"the picture of a bus network needs a BusBatchedEnv, not {type(env).__name__}")

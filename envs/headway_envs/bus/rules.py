@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed
+from headway.contracts import BatchedEnv, Observations
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import (
     DRIVING,
@@ -33,7 +33,7 @@ is not serviced for less."""
 
 
 @dataclass(frozen=True)
-class Scene:
+class FleetState:
     """Situation of all buses as (C, N) arrays; times in s."""
 
     event: Floats
@@ -64,7 +64,7 @@ def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
     return np.asarray((1.0 - weight) * curves[rows, knot] + weight * curves[rows, knot + 1])
 
 
-def look(env: BatchedEnv) -> Scene:
+def look(env: BatchedEnv) -> FleetState:
     """Return the scene of a bus environment. Raises TypeError for any other environment."""
     if not isinstance(env, BusBatchedEnv):
         raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
@@ -74,7 +74,7 @@ def look(env: BatchedEnv) -> Scene:
     call = slots["call"] + (phase == DRIVING)
     since = np.take_along_axis(world.queues["last_departure"], call, axis=1)
     departure = net.trip_departure[slots["trip"]]
-    return Scene(
+    return FleetState(
         event=world.event_time,
         now=world.days["now"][:, None],
         terminal=phase == TERMINAL,
@@ -114,21 +114,21 @@ def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     return np.asarray(soon | worn)
 
 
-def _actions(scene: Scene, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _actions(scene: FleetState, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return WAIT where `hold`, else MOVE; SERVICE_CENTER takes precedence at terminals."""
     actions = np.where(hold, WAIT, MOVE).astype(np.int64)
     actions[scene.terminal & scene.due_for_service] = SERVICE_CENTER
     return actions
 
 
-def _spaced(scene: Scene, share: float) -> NDArray[np.bool_]:
+def _spaced(scene: FleetState, share: float) -> NDArray[np.bool_]:
     """Return where the headway at the next event is below `share` of the target, or where the bus ahead has
     not yet left that stop."""
     near = scene.ahead * scene.target < scene.event - scene.now
     return (scene.headway < share * scene.target) | (scene.on_way & near)
 
 
-def _early(scene: Scene) -> NDArray[np.bool_]:
+def _early(scene: FleetState) -> NDArray[np.bool_]:
     """Return which buses are at a terminal before their scheduled departure."""
     return scene.terminal & (scene.event < scene.departure)
 
@@ -137,7 +137,7 @@ class AlwaysMove:
     """Baseline that always moves: it leaves every stop and terminal at once and never goes to the service
     centre."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, MOVE, np.int64)
 
 
@@ -145,7 +145,7 @@ class MoveWithService:
     """Baseline that never holds but is serviced in time like the holding rules, so that their gain over it is
     due to holding alone."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return _actions(look(env), np.zeros(observed.alive.shape, np.bool_))
 
 
@@ -157,7 +157,7 @@ class HeadwayHolding:
     share: float
     window_s: float
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         scene = look(env)
         overdue = scene.terminal & (scene.event > scene.departure + self.window_s)
         return _actions(scene, _spaced(scene, self.share) & ~overdue)
@@ -167,7 +167,7 @@ class EvenHeadway:
     """Hold while the bus behind is farther away than the bus ahead and that one is nearer than the target
     headway; leave terminals by schedule."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         scene = look(env)
         uneven = scene.on_way & (scene.behind > scene.ahead) & (scene.ahead < 1.0)
         return _actions(scene, uneven | _early(scene))
@@ -176,7 +176,7 @@ class EvenHeadway:
 class ScheduleHolding:
     """Hold until the planned time, at stops and terminals."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         scene = look(env)
         early = scene.on_way & (scene.event < scene.planned)
         return _actions(scene, early | _early(scene))

@@ -27,11 +27,11 @@ def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
 
 def _parallel_env(config: "BusPublishedConfig | Prepared") -> Any:  # noqa: ANN401 - EnvEntry's type
     from headway_envs.bus_published.env import BusPublishedBatchedEnv
-    from headway_envs.parallel_face import ParallelFace
+    from headway_envs.parallel_face import ParallelEnvBase
 
     prepared = _prepare(config) if isinstance(config, BusPublishedConfig) else config
     scaled = prepared.config.observation == "scaled"
-    return ParallelFace(
+    return ParallelEnvBase(
         lambda copies: BusPublishedBatchedEnv(prepared, copies),
         name="headway_bus_published_v0",
         bound=1.0 if scaled else float("inf"),

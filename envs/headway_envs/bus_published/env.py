@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
 from headway_envs.bus_published.kernel import steps
 from headway_envs.bus_published.kernel.layout import (
     ACTIONS,
@@ -18,10 +18,10 @@ from headway_envs.bus_published.kernel.layout import (
     World,
 )
 from headway_envs.bus_published.prepared import Prepared
-from headway_envs.kept_arrays import KeptArrays
+from headway_envs.kept_arrays import ArrayEnv
 
 
-class BusPublishedBatchedEnv(KeptArrays[World, Outputs]):
+class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
     """C days stepped together; implements `headway.contracts.BatchedEnv`.
 
     Each step every bus takes an action, and time goes on for it alone: 0 WAIT (60 s), 1 MOVE (the mean time
@@ -64,12 +64,12 @@ class BusPublishedBatchedEnv(KeptArrays[World, Outputs]):
             snapshots=True,
         )
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """One action of every bus; actions (C, N) int64 of 0 to 2."""
         actions = self._checked(actions)
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, outputs, actions)
-        outcome = Outcome(
+        outcome = StepResult(
             rewards=outputs.rewards,
             terminated=outputs.terminated,
             truncated=outputs.truncated,
@@ -81,9 +81,9 @@ class BusPublishedBatchedEnv(KeptArrays[World, Outputs]):
         )
         return outcome, self.observed()
 
-    def observed(self) -> Observed:
+    def observed(self) -> Observations:
         """What the buses face now; views of the environment's arrays."""
-        return Observed(self.outputs.observations, self._no_state, self._always)
+        return Observations(self.outputs.observations, self._no_state, self._always)
 
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
         steps.begin(self.network, self.settings, self.world, self.outputs, seeds)

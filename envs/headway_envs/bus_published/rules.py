@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed
+from headway.contracts import BatchedEnv, Observations
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
 from headway_envs.bus_published.kernel.layout import DETOUR_SHARE, FUEL_UNIT_S, MOVE, SERVICE_CENTER
 
@@ -16,7 +16,7 @@ class Always:
 
     action: int
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, self.action, np.int64)
 
 
@@ -27,7 +27,7 @@ class MoveWithService:
 
     below: float
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """Raises TypeError for any other environment."""
         if not isinstance(env, BusPublishedBatchedEnv):
             raise TypeError(f"move_with_service needs a BusPublishedBatchedEnv, not {type(env).__name__}")

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Renderer, Rule, RuleEntry
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.metrics import MEANINGS
 
@@ -69,10 +69,10 @@ def _virtual_signal(prepared: "Prepared", share: float = 1.0) -> Rule:
     return VirtualSignal(share)
 
 
-def _painter(prepared: "Prepared") -> Painter:
-    from headway_envs.intersection.picture import IntersectionPainter
+def _renderer(prepared: "Prepared") -> Renderer:
+    from headway_envs.intersection.picture import IntersectionRenderer
 
-    return IntersectionPainter()
+    return IntersectionRenderer()
 
 
 ENTRY = EnvEntry(
@@ -109,6 +109,6 @@ ENTRY = EnvEntry(
         },
     },
     metrics=MEANINGS,
-    painter=_painter,
+    renderer=_renderer,
     preload=("headway_envs.intersection.kernel", "headway_envs.intersection.env"),
 )

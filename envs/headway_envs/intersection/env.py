@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, EnvSpec, HeadwayError, Observed, Outcome, generator
+from headway.contracts import Box, EnvSpec, HeadwayError, Observations, StepResult, generator
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.prepared import Prepared
-from headway_envs.intersection.reporting import METRICS, Ledger
+from headway_envs.intersection.reporting import METRICS, EpisodeMetrics
 from headway_envs.intersection.sumo.simulation import Simulation
-from headway_envs.intersection.sumo.street import Changes, Street
+from headway_envs.intersection.sumo.street import Changes, SumoBridge
 
 
 def paid_share(config: IntersectionConfig) -> bool:
@@ -39,7 +39,7 @@ class IntersectionBatchedEnv:
             )
         config = self.config = prepared.config
         self.prepared = prepared
-        self._street: Street | None = None
+        self._street: SumoBridge | None = None
         extended = config.observation == "extended"
         slots = self._slots = Slots.empty(config.slots, extended)
         self._account, self._scratch = np.zeros(1, ACCOUNT), np.zeros(1, SCRATCH)
@@ -62,10 +62,10 @@ class IntersectionBatchedEnv:
         """Where vehicles crashed in the last step of the running episode, (x, y) in m from the centre; none
         once a step has ended it."""
         self._seed, self._episode = 0, 0
-        self.ledger = Ledger(config)
-        self._observed = Observed(slots.observations[None], self._account["state"], slots.alive[None])
+        self.ledger = EpisodeMetrics(config)
+        self._observed = Observations(slots.observations[None], self._account["state"], slots.alive[None])
         flags = [np.zeros((1, config.slots), np.bool_) for _ in range(2)]
-        self._outcome = Outcome(
+        self._outcome = StepResult(
             rewards=slots.rewards[None],
             terminated=flags[0],
             truncated=flags[1],
@@ -85,12 +85,12 @@ class IntersectionBatchedEnv:
         return 1
 
     @property
-    def street(self) -> Street:
+    def street(self) -> SumoBridge:
         """The vehicles, for rules and pictures; there is one from the first `reset` on."""
         if self._street is None:
             prepared = self.prepared
             simulation = Simulation(prepared.network.path, prepared.routes, STEP_S)
-            self._street = Street(prepared.config, prepared.network, simulation)
+            self._street = SumoBridge(prepared.config, prepared.network, simulation)
         return self._street
 
     @property
@@ -103,11 +103,11 @@ class IntersectionBatchedEnv:
         """The running one: the seed of the last `reset`, and how many episodes have ended since."""
         return self._seed, self._episode
 
-    def observed(self) -> Observed:
+    def observed(self) -> Observations:
         """What the agents face now."""
         return self._observed
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         """Begin episode 0 of a seed, (1,). Raises HeadwayError where another environment of this process has
         its simulation."""
         if len(seeds) != 1:
@@ -116,7 +116,7 @@ class IntersectionBatchedEnv:
         self._begin()
         return self._observed
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """0.1 s, `action_repeat` times; accelerations (1, N, 1) in m/s^2, cut at 3. Rewards are sums over
         them: of the team's all, for those who have left, too; of the paper's and an own one those until one
         leaves. Raises ValueError for another shape."""
@@ -176,7 +176,7 @@ class IntersectionBatchedEnv:
         """Raises HeadwayError: a state that SUMO saves does not go on exactly."""
         raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         """Raises HeadwayError, as `snapshot`."""
         raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
 
@@ -186,7 +186,7 @@ class IntersectionBatchedEnv:
             self._street.close()
 
     def _begin(self) -> None:
-        self.ledger, self.crash_places = Ledger(self.config), []
+        self.ledger, self.crash_places = EpisodeMetrics(self.config), []
         self._account.fill(0)
         draw = generator(self._seed, "intersection", self._episode)
         self.street.begin(int(draw.integers(2**31 - 1)), draw)

@@ -25,9 +25,9 @@ from headway_envs.intersection.layout import (
     TRAFFIC,
     WAY_SIZE,
     Floats,
-    Happened,
     Record,
     Slots,
+    StepEvents,
     Traffic,
     Whole,
 )
@@ -192,7 +192,7 @@ def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
 
 
 @compiled
-def _describe(crossing: Record, traffic: Traffic, count: int, happened: Happened, account: Record) -> None:
+def _describe(crossing: Record, traffic: Traffic, count: int, happened: StepEvents, account: Record) -> None:
     """The state: for each approach, AVs, HDVs and mean speed in each cell of the road, then vehicles inside
     the junction and beyond it with their mean speeds; the share of the episode passed, vehicles waiting."""
     state = account.state
@@ -247,7 +247,7 @@ def _own(crossing: Record, traffic: Traffic, row: int) -> float:
 
 @compiled
 def _judge(
-    crossing: Record, traffic: Traffic, count: int, happened: Happened, account: Record
+    crossing: Record, traffic: Traffic, count: int, happened: StepEvents, account: Record
 ) -> tuple[float, float]:
     """Terms of the reward, and what they come to: (scaled, the paper's). The paper's terms are equations 7
     to 12 of its appendix, with the gains it lists. By its equation 4 it pays 0.2 x the sum of the first six +
@@ -420,14 +420,14 @@ def take_in(
     passed: float,
 ) -> None:
     """All that follows from a step of V = `count` vehicles: from memory (1,) of CROSSING, TRAFFIC, ACCOUNT
-    and SCRATCH, the parts of `Slots` and, in the end, those of `Happened`, since handing tuples over takes
+    and SCRATCH, the parts of `Slots` and, in the end, those of `StepEvents`, since handing tuples over takes
     longer than all that is done with them.
 
     `answers` are SUMO's: of each vehicle its speed, then of each the distance it has been driven, then of
     each its fuel; then of each AV its part of `Traffic.around`."""
     crossing, traffic, account = crossing_memory[0], traffic_memory[0], account_memory[0]
     slots = Slots(observations, alive, acting, rewards)
-    happened = Happened(arrived, crashes, lane_changes, outflow_vph, pending, passed)
+    happened = StepEvents(arrived, crashes, lane_changes, outflow_vph, pending, passed)
     _read_in(traffic, count, answers)
     _look(crossing, traffic, count, scratch_memory[0], slots)
     _describe(crossing, traffic, count, happened, account)

@@ -137,7 +137,7 @@ class Slots(NamedTuple):
         )
 
 
-class Happened(NamedTuple):
+class StepEvents(NamedTuple):
     """What the step brought, beside places and speeds."""
 
     arrived: int = 0

@@ -5,17 +5,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Observed
+from headway.contracts import HeadwayError, Observations
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.prepared import Prepared, prepare
-from headway_envs.parallel_face import Infos, Observations, ParallelFace, Stepped
+from headway_envs.parallel_face import AgentObservations, Infos, ParallelEnvBase, Stepped
 
 BOUND = 5.0
 """Of every component of an observation."""
 
 
-class _Face(ParallelFace):
+class _Face(ParallelEnvBase):
     """What both faces share."""
 
     render_mode = "rgb_array"
@@ -54,7 +54,7 @@ class IntersectionParallelEnv(_Face):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, Infos]:
+    ) -> tuple[AgentObservations, Infos]:
         """Begin episode 0 of `seed`, or of one derived from the last; it ends when the first AV is there."""
         observed, ended = self._begin(seed), False
         while not (ended or observed.alive.any()):
@@ -99,7 +99,7 @@ class IntersectionParallelEnv(_Face):
             rewards[name], terminated[name], truncated[name], infos[name] = 0.0, False, False, {}
         return observations, rewards, terminated, truncated, infos
 
-    def _there(self, observed: Observed) -> dict[str, int]:
+    def _there(self, observed: Observations) -> dict[str, int]:
         """Slot of each agent that is there, in the order in which they entered."""
         serial = self._env.street.roster.serial
         slots = sorted(np.flatnonzero(observed.alive[0]).tolist(), key=lambda slot: int(serial[slot]))
@@ -110,7 +110,7 @@ class IntersectionParallelEnv(_Face):
             )
         return {f"av_{serial[slot]}": slot for slot in slots}
 
-    def _of_slots(self, observations: NDArray[np.float32], slots: dict[str, int]) -> Observations:
+    def _of_slots(self, observations: NDArray[np.float32], slots: dict[str, int]) -> AgentObservations:
         return {name: observations[0, slot].copy() for name, slot in slots.items()}
 
 
@@ -125,7 +125,7 @@ class IntersectionSlotsParallelEnv(_Face):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, Infos]:
+    ) -> tuple[AgentObservations, Infos]:
         """Begin episode 0 of `seed`, or of one derived from the last."""
         observed = self._begin(seed)
         self.agents = list(self.possible_agents)
@@ -162,5 +162,5 @@ class IntersectionSlotsParallelEnv(_Face):
         rewards = dict(zip(names, outcome.rewards[0].tolist(), strict=True))
         return self._by_agent(seen), rewards, terminated, truncated, infos
 
-    def _by_agent(self, observations: NDArray[np.float32]) -> Observations:
+    def _by_agent(self, observations: NDArray[np.float32]) -> AgentObservations:
         return dict(zip(self.possible_agents, observations.copy(), strict=True))

@@ -85,16 +85,18 @@ class Camera:
         return replace(now, crashes=tuple(place for _, place in self._marks))
 
 
-class IntersectionPainter:
+class IntersectionRenderer:
     """Paints the crossing for `headway render`."""
 
     def __init__(self) -> None:
         self._camera: Camera | None = None
         self._last: NDArray[np.uint8] | None = None
 
-    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """See `headway.contracts.Painter`. SUMO forgets an episode as the next begins: its end looks like the
-        step before. Raises TypeError for any other environment."""
+    def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """See `headway.contracts.Renderer`. Raises TypeError for any other environment.
+
+        SUMO drops an episode when the next one begins, so the end is shown as the step before it.
+        """
         if not isinstance(env, IntersectionBatchedEnv):
             raise TypeError(
                 f"the picture of a crossing needs an IntersectionBatchedEnv, not {type(env).__name__}"

@@ -18,11 +18,11 @@ METRICS = (
     "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
     "fairness_jain", "sumo_steps", *(f"reward_{term}" for term in TERMS),
 )  # fmt: skip
-"""In the order of `Ledger.metrics`; `meanings` says what they are."""
+"""In the order of `EpisodeMetrics.metrics`; `meanings` says what they are."""
 
 
 @dataclass
-class Ledger:
+class EpisodeMetrics:
     """What is counted in an episode."""
 
     config: IntersectionConfig

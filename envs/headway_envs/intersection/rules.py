@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed
+from headway.contracts import BatchedEnv, Observations
 from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.kernel import STRONGEST
@@ -28,7 +28,7 @@ def _of(env: BatchedEnv) -> IntersectionBatchedEnv:
     return env
 
 
-def _actions(observed: Observed, value: float = 0.0) -> NDArray[np.float32]:
+def _actions(observed: Observations, value: float = 0.0) -> NDArray[np.float32]:
     return np.full((*observed.alive.shape, 1), value, np.float32)
 
 
@@ -38,7 +38,7 @@ class Humans:
 
     speed_mode: int
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(1, N, 1): zeros, which nobody heeds."""
         _of(env).hand_over(self.speed_mode)
         return _actions(observed)
@@ -50,7 +50,7 @@ class Constant:
 
     acceleration: float
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(1, N, 1)"""
         return _actions(observed, self.acceleration)
 
@@ -71,7 +71,7 @@ class Reservation:
         self._asked: dict[str, int] = {}
         self._next = 0
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(1, N, 1)"""
         native = _of(env)
         if native.steps_taken == 0:
@@ -135,7 +135,7 @@ class VirtualSignal:
     MARGIN_M: ClassVar[float] = 10.0
     """By which one may come to a stop beyond it."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(1, N, 1)"""
         native = _of(env)
         traffic, actions = native.street.roster.traffic, _actions(observed)

@@ -45,7 +45,7 @@ class RewardConfig:
 
 
 @dataclass(frozen=True)
-class Manners:
+class Dynamics:
     """A preset: how vehicles steer, change lanes and collide, and how an episode ends."""
 
     steering_from_slip: bool
@@ -74,8 +74,8 @@ class Manners:
     """The supervisor foresees an action taken once; else one taken again in every sub-step."""
 
 
-PRESETS: Mapping[str, Manners] = {
-    "clean": Manners(
+PRESETS: Mapping[str, Dynamics] = {
+    "clean": Dynamics(
         steering_from_slip=True,
         follow_both_lanes=True,
         least_change_speed=1.0,
@@ -88,7 +88,7 @@ PRESETS: Mapping[str, Manners] = {
         masks=True,
         one_action_ahead=True,
     ),
-    "paper": Manners(
+    "paper": Dynamics(
         steering_from_slip=False,
         follow_both_lanes=False,
         least_change_speed=0.0,
@@ -141,9 +141,9 @@ class MergeConfig:
         return HDVS[self.density]
 
     @property
-    def manners(self) -> Manners:
+    def manners(self) -> Dynamics:
         """The preset's."""
         return PRESETS[self.preset]
 
 
-__all__ = ["CAVS", "HDVS", "MOST_CAVS", "PRESETS", "Manners", "MergeConfig", "RewardConfig"]
+__all__ = ["CAVS", "HDVS", "MOST_CAVS", "PRESETS", "Dynamics", "MergeConfig", "RewardConfig"]

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Painter, Rule, RuleEntry
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, Renderer, Rule, RuleEntry
 from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.metrics import MEANINGS
 
@@ -25,16 +25,16 @@ def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
 
 def _parallel_env(config: "MergeConfig | Prepared", ramp_lanes: int) -> Any:  # noqa: ANN401 - EnvEntry's type
     from headway_envs.merge.env import MergeBatchedEnv
-    from headway_envs.parallel_face import ParallelFace
+    from headway_envs.parallel_face import ParallelEnvBase
 
     prepared = _prepare(config, ramp_lanes) if isinstance(config, MergeConfig) else config
-    return ParallelFace(lambda copies: MergeBatchedEnv(prepared, copies))
+    return ParallelEnvBase(lambda copies: MergeBatchedEnv(prepared, copies))
 
 
-def _painter(prepared: "Prepared") -> Painter:
-    from headway_envs.merge.picture import MergePainter
+def _renderer(prepared: "Prepared") -> Renderer:
+    from headway_envs.merge.picture import MergeRenderer
 
-    return MergePainter(prepared)
+    return MergeRenderer(prepared)
 
 
 def _idle(prepared: "Prepared") -> Rule:
@@ -76,7 +76,7 @@ def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
         parallel_env=partial(_parallel_env, ramp_lanes=ramp_lanes),
         rules=RULES,
         metrics=MEANINGS,
-        painter=_painter,
+        renderer=_renderer,
         preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),
     )
 

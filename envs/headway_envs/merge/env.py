@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
-from headway_envs.kept_arrays import KeptArrays
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
+from headway_envs.kept_arrays import ArrayEnv
 from headway_envs.merge.kernel import steps
 from headway_envs.merge.kernel.layout import (
     ACTIONS,
@@ -23,7 +23,7 @@ from headway_envs.merge.kernel.layout import (
 from headway_envs.merge.prepared import Prepared
 
 
-class MergeBatchedEnv(KeptArrays[World, Outputs]):
+class MergeBatchedEnv(ArrayEnv[World, Outputs]):
     """C merges stepped together; implements `headway.contracts.BatchedEnv`.
 
     Agents are slots of CAVs, of which an episode fills the first few (`alive`), all of it. Actions are 0
@@ -82,12 +82,12 @@ class MergeBatchedEnv(KeptArrays[World, Outputs]):
             snapshots=True,
         )
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """0.2 s; actions (C, N) int64 of 0 to 4, or 5 from the rule that lets CAVs drive as humans do. A
         change to where there is no lane, or none that may be changed to, is ignored."""
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, self._work, outputs, self._checked(actions))
-        outcome = Outcome(
+        outcome = StepResult(
             rewards=outputs.rewards,
             terminated=outputs.terminated,
             truncated=outputs.truncated,
@@ -99,11 +99,11 @@ class MergeBatchedEnv(KeptArrays[World, Outputs]):
         )
         return outcome, self.observed()
 
-    def observed(self) -> Observed:
+    def observed(self) -> Observations:
         """What the agents face now; views of the environment's arrays."""
         outputs = self.outputs
         masks = outputs.masks if self._spec.has_action_mask else None
-        return Observed(outputs.observations, outputs.states, outputs.alive, masks)
+        return Observations(outputs.observations, outputs.states, outputs.alive, masks)
 
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
         steps.begin(self.network, self.settings, self.world, self.outputs, seeds)

@@ -33,8 +33,8 @@ GROUND, ROAD, MARKING, EDGE, TEXT = "#eef1ea", "#8d949b", "#ffffff", "#54595e", 
 CAV, HUMAN, CRASHED, OBSTACLE = "#1565c0", "#2e9d4f", "#d32f2f", "#f2b705"
 
 
-class MergePainter:
-    """Implements `headway.contracts.Painter` for both merges."""
+class MergeRenderer:
+    """Implements `headway.contracts.Renderer` for both merges."""
 
     def __init__(self, prepared: Prepared) -> None:
         lanes = prepared.network.lanes
@@ -46,7 +46,7 @@ class MergePainter:
         self._large = ImageFont.load_default(15 * FINER)
         self._background = self._draw_road()
 
-    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+    def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """(height, width, 3). Raises TypeError for any other environment."""
         if not isinstance(env, MergeBatchedEnv):
             raise TypeError(f"the picture of a merge needs a MergeBatchedEnv, not {type(env).__name__}")

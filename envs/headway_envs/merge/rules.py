@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed
+from headway.contracts import BatchedEnv, Observations
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE, LEFT
 
@@ -11,14 +11,14 @@ from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE, LEFT
 class Idle:
     """Keep the lane and the speed: whoever is on a ramp hits its end."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, IDLE, np.int64)
 
 
 class AlwaysLeft:
     """Change to the left as soon as it is allowed, whoever is there."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         if observed.action_masks is None:
             return np.full(observed.alive.shape, LEFT, np.int64)
         return np.where(observed.action_masks[..., LEFT], LEFT, IDLE)
@@ -27,7 +27,7 @@ class AlwaysLeft:
 class IdmMobil:
     """Every CAV drives as a human driver: IDM, MOBIL, and its first speed as the desired one."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """Not an action of the action space, which has no accelerations: only this environment knows it."""
         if not isinstance(env, MergeBatchedEnv):
             raise TypeError(f"idm_mobil needs a MergeBatchedEnv, not {type(env).__name__}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult
 
 CLIMBING = ((11.0, -30.0, 0.0), (-30.0, 7.0, 6.0), (0.0, 0.0, 5.0))
 NUM_AGENTS = 2
@@ -51,8 +51,8 @@ class Matrix:
         agents = (copies, NUM_AGENTS)
         observations = np.tile(np.eye(NUM_AGENTS, dtype=np.float32), (copies, 1, 1))
         alive = np.ones(agents, dtype=np.bool_)
-        self._observed = Observed(observations, np.ones((copies, 1), dtype=np.float32), alive)
-        self._outcome = Outcome(
+        self._observed = Observations(observations, np.ones((copies, 1), dtype=np.float32), alive)
+        self._outcome = StepResult(
             rewards=np.zeros(agents, dtype=np.float32),
             terminated=np.ones(agents, dtype=np.bool_),
             truncated=np.zeros(agents, dtype=np.bool_),
@@ -77,11 +77,11 @@ class Matrix:
         row, column = np.unravel_index(int(np.argmax(self._payoff)), self._payoff.shape)
         return int(row), int(column)
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         """Nothing is drawn at random, so `seeds` change nothing."""
         return self._observed
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         payoff = self._payoff[actions[:, 0], actions[:, 1]]
         self._outcome.rewards[:] = payoff[:, None]
         self._outcome.metrics[:, 0] = payoff == self._payoff.max()
@@ -90,7 +90,7 @@ class Matrix:
     def snapshot(self) -> None:
         """There is nothing to remember between episodes of one step."""
 
-    def restore(self, snapshot: None) -> Observed:
+    def restore(self, snapshot: None) -> Observations:
         return self._observed
 
     def close(self) -> None:
@@ -100,7 +100,7 @@ class Matrix:
 class OptimalMatrix:
     """Both agents play their part of the largest payoff."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, 2)"""
         if not isinstance(env, Matrix):
             raise TypeError("the optimal rule of 'matrix' reads the payoff of a Matrix")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least
 
 
@@ -48,12 +48,12 @@ class Recall:
         self._episode = 0
         self._step = 0
         self._cues = np.zeros((copies, n), dtype=np.int64)
-        self._observed = Observed(
+        self._observed = Observations(
             observations=np.zeros((copies, n, config.cues + 1), dtype=np.float32),
             states=np.zeros((copies, 0), dtype=np.float32),
             alive=np.ones((copies, n), dtype=np.bool_),
         )
-        self._outcome = Outcome(
+        self._outcome = StepResult(
             rewards=np.zeros((copies, n), dtype=np.float32),
             terminated=np.zeros((copies, n), dtype=np.bool_),
             truncated=np.zeros((copies, n), dtype=np.bool_),
@@ -77,12 +77,12 @@ class Recall:
         """(C, N): what is to be named at the end of this episode."""
         return self._cues
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self._seeds[:] = seeds
         self._begin(episode=0)
         return self._show()
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
         self._step += 1
         ended = self._step == self._config.steps
@@ -98,7 +98,7 @@ class Recall:
     def snapshot(self) -> tuple[NDArray[np.uint64], int, int]:
         return self._seeds.copy(), self._episode, self._step
 
-    def restore(self, snapshot: tuple[NDArray[np.uint64], int, int]) -> Observed:
+    def restore(self, snapshot: tuple[NDArray[np.uint64], int, int]) -> Observations:
         seeds, episode, step = snapshot
         self._seeds[:] = seeds
         self._begin(episode)
@@ -114,7 +114,7 @@ class Recall:
             draw = generator(int(seed), "recall", episode)
             self._cues[copy] = draw.integers(0, self._config.cues, self._config.agents)
 
-    def _show(self) -> Observed:
+    def _show(self) -> Observations:
         observations = self._observed.observations
         observations.fill(0)
         if self._step == 0:
@@ -126,7 +126,7 @@ class Recall:
 class OptimalRecall:
     """Names the cue at every step: returns 1."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, N)"""
         if not isinstance(env, Recall):
             raise TypeError("the optimal rule of 'recall' reads the cues of a Recall")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Box, EnvSpec, Observed, Outcome, generator
+from headway.contracts import BatchedEnv, Box, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require, require_at_least
 
 DIMENSIONS = 2
@@ -88,12 +88,12 @@ class Tracking:
         self._velocity = np.zeros((copies, 1, DIMENSIONS))
         self._noise = np.zeros((config.steps, copies, n, DIMENSIONS))
         self._sums = np.zeros((copies, 2))
-        self._observed = Observed(
+        self._observed = Observations(
             observations=np.zeros((copies, n, size), dtype=np.float32),
             states=np.zeros((copies, (n + 1) * DIMENSIONS), dtype=np.float32),
             alive=np.ones((copies, n), dtype=np.bool_),
         )
-        self._outcome = Outcome(
+        self._outcome = StepResult(
             rewards=np.zeros((copies, n), dtype=np.float32),
             terminated=np.zeros((copies, n), dtype=np.bool_),
             truncated=np.zeros((copies, n), dtype=np.bool_),
@@ -117,12 +117,12 @@ class Tracking:
         """In the running episode; the same for all copies."""
         return self._step
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self._seeds[:] = seeds
         self._begin(episode=0)
         return self._show()
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
         moves = np.clip(actions.astype(np.float64), -2.0, 2.0)
         self._offset += self._velocity - moves + self._noise[self._step]
@@ -151,7 +151,7 @@ class Tracking:
             "sums": self._sums.copy(),
         }
 
-    def restore(self, snapshot: dict[str, Any]) -> Observed:
+    def restore(self, snapshot: dict[str, Any]) -> Observations:
         self._seeds[:] = snapshot["seeds"]
         self._begin(snapshot["episode"])
         self._step = snapshot["step"]
@@ -172,7 +172,7 @@ class Tracking:
             self._velocity[copy] = draw.uniform(-SPEED, SPEED, (1, DIMENSIONS))
             self._noise[:, copy] = draw.uniform(-bound, bound, self._noise[:, copy].shape)
 
-    def _show(self) -> Observed:
+    def _show(self) -> Observations:
         observed, n = self._observed, self._spec.num_agents
         observed.observations[..., :DIMENSIONS] = self._offset
         observed.observations[..., DIMENSIONS:] = self._velocity
@@ -187,7 +187,7 @@ class OptimalTracking:
     def __init__(self, config: TrackingConfig) -> None:
         self._gains, _ = regulator(config)
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(C, N, 2)"""
         if not isinstance(env, Tracking):
             raise TypeError("the optimal rule of 'tracking' reads the time of a Tracking")

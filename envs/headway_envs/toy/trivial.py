@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least
 
 OBSERVATION_SIZE = 4
@@ -64,7 +64,7 @@ class Trivial:
         self._counts = np.zeros(copies, dtype=np.int64)
         self._total = np.zeros(copies, dtype=np.int64)
         self._alive = np.ones((copies, agents), dtype=np.bool_)
-        self._outcome = Outcome(
+        self._outcome = StepResult(
             rewards=np.zeros((copies, agents), dtype=np.float32),
             terminated=np.zeros((copies, agents), dtype=np.bool_),
             truncated=np.zeros((copies, agents), dtype=np.bool_),
@@ -83,12 +83,12 @@ class Trivial:
     def num_copies(self) -> int:
         return len(self._seeds)
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self._seeds[:] = seeds
         self._begin(episode=0)
         return self._observed()
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
         if self._step == 0:
             outcome.truncated.fill(False)
@@ -105,7 +105,7 @@ class Trivial:
     def snapshot(self) -> tuple[NDArray[np.uint64], int, int, NDArray[np.int64]]:
         return self._seeds.copy(), self._episode, self._step, self._total.copy()
 
-    def restore(self, snapshot: tuple[NDArray[np.uint64], int, int, NDArray[np.int64]]) -> Observed:
+    def restore(self, snapshot: tuple[NDArray[np.uint64], int, int, NDArray[np.int64]]) -> Observations:
         seeds, episode, step, total = snapshot
         self._seeds[:] = seeds
         self._begin(episode)
@@ -141,15 +141,15 @@ class Trivial:
         outcome.metrics[:, 0] = self._total / (self._steps * self._spec.num_agents)
         self._begin(self._episode + 1)
 
-    def _observed(self) -> Observed:
+    def _observed(self) -> Observations:
         observations = self._table[self._step]
-        return Observed(observations, observations.reshape(self.num_copies, -1), self._alive)
+        return Observations(observations, observations.reshape(self.num_copies, -1), self._alive)
 
 
 class OptimalTrivial:
     """Always right: returns `steps`."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, N)"""
         actions: NDArray[np.int64] = np.argmax(observed.observations[..., :NUM_ACTIONS], axis=-1)
         return actions

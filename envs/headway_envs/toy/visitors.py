@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observed, Outcome, generator
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least
 
 OPTIONS = 3
@@ -98,13 +98,13 @@ class Visitors:
         self._sums = np.zeros((copies, 3))
         self._episodes: list[_Episode] = []
         self._masks = np.zeros((copies, n, OPTIONS), dtype=np.bool_)
-        self._observed = Observed(
+        self._observed = Observations(
             observations=np.zeros((copies, n, OPTIONS + 1), dtype=np.float32),
             states=np.zeros((copies, n + 1), dtype=np.float32),
             alive=np.zeros((copies, n), dtype=np.bool_),
             action_masks=self._masks,
         )
-        self._outcome = Outcome(
+        self._outcome = StepResult(
             rewards=np.zeros((copies, n), dtype=np.float32),
             terminated=np.zeros((copies, n), dtype=np.bool_),
             truncated=np.zeros((copies, n), dtype=np.bool_),
@@ -123,14 +123,14 @@ class Visitors:
     def num_copies(self) -> int:
         return len(self._seeds)
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self._seeds[:] = seeds
         self._numbers.fill(0)
         self._steps.fill(0)
         self._sums.fill(0)
         return self._redraw()
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
         outcome.final_observations.fill(np.nan)
         outcome.final_states.fill(np.nan)
@@ -143,7 +143,7 @@ class Visitors:
     def snapshot(self) -> tuple[NDArray[Any], ...]:
         return self._seeds.copy(), self._numbers.copy(), self._steps.copy(), self._sums.copy()
 
-    def restore(self, snapshot: tuple[NDArray[Any], ...]) -> Observed:
+    def restore(self, snapshot: tuple[NDArray[Any], ...]) -> Observations:
         mine = (self._seeds, self._numbers, self._steps, self._sums)
         for array, saved in zip(mine, snapshot, strict=True):
             array[:] = saved
@@ -152,7 +152,7 @@ class Visitors:
     def close(self) -> None:
         pass
 
-    def _redraw(self) -> Observed:
+    def _redraw(self) -> Observations:
         numbers = zip(self._seeds.tolist(), self._numbers.tolist(), strict=True)
         self._episodes = [_draw(self._config, seed, number) for seed, number in numbers]
         for copy in range(self.num_copies):
@@ -211,7 +211,7 @@ class Visitors:
 class OptimalVisitors:
     """The best allowed option: regret 0."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, N); 0 for absent agents."""
         worth = observed.observations[..., :OPTIONS]
         allowed = (

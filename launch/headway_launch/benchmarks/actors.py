@@ -96,7 +96,7 @@ def report() -> None:
 def _report_wire() -> dict[str, Wire]:
     """By task, of those whose environment is a batch."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
-    from headway.rollout.workers.ray_workers import Broadcast, actor_collector, experience_of, nbytes_of
+    from headway.rollout.workers.ray_workers import Broadcast, experience_of, nbytes_of, ray_collector
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")
@@ -109,7 +109,7 @@ def _report_wire() -> dict[str, Wire]:
             plan = _plan_of(task)
             shapes = plan.policy.parameter_shapes(plan.replicas)
             parameters = {key: np.zeros(shape, dtype) for key, (shape, dtype) in shapes.items()}
-            collector = actor_collector(BackendConfig("ray"), plan, plan.shards(task.workers), print)
+            collector = ray_collector(BackendConfig("ray"), plan, plan.shards(task.workers), print)
             try:
                 collector.begin()
                 collector.collect(1, parameters)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Observed, child_seeds
+from headway.contracts import BatchedEnv, Observations, child_seeds
 from headway.registry import env_entry
 from headway_launch.benchmarks.measuring import Task, first_part, measure
 from headway_launch.experiments.compose import compose
@@ -127,12 +127,12 @@ def play(scenario: Scenario, episodes: int | None = None) -> dict[str, float]:
 
 def _driver(
     drive: str | float, prepared: object, seed: int
-) -> Callable[[BatchedEnv, Observed], NDArray[np.float32]]:
+) -> Callable[[BatchedEnv, Observations], NDArray[np.float32]]:
     if isinstance(drive, str):
         return env_entry("intersection").rules[drive].make(prepared).act
     draw, mean = np.random.default_rng(seed), drive
 
-    def act(env: BatchedEnv, observed: Observed) -> NDArray[np.float32]:
+    def act(env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         return draw.normal(mean, 1.0, (*observed.alive.shape, 1)).astype(np.float32)
 
     return act

@@ -42,13 +42,13 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     import torch
 
     from headway_algos.batches.layout import Layout
-    from headway_algos.batches.policy_batch import PolicyRows
+    from headway_algos.batches.policy_batch import PolicyBatch
     from headway_algos.config import AlgoConfig, ModelConfig
     from headway_algos.grouping import Grouping
     from headway_algos.networks.actor import Actor
     from headway_algos.on_policy.critics.critic_inputs import VIEWS
-    from headway_algos.on_policy.critics.estimate import Estimate
-    from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+    from headway_algos.on_policy.critics.estimate import CriticEstimate
+    from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
     from headway_algos.on_policy.updates.ppo import PPO
 
     steps = ROWS_A_ROUND // case.rows
@@ -64,11 +64,11 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
         log_probs = actor(observations, None).log_prob(actions)
     advantages = torch.from_numpy(random.normal(size=(case.seeds, rows)).astype(np.float32))
     here = np.ones((case.seeds, rows), np.bool_)
-    made, update = PolicyRows(observations, None, actions, log_probs, here), PPO(actor, config, layout)
+    made, update = PolicyBatch(observations, None, actions, log_probs, here), PPO(actor, config, layout)
     view = VIEWS["local"](config, spec, grouping)
-    regression = Regression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
+    regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
     returns = random.normal(size=(rows, case.seeds, 1))
-    estimate = Estimate(returns, returns, returns, here.T[..., None], observations, memories=None)
+    estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, memories=None)
     return [
         lambda: update.improve(made, advantages, [generator(seed, "benchmark") for seed in seeds]),
         lambda: regression.fit(estimate, 0),

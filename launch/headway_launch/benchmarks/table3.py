@@ -8,7 +8,7 @@ from headway.registry import algo_entry
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
-from headway.training.modes import InStep
+from headway.training.modes import SynchronousMode
 from headway_launch.console.threads import limit_threads
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.runner.calibration import evaluations_left
@@ -75,7 +75,7 @@ def cost_of(experiment: Experiment) -> Cost:
     learner = entry.learner(experiment.algo_config, found.spec, seeds, "cpu")
     with closing(SerialCollector(plan)) as collector:
         collector.begin()
-        mode, done = InStep(learner, collector), 1
+        mode, done = SynchronousMode(learner, collector), 1
         mode.iterate(1, 0.0)
         began = time.process_time()
         while done < 3 or time.process_time() - began < AT_LEAST_S:

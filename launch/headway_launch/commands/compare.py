@@ -58,8 +58,8 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.console.output import tell
-    from headway_launch.console.progress_display import Counted
+    from headway_launch.console.output import print_line
+    from headway_launch.console.progress_display import CountedProgress
     from headway_launch.console.tables import print_table
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
     from headway_launch.runner.comparison import (
@@ -91,7 +91,7 @@ def execute(arguments: argparse.Namespace) -> int:
     policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
     controllers = len(names) + sum(map(len, policies.values()))
-    with Counted("episodes played", controllers * episodes) as counted:
+    with CountedProgress("episodes played", controllers * episodes) as counted:
         rules = rule_episodes(experiment, found.prepared, names, root, episodes, counted)
         reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
         played = {
@@ -129,9 +129,9 @@ def execute(arguments: argparse.Namespace) -> int:
     print_table(columns, rows, title=f"{subject.name}: {episodes} days of {found.spec.name}{mode}")
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
-        tell(few_seeds(fewest))
+        print_line(few_seeds(fewest))
     if episodes < DAYS_FOR_A_CLAIM and len(rules) + len(played) > 1:
-        tell(few_days(episodes))
+        print_line(few_days(episodes))
     return 0
 
 

@@ -33,7 +33,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.console.progress_display import Counted
+    from headway_launch.console.progress_display import CountedProgress
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
     from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play
     from headway_launch.runner.stored_run import StoredRun
@@ -51,7 +51,7 @@ def execute(arguments: argparse.Namespace) -> int:
     compile_kernels(experiment.env)
     policy = newest_policy(run, found)
     name = f"{experiment.algo_name} {arguments.mode}"
-    with Counted("episodes played", (1 + len(rules)) * episodes) as counted:
+    with CountedProgress("episodes played", (1 + len(rules)) * episodes) as counted:
         greedy, told = arguments.mode == "greedy", counting(counted, name)
         learned = policy_episodes(policy, root, episodes, greedy, told)
         played = rule_episodes(experiment, found.prepared, rules, root, episodes, counted)

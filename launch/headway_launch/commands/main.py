@@ -9,7 +9,7 @@ from typing import NoReturn, Protocol, cast
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.output import silence, tell
+from headway_launch.console.output import print_line, silence
 
 _EXAMPLES = """\
 examples:
@@ -97,12 +97,12 @@ def run(arguments: Sequence[str]) -> int:
     except HeadwayError as error:
         if debug:
             raise
-        tell(f"headway: {' '.join(str(error).split())}")
+        print_line(f"headway: {' '.join(str(error).split())}")
         return 2
     except KeyboardInterrupt:
         if debug:
             raise
-        tell("headway: stopped")
+        print_line("headway: stopped")
         return 130
     except Exception as error:
         if isinstance(error, BrokenPipeError) and _only_prints(words):  # `headway runs | head`
@@ -114,7 +114,7 @@ def run(arguments: Sequence[str]) -> int:
         text = " ".join(str(error).split())
         if isinstance(error, OSError):
             silence(sys.stdout)
-        tell(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)")
+        print_line(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)")
         return 2
 
 

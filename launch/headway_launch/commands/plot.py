@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Draw the picture and say where it is."""
     from headway.stats import frames, plots
-    from headway.store import Selection
+    from headway.store import RunSelection
     from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
 
     root = existing_store(arguments.store)
@@ -65,7 +65,7 @@ def execute(arguments: argparse.Namespace) -> int:
     chosen = tuple(row for row in finished if all(condition.holds(row) for condition in conditions))
     if not chosen:
         raise HeadwayError(f"--where: no finished run of {arguments.study} is so; see headway runs --where")
-    runs = Selection(root, chosen)
+    runs = RunSelection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
     figure = plots.learning_curves(

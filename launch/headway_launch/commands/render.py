@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.console.progress_display import Counted
-from headway_launch.console.unwritten import unwritten
+from headway_launch.console.figures import unwritten
+from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from headway.contracts import Observed, Outcome
+    from headway.contracts import Observations, StepResult
     from headway_launch.console.video import Frame
     from headway_launch.experiments.compose import PreparedEnv
     from headway_launch.runner.stored_run import StoredRun
 
-    Act = Callable[[Any, Observed], NDArray[Any]]
-    Heed = Callable[[Outcome], None]
+    Act = Callable[[Any, Observations], NDArray[Any]]
+    Heed = Callable[[StepResult], None]
 
 EXAMPLES = """\
 examples:
@@ -78,10 +78,10 @@ def execute(arguments: argparse.Namespace) -> int:
 
     player = _player(arguments)
     found = player.environment
-    if found.entry.painter is None:
+    if found.entry.renderer is None:
         from headway.registry import env_entries
 
-        drawn = sorted(name for name, entry in env_entries().items() if entry.painter is not None)
+        drawn = sorted(name for name, entry in env_entries().items() if entry.renderer is not None)
         raise HeadwayError(f"{found.spec.name} cannot be drawn; those that can are: {', '.join(drawn)}")
     compile_kernels(found.entry)
     root = player.root if arguments.seed is None else arguments.seed
@@ -162,14 +162,14 @@ class _Player:
 
 def _player(arguments: argparse.Namespace) -> _Player:
     if arguments.rule is None:
-        from headway.rollout.policy_player import BlockwiseActing
+        from headway.rollout.policy_player import PolicyPlayer
         from headway.stats.plots import counted
         from headway_launch.runner.checkpointed_policy import newest_policy
 
         run = _run(arguments)
         found = run.experiment.prepare()
         policy = newest_policy(run, found)
-        acting = BlockwiseActing(policy.plan, 1, 1)
+        acting = PolicyPlayer(policy.plan, 1, 1)
         root = run.experiment.config.evaluation.seed
         return _Player(
             f"run {run.record.run_id} after {counted(policy.iteration, 'iteration')}, greedy",
@@ -229,11 +229,11 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
     from headway_launch.console.video import caption_strip
 
     found = player.environment
-    assert found.entry.painter is not None
-    painter = found.entry.painter(found.prepared)
-    with Counted("steps played") as played, closing(found.entry.make(found.prepared, 1)) as env:
+    assert found.entry.renderer is not None
+    renderer = found.entry.renderer(found.prepared)
+    with CountedProgress("steps played") as played, closing(found.entry.make(found.prepared, 1)) as env:
         observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
-        first = painter.paint(behind_wrappers(env), at_end=False)
+        first = renderer.render(behind_wrappers(env), at_end=False)
         strip = caption_strip(caption, first.shape[1])
         yield np.concatenate((first, strip))
         del first
@@ -242,11 +242,11 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
             player.heed(outcome)
             ended = bool(outcome.episode_ended[0])
             played.add()
-            yield np.concatenate((painter.paint(behind_wrappers(env), at_end=ended), strip))
+            yield np.concatenate((renderer.render(behind_wrappers(env), at_end=ended), strip))
 
 
 def _moment(frames: "Iterator[Frame]", step: int | None) -> "Frame":
-    """The picture after `step` steps, or the last one. All before it are painted, too: a painter may show
+    """The picture after `step` steps, or the last one. All before it are rendered, too: a renderer may show
     what happened lately."""
     last, played = next(frames), 0
     while played != step:

@@ -39,8 +39,8 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.console.output import tell
-    from headway_launch.runner.runner import EXIT_STOPPED, conduct_sessions
+    from headway_launch.console.output import print_line
+    from headway_launch.runner.runner import EXIT_STOPPED, run_sessions
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.session import require_all_ended
 
@@ -62,13 +62,13 @@ def execute(arguments: argparse.Namespace) -> int:
             raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
         run.record.require_free()
     if not arguments.study:
-        return conduct_sessions(_cells_of(runs), arguments.debug)
+        return run_sessions(_cells_of(runs), arguments.debug)
     cells, left = _cells_of_study(root, arguments.study, runs)
-    code = conduct_sessions(cells, arguments.debug, plan_kept=True)
+    code = run_sessions(cells, arguments.debug, plan_kept=True)
     if code != EXIT_STOPPED:
         require_all_ended(arguments.study, left)
     if not cells:
-        tell(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
+        print_line(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
     return code
 
 
@@ -93,7 +93,7 @@ def _cells_of_study(
     the folders of runs that other sessions hold."""
     from headway.store.index import RunIndex
     from headway_launch.runner.stored_run import StoredRun
-    from headway_launch.studies.plan import Standing, cell_labels, kept_plans, plan_cells
+    from headway_launch.studies.plan import StudyProgress, cell_labels, kept_plans, plan_cells
     from headway_launch.studies.session import held_elsewhere, tell_standing
 
     everything = RunIndex(root).rows()
@@ -102,7 +102,7 @@ def _cells_of_study(
     if not rows and not planned:
         studies = {row.study for row in everything}
         raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
-    standings = [Standing.of(root, experiment, rows) for experiment in planned]
+    standings = [StudyProgress.of(root, experiment, rows) for experiment in planned]
     tell_standing(study, standings)
     covered = {run_id for standing in standings for run_id in standing.run_ids}
     others = {

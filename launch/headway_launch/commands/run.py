@@ -45,9 +45,9 @@ def execute(arguments: argparse.Namespace) -> int:
     cells = [CellPlan(experiment, plan_jobs(experiment))]
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
-        from headway_launch.studies.plan import Standing
+        from headway_launch.studies.plan import StudyProgress
 
-        return print_estimate([Standing.untouched(experiment)], cells)
-    from headway_launch.runner.runner import Conductor
+        return print_estimate([StudyProgress.untouched(experiment)], cells)
+    from headway_launch.runner.runner import Runner
 
-    return Conductor(cells, arguments.debug).conduct()
+    return Runner(cells, arguments.debug).conduct()

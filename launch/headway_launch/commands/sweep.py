@@ -80,7 +80,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _write_script(arguments: argparse.Namespace) -> int:
-    from headway_launch.console.output import tell
+    from headway_launch.console.output import print_line
     from headway_launch.runner.cluster.slurm import Allocation, write_array_script, write_cluster_script
 
     if arguments.dry_run or arguments.fresh:
@@ -90,5 +90,5 @@ def _write_script(arguments: argparse.Namespace) -> int:
     write = write_array_script if arguments.array else write_cluster_script
     path = write(arguments.overrides, Allocation(**given, further=tuple(arguments.sbatch or ())))
     print(path)
-    tell(f"submit it, and again to go on where it stopped, with: sbatch {shlex.quote(str(path))}")
+    print_line(f"submit it, and again to go on where it stopped, with: sbatch {shlex.quote(str(path))}")
     return 0

@@ -1,10 +1,9 @@
-"""Matplotlib's figures as files."""
+"""Files that a command was asked to write."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.unwritten import unwritten
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,3 +21,14 @@ def write_figure(figure: "Figure", output: Path) -> None:
         figure.savefig(output)
     except (OSError, ValueError) as error:
         raise unwritten("--output", output, error) from error
+
+
+def unwritten(option: str, path: Path, error: Exception) -> HeadwayError:
+    """Return the error line for a file or folder, given by `option`, that cannot be written.
+
+    `error` is what writing it raised.
+    """
+    reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    if isinstance(error, FileNotFoundError) and not path.parent.exists():
+        reason = f"there is no folder {path.parent}; make it first"
+    return HeadwayError(f"{option}: {path} cannot be written ({reason})")

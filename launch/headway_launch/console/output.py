@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 
-def tell(line: str) -> None:
+def print_line(line: str) -> None:
     """Print a line on stderr; nothing happens, now or later, if it cannot be written."""
     try:
         print(line, file=sys.stderr, flush=True)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from headway_launch.console.output import silence, tell
+from headway_launch.console.output import print_line, silence
 from headway_launch.console.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Progress:
     def note(self, line: str) -> None:
         """A line for the user that stays."""
         if self._live is None:
-            tell(line)
+            print_line(line)
             return
         try:
             self._live.console.print(line, highlight=False, markup=False, soft_wrap=True)
@@ -121,7 +121,7 @@ class Progress:
         self.note("  ".join(cell for cell in job.cells() if cell))
 
 
-class Counted:
+class CountedProgress:
     """How far work of known or unknown length is: on a terminal one line on stderr, cut to its width, that
     stays in place and goes at the end; elsewhere a line now and then. To be entered."""
 
@@ -156,13 +156,13 @@ class Counted:
                 self._draw(self.line)
         elif now - self._printed >= _pause(now - self._began):
             self._printed = now
-            tell(self.line)
+            print_line(self.line)
 
     def note(self, line: str) -> None:
         """A line for the user that stays."""
         if self._on_terminal:
             self._draw("")
-        tell(line)
+        print_line(line)
         if self._on_terminal:
             self._draw(self.line)
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_launch.console.progress_display import Counted
-from headway_launch.console.unwritten import unwritten
+from headway_launch.console.figures import unwritten
+from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -77,7 +77,7 @@ def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption:
     palette = _palette(frames)
     pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
     try:
-        with Counted("frames written", len(frames)) as written:
+        with CountedProgress("frames written", len(frames)) as written:
 
             def picture_of(frame: PackedFrame) -> Image.Image:
                 written.add()

@@ -17,7 +17,7 @@ from headway.contracts.errors import HeadwayError
 from headway.environments import chosen_env, notices_of
 from headway.registry import algo_entries, algo_entry, env_entries, is_module_path, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
 _DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
@@ -141,7 +141,7 @@ class Experiment:
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         give_back_memory()  # before it is all there again in each training process
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
-            tell(f"headway: {line}")
+            print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, training, spec)
 
     def _spec(self, prepared: object) -> EnvSpec:

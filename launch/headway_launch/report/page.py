@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from headway_launch.console.output import tell
-from headway_launch.console.unwritten import unwritten
+from headway_launch.console.figures import unwritten
+from headway_launch.console.output import print_line
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
 
 PAGE = "report.html"
@@ -47,7 +47,7 @@ def write_report(report: Report, folder: Path) -> Path:
         if path not in written
     )
     if others:
-        tell(f"not of this report, but still in {folder}: {', '.join(others)}")
+        print_line(f"not of this report, but still in {folder}: {', '.join(others)}")
     return page
 
 

@@ -15,7 +15,7 @@ from headway_launch.report.parts import (
     with_deviation,
     with_interval,
 )
-from headway_launch.report.study_data import Against, StudyData, over_known
+from headway_launch.report.study_data import DifferenceToBest, StudyData, over_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
@@ -257,7 +257,7 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
     ]
 
 
-def _against(data: StudyData, against: Against, seeds: int | None) -> list[str]:
+def _against(data: StudyData, against: DifferenceToBest, seeds: int | None) -> list[str]:
     """The difference, over what its interval is, and in words; without words for a rule (`seeds` None)."""
     found = against.interval
     if found is None:
@@ -272,7 +272,7 @@ def _against(data: StudyData, against: Against, seeds: int | None) -> list[str]:
     return [shown, found.method.removeprefix("t over "), reading]
 
 
-def _exact(against: Against) -> dict[str, float | str]:
+def _exact(against: DifferenceToBest) -> dict[str, float | str]:
     found = against.interval
     if found is None:
         return {}

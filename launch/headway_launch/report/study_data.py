@@ -12,7 +12,7 @@ import pandas as pd
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
 from headway.stats import Interval, MeanStd, frames, mean_std, plots
-from headway.store import Selection
+from headway.store import RunSelection
 from headway.store.query import LABELS as WHOSE
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference
@@ -33,7 +33,7 @@ RANDOM = "random"
 
 
 @dataclass(frozen=True)
-class Against:
+class DifferenceToBest:
     """A controller's difference to the best rule of its task on common days; None where it is not known."""
 
     interval: Interval | None
@@ -62,9 +62,9 @@ class StudyData:
         low: float | None = None,
     ) -> None:
         self.study, self.lower_is_better, self.low = study, lower_is_better, low
-        self.every = Selection(root, tuple(study_runs(root, study)))
+        self.every = RunSelection(root, tuple(study_runs(root, study)))
         counted, self.left_out = counted_runs(self.every.rows, study)
-        self.runs = Selection(root, tuple(counted))
+        self.runs = RunSelection(root, tuple(counted))
         self.metric = metric or self._usual_metric()
         group, _, self.column = self.metric.rpartition("/")
         if not group.startswith("evaluation_"):
@@ -250,29 +250,29 @@ class StudyData:
         of_rule = self.rules[(self.rules["task"] == task) & (self.rules["rule"] == rule)]
         return of_rule.set_index("episode_seed")[self.column]
 
-    def against_best_rule(self, task: str, controller: str) -> Against:
+    def against_best_rule(self, task: str, controller: str) -> DifferenceToBest:
         """Its learner's days minus the best rule's."""
         if task not in self.best_rules:
-            return Against(None, "no rule was played")
+            return DifferenceToBest(None, "no rule was played")
         best = self.by_day(task, self.best_rules[task])
         return self.paired(task, self.by_seed(task, controller, self.column), best)
 
-    def rule_against_best(self, task: str, rule: str) -> Against:
+    def rule_against_best(self, task: str, rule: str) -> DifferenceToBest:
         """A rule's days minus the best rule's."""
         if rule == self.best_rules[task]:
-            return Against(None)
+            return DifferenceToBest(None)
         best = self.by_day(task, self.best_rules[task])
         return self.paired(task, self.by_day(task, rule).to_frame().T, best)
 
-    def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> Against:
+    def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> DifferenceToBest:
         """A learner's figures (runs by days, as `by_seed` gives them) minus a rule's on the days of both."""
         if len(self._evaluation_seeds(task)) > 1:
-            return Against(None, "the cells were evaluated on different days")
+            return DifferenceToBest(None, "the cells were evaluated on different days")
         common = [day for day in learned.columns if day in best.index]
         whole = learned[common].dropna(axis="columns")
         if whole.shape[1] < 2:
-            return Against(None, "fewer than two common days")
-        return Against(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
+            return DifferenceToBest(None, "fewer than two common days")
+        return DifferenceToBest(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
 
     def _evaluation_seeds(self, task: str) -> set[int]:
         return {int(configuration(row.directory)["evaluation"]["seed"]) for row in self._runs_on(task)}

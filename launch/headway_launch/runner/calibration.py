@@ -17,8 +17,8 @@ from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.energy import EnergyMeter, JobUsage
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
-from headway_launch.console.progress_display import Counted
-from headway_launch.runner.jobs import CellPlan, PlannedJob, Shares, uses_gpu, workers_of
+from headway_launch.console.progress_display import CountedProgress
+from headway_launch.runner.jobs import CellPlan, CoreShares, PlannedJob, uses_gpu, workers_of
 from headway_launch.runner.training_process import Report, ShouldStop, TrainingProcess, train_and_tell
 from headway_launch.runner.warm_up import compile_kernels_of
 
@@ -96,7 +96,7 @@ def evaluations_left(config: ExperimentConfig, done: int) -> float:
     return reached + config.evaluation.last_episodes / config.evaluation.episodes
 
 
-def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace], str]:
+def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
     """Return the pace of each cell, keyed by its `id()`, and a text on how its power is measured or
     estimated.
 
@@ -112,7 +112,7 @@ def calibrate(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace
     lanes: list[_Lane] = []
     with (
         tempfile.TemporaryDirectory(prefix="headway-") as folder,
-        Counted("cells measured", len(cells)) as told,
+        CountedProgress("cells measured", len(cells)) as told,
     ):
         try:
             lanes.extend(
@@ -237,7 +237,9 @@ class _Lane:
     """One process and the cells that it measures in turn; `trial` belongs to the first cell in `waiting`. The
     user is told as each cell begins."""
 
-    def __init__(self, cells: Sequence[CellPlan], shares: Shares, folder: Path, told: Counted) -> None:
+    def __init__(
+        self, cells: Sequence[CellPlan], shares: CoreShares, folder: Path, told: CountedProgress
+    ) -> None:
         self.waiting, self._told = list(cells), told
         jobs = [_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
         self.trial = self._begun()
@@ -300,7 +302,7 @@ def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:
     return [lane for lane in lanes if lane.hear()]
 
 
-def _job(job: PlannedJob, shares: Shares, folder: Path) -> "TrainingJob":
+def _job(job: PlannedJob, shares: CoreShares, folder: Path) -> "TrainingJob":
     never = replace(job.config.store, checkpoint_every=job.config.iterations)
     directories = [folder / str(seed) for seed in job.seeds]
     for directory in directories:

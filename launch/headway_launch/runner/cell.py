@@ -13,11 +13,11 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import rules_file, status_of_all
 from headway.store.session import Cell, Run, SessionStore
 from headway.training.loop import TrainingJob
-from headway_launch.console.output import tell
-from headway_launch.console.progress_display import Counted
+from headway_launch.console.output import print_line
+from headway_launch.console.progress_display import CountedProgress
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.runner.comparison import rule_episodes
-from headway_launch.runner.jobs import CellPlan, PlannedJob, Shares, workers_of
+from headway_launch.runner.jobs import CellPlan, CoreShares, PlannedJob, workers_of
 from headway_launch.runner.results import SeedResult, stored_result
 
 Rules = Mapping[str, list[Row]]
@@ -26,7 +26,7 @@ _WHICH_DAYS = "evaluation_seed"
 seed."""
 
 
-class CellWork:
+class SessionCell:
     """The work of a session for one cell."""
 
     def __init__(self, store: SessionStore, plan: CellPlan) -> None:
@@ -42,7 +42,7 @@ class CellWork:
             self.config.study, self.config.env.id, experiment.algo_name, cell_parameters(experiment)
         )
 
-    def runs(self, planned: PlannedJob, shares: Shares) -> list[Run]:
+    def runs(self, planned: PlannedJob, shares: CoreShares) -> list[Run]:
         """Return the runs of a job, one per seed, newly created or resumed. Raises HeadwayError if the store
         cannot be written or another session holds a run."""
         if planned.resumed:
@@ -69,7 +69,7 @@ class CellWork:
             for seed in planned.seeds
         ]
 
-    def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: Shares) -> TrainingJob:
+    def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: CoreShares) -> TrainingJob:
         """Return what the training process of a job is given."""
         directories = [run.directory for run in runs]
         resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
@@ -103,9 +103,9 @@ class CellWork:
         from headway.stats.plots import counted
 
         jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
-        tell(f"{counted(len(rules), 'rule')} to play, {counted(days, 'episode')} each")
+        print_line(f"{counted(len(rules), 'rule')} to play, {counted(days, 'episode')} each")
         prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
-        with Counted("episodes played", len(rules) * days) as played_so_far:
+        with CountedProgress("episodes played", len(rules) * days) as played_so_far:
             episodes = rule_episodes(self.experiment, prepared, rules, seed, days, played_so_far)
         return {rule: [{**row, _WHICH_DAYS: seed} for row in rows] for rule, rows in episodes.items()}
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS, Row
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.console.tables import Cell, print_table
 
 if TYPE_CHECKING:
     from headway.rollout.episodes import Told
     from headway.stats import Interval
-    from headway_launch.console.progress_display import Counted
+    from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.compose import Experiment, PreparedEnv
 
 _NOT_METRICS = LABELS | {"length", "return"}
@@ -42,7 +42,7 @@ def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "
     problems = {name: problem for name in known if (problem := _why_not(environment, name))}
     if problems:
         others = f" (and so {', '.join(list(problems)[1:])})" if len(problems) > 1 else ""
-        tell(f"headway: left out: {next(iter(problems.values()))}{others}")
+        print_line(f"headway: left out: {next(iter(problems.values()))}{others}")
     return tuple(name for name in known if name not in problems)
 
 
@@ -60,7 +60,7 @@ def rule_episodes(
     rules: Sequence[str],
     root: int,
     episodes: int,
-    counted: "Counted",
+    counted: "CountedProgress",
 ) -> dict[str, list[Row]]:
     """Episodes of rules of the environment on the evaluation seeds that follow from `root`, counted."""
     from headway.rollout.episodes import evaluate_rule
@@ -74,7 +74,7 @@ def rule_episodes(
     }
 
 
-def counting(counted: "Counted", name: str) -> "Told":
+def counting(counted: "CountedProgress", name: str) -> "Told":
     """Adds the episodes that end, of the controller named, to those that are counted."""
     return lambda step, ended: counted.add(ended, f"{name}, step {step:,}")
 
@@ -104,7 +104,7 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
     else:
         print_table(columns, table)
     if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
-        tell(few_seeds(len(learned)))
+        print_line(few_seeds(len(learned)))
 
 
 def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "Interval":

@@ -14,7 +14,7 @@ from headway.contracts.errors import HeadwayError
 from headway.rollout.plan import process_holds, replica_groups, within_limit
 from headway.store.atomic_files import make_folder
 from headway.training.loop import TrainingJob
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment, PreparedEnv
 
 _FREE_BYTES = 200 * 2**20
@@ -77,7 +77,7 @@ class PlannedJob:
 
 
 @dataclass(frozen=True)
-class Shares:
+class CoreShares:
     """How the cores are shared among training processes."""
 
     parallel: int
@@ -206,7 +206,9 @@ def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
         f"headway: {algorithm} has {workers} (rollout.copies / rollout.block), and a gradient of each "
         f"rollout of {rollout.block} x {rollout.steps} steps"
     )
-    tell(f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line)
+    print_line(
+        f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line
+    )
 
 
 def share_cores(
@@ -215,7 +217,7 @@ def share_cores(
     cores: int,
     cluster_cpus: int | None = None,
     node_cpus: int | None = None,
-) -> Shares:
+) -> CoreShares:
     """Return how many training processes run at once, and how many rollout workers each has.
 
     At most one training process runs per core and per job. The workers share the cores, or the cluster's CPUs
@@ -240,7 +242,7 @@ def share_cores(
     at_once = max(1, min(cores, for_workers // most))
     parallel = max(1, min(backend.parallel or at_once, len(jobs)))
     workers = max(1, for_workers // parallel)
-    return Shares(parallel, workers if node_cpus is None else min(workers, node_cpus))
+    return CoreShares(parallel, workers if node_cpus is None else min(workers, node_cpus))
 
 
 def cores_taken(spec: EnvSpec, seeds: int, block: int, workers: int, node_cpus: int | None = None) -> int:
@@ -254,7 +256,7 @@ def cores_taken(spec: EnvSpec, seeds: int, block: int, workers: int, node_cpus: 
     return taken if node_cpus is None else min(taken, node_cpus)
 
 
-def workers_of(job: PlannedJob, shares: Shares) -> int:
+def workers_of(job: PlannedJob, shares: CoreShares) -> int:
     """Return the number of rollout workers of a job: that of its checkpoint, else the one it asks for, else
     its share of the cores. A new job never has more workers than blocks."""
     return _fixed_workers(job) or min(shares.workers, _most_workers(job))

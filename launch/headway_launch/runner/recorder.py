@@ -20,7 +20,7 @@ from headway.events import (
 from headway.store.atomic_files import write_text
 from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import CHECKPOINTS
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
     from headway.energy.ledger import Energy, JobUsage
@@ -32,7 +32,7 @@ TRACEBACK = "traceback.txt"
 
 
 @dataclass
-class JobRecording:
+class JobRecorder:
     """The runs of one job, one a seed, and what their training has used so far."""
 
     runs: Sequence["Run"]
@@ -136,4 +136,4 @@ class JobRecording:
             try:
                 write_text(run.directory / TRACEBACK, text + "\n")
             except HeadwayError as error:  # it must not end the other jobs
-                tell(f"headway: {error}")
+                print_line(f"headway: {error}")

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from headway.config.experiment import ExperimentConfig
 from headway.events import Row
 from headway.store.run_folder import RunRecord, read_summary
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.console.tables import Cell, print_table, without_empty
 from headway_launch.runner.comparison import print_comparison
 
 if TYPE_CHECKING:
     from headway.store.session import Run
-    from headway_launch.runner.recorder import JobRecording
+    from headway_launch.runner.recorder import JobRecorder
 
 _USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
 AUC_HEADING, CO2_HEADING = "AUC (own range)", "kg CO2eq"
@@ -96,7 +96,7 @@ class SeedResult:
 
 def seed_result(
     run: "Run",
-    recording: "JobRecording",
+    recording: "JobRecorder",
     mode: str,
     used: Row,
     energy_modes: Mapping[str, str],
@@ -211,10 +211,10 @@ def _explain(results: Sequence[SeedResult]) -> None:
     from headway.stats.plots import counted
 
     if any(result.final_reward is not None for result in results):
-        tell(f"{_FINAL}: the mean of a run's evaluations over the last {FINAL_SHARE:.0%} of its steps")
+        print_line(f"{_FINAL}: the mean of a run's evaluations over the last {FINAL_SHARE:.0%} of its steps")
     without = sum(result.final_reward is not None and result.auc is None for result in results)
     if without:
-        tell(
+        print_line(
             f"no AUC of {counted(without, 'run')}: evaluated fewer than {FEWEST_POINTS} times "
             "(evaluation.every sets how often)"
         )

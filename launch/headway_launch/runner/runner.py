@@ -14,15 +14,15 @@ from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
 from headway.store.session import SessionStore
 from headway.training.loop import TrainingJob
-from headway_launch.console.output import own_name, tell, to_a_reader
+from headway_launch.console.output import own_name, print_line, to_a_reader
 from headway_launch.console.progress import JobProgress
 from headway_launch.experiments.parameters import one_of_a_session
-from headway_launch.runner.cell import CellWork, Rules
+from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CellPlan, PlannedJob, require_free_disk, uses_gpu, workers_of
-from headway_launch.runner.recorder import TRACEBACK, JobRecording
+from headway_launch.runner.recorder import TRACEBACK, JobRecorder
 from headway_launch.runner.results import print_cells, print_results, seed_result
-from headway_launch.runner.scheduler import Session
+from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.warm_up import compile_kernels_of
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
@@ -38,10 +38,10 @@ STORE_SHARE = "the store:"
 
 @dataclass
 class _Job:
-    cell: CellWork
+    cell: SessionCell
     planned: PlannedJob
     progress: JobProgress
-    recording: JobRecording | None = None
+    recording: JobRecorder | None = None
     lost_at: list[int] = field(default_factory=list)
     """The iteration that was durable when its training process was lost, each time."""
 
@@ -51,7 +51,7 @@ class _Job:
         return f"{id(self)} {len(self.lost_at)}"
 
 
-class Conductor:
+class Runner:
     """Conducts the cells of one session to their end: one store, one measurement of energy, and jobs of all
     cells side by side. Raises HeadwayError before anything starts if the store cannot be used.
 
@@ -70,7 +70,7 @@ class Conductor:
             require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
             compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
             self._store = SessionStore.open(self._config.store)
-            self._cells = [CellWork(self._store, cell) for cell in cells]
+            self._cells = [SessionCell(self._store, cell) for cell in cells]
             self._jobs = [
                 _Job(cell, job, _progress_of(cell, job)) for cell in self._cells for job in cell.plan.jobs
             ]
@@ -83,7 +83,7 @@ class Conductor:
     def conduct(self) -> int:
         """Train, evaluate the rules, print the table; returns the exit code."""
         began, self._own_cpu_s = time.monotonic(), -time.process_time()
-        session = Session(
+        session = Scheduler(
             [job.progress for job in self._jobs],
             self._shares.parallel,
             self._begin,
@@ -103,7 +103,7 @@ class Conductor:
         finally:
             self._end_cells()
             for line in (*(self._meter.notices() if self._meter else ()), *self._store.close()):
-                tell(f"headway: {line}")
+                print_line(f"headway: {line}")
             self._cluster.close()
         self._own_cpu_s += time.process_time()
         with to_a_reader(sys.stdout):
@@ -127,7 +127,7 @@ class Conductor:
         job = self._jobs[index]
         runs = job.cell.runs(job.planned, self._shares)
         before = [run.energy_so_far for run in runs] if job.planned.resumed else []
-        job.recording = JobRecording(runs, uses_gpu=uses_gpu(job.planned), before=before)
+        job.recording = JobRecorder(runs, uses_gpu=uses_gpu(job.planned), before=before)
         training = job.cell.training_job(job.planned, runs, self._shares)
         backend = self._cluster.backend(training.config.backend)
         return replace(training, config=replace(training.config, backend=backend))
@@ -140,7 +140,7 @@ class Conductor:
         if job.recording.status != "RUNNING":
             self._finish(job, job.recording)
             if self._debug and job.recording.failure:
-                tell(job.recording.failure.traceback)
+                print_line(job.recording.failure.traceback)
 
     def _goes_on(self, index: int) -> bool:
         """End the runs of a job whose training process was lost as those of a killed session, and plan to go
@@ -171,7 +171,7 @@ class Conductor:
             self._sample_energy(self._meter)
         return (*self._store.notices(), *(self._meter.notices() if self._meter else ()))
 
-    def _running(self) -> dict[str, JobRecording]:
+    def _running(self) -> dict[str, JobRecorder]:
         return {
             job.account: job.recording
             for job in self._jobs
@@ -184,7 +184,7 @@ class Conductor:
         for name, recording in running.items():
             recording.keep_energy(time.time(), energies[name])
 
-    def _finish(self, job: _Job, recording: JobRecording, counts: bool = True) -> None:
+    def _finish(self, job: _Job, recording: JobRecorder, counts: bool = True) -> None:
         """`counts`: it has a place in the session's table."""
         assert self._meter is not None
         cell = job.cell
@@ -201,7 +201,7 @@ class Conductor:
         """Put down the runs that never began, so that `headway resume` finds them."""
         for job in self._jobs:
             if stopped and job.recording is None and not job.planned.resumed and not self._plan_kept:
-                job.recording = JobRecording(job.cell.runs(job.planned, self._shares), status="KILLED")
+                job.recording = JobRecorder(job.cell.runs(job.planned, self._shares), status="KILLED")
                 self._finish(job, job.recording)
 
     def _end_cells(self) -> None:
@@ -234,11 +234,13 @@ class Conductor:
         where = ", ".join(_from_here(folder) for folder in folders)
         option = "" if root == type(self._config.store)().root else f" --store {root}"
         if where:
-            tell(f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}")
+            print_line(
+                f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}"
+            )
         if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
             environments = {repr((cell.config.env.id, cell.config.env.args)) for cell in self._cells}
             command = "compare" if len(environments) == 1 else "report"
-            tell(f"beside the rules, with intervals: {own_name()} {command} {study}{option}")
+            print_line(f"beside the rules, with intervals: {own_name()} {command} {study}{option}")
         self._say_what_tracking_took()
         self._say_what_failed()
         unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
@@ -250,7 +252,7 @@ class Conductor:
                 else f"--study {study}"
             )
             kinds = f"{never_begun} runs have not begun; " if never_begun else ""
-            tell(f"headway: {kinds}to go on: {own_name()} resume {named}{option}")
+            print_line(f"headway: {kinds}to go on: {own_name()} resume {named}{option}")
 
     def _say_what_tracking_took(self) -> None:
         """Of all that training processes did, and this process beside them, how much was for the store; of
@@ -259,7 +261,7 @@ class Conductor:
         trained = sum(recording.trained_s for recording in recordings)
         if trained >= _WORTH_TELLING_S:
             kept, own = sum(recording.store_s for recording in recordings), self._own_cpu_s
-            tell(
+            print_line(
                 f"{STORE_SHARE} {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
                 f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
             )
@@ -272,13 +274,13 @@ class Conductor:
                 if job.recording
                 else ""
             )
-            tell(f"headway: {job.progress.name} failed: {job.progress.failure}{where}")
+            print_line(f"headway: {job.progress.name} failed: {job.progress.failure}{where}")
         if len(failed) > _NAMED_FAILURES:
             more = len(failed) - _NAMED_FAILURES
-            tell(f"headway: and {more} more failed; `headway runs --status FAILED` shows them")
+            print_line(f"headway: and {more} more failed; `headway runs --status FAILED` shows them")
 
 
-def conduct_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:
+def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:
     """Conduct cells, those that one session can take together, the others after them; returns the worst exit
     code."""
     sessions: dict[str, list[CellPlan]] = {}
@@ -286,13 +288,13 @@ def conduct_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = F
         sessions.setdefault(str(one_of_a_session(cell.experiment.config)), []).append(cell)
     worst = EXIT_DONE
     for together in sessions.values():
-        worst = max(worst, Conductor(together, debug, plan_kept).conduct())
+        worst = max(worst, Runner(together, debug, plan_kept).conduct())
         if worst == EXIT_STOPPED:
             break
     return worst
 
 
-def _progress_of(cell: CellWork, job: PlannedJob) -> JobProgress:
+def _progress_of(cell: SessionCell, job: PlannedJob) -> JobProgress:
     config = cell.config
     return JobProgress(
         job.seeds,

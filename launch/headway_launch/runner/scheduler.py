@@ -105,7 +105,7 @@ class Training(Protocol):
         ...
 
 
-class Session:
+class Scheduler:
     """Runs jobs, `parallel` at a time, made by `begin(index)` when their turn comes. Every event goes to
     `take(index, event)`; `tick` is called a few times a second. A job that fails does not stop the others."""
 

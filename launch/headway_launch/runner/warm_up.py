@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
     from headway.contracts.entries import EnvEntry
@@ -48,7 +48,7 @@ def _told_of_compiling() -> Iterator[None]:
 
         def on_start(self, event: object) -> None:
             if not self.told:
-                tell(_LINE)
+                print_line(_LINE)
             self.told = True
 
         def on_end(self, event: object) -> None:

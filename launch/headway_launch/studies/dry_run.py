@@ -5,15 +5,15 @@ from heapq import heapify, heapreplace
 
 from headway.rollout.workers.usage import usable_cores
 from headway.stats.plots import counted
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
 from headway_launch.console.tables import Cell, print_table, without_empty
 from headway_launch.runner.calibration import Expectation, Pace, calibrate
 from headway_launch.runner.jobs import CellPlan, share_cores
-from headway_launch.studies.plan import Standing
+from headway_launch.studies.plan import StudyProgress
 
 
-def print_estimate(standings: Sequence[Standing], cells: Sequence[CellPlan]) -> int:
+def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
     """List the runs of a session, then estimate what those that are left take; returns the exit code.
     Nothing is written to the store.
 
@@ -29,7 +29,7 @@ def print_estimate(standings: Sequence[Standing], cells: Sequence[CellPlan]) -> 
     ]
     print_table(("cell", "seeds", "runs", "what happens"), kinds, f"study {config.study}")
     if not planned:
-        tell("headway: nothing is left to train")
+        print_line("headway: nothing is left to train")
         return 0
     print(flush=True)  # the list is there while its cells are measured
     shares = share_cores(config.backend, planned, usable_cores())
@@ -77,7 +77,7 @@ def spans(numbers: Sequence[int]) -> str:
     return ",".join(f"{part[0]}..{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
 
 
-def _what_happens(standing: Standing, cell: CellPlan) -> list[tuple[str, int, str]]:
+def _what_happens(standing: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
     """Seeds, their number, and what happens to them."""
     kinds: dict[str, list[int]] = {}
     for job in cell.jobs:

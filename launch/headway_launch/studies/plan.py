@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Standing:
+class StudyProgress:
     """What the store has of the seeds of one experiment."""
 
     experiment: Experiment
@@ -37,7 +37,7 @@ class Standing:
     """All runs of these seeds, older ones too."""
 
     @classmethod
-    def of(cls, root: Path, experiment: Experiment, rows: Sequence["RunRow"]) -> "Standing":
+    def of(cls, root: Path, experiment: Experiment, rows: Sequence["RunRow"]) -> "StudyProgress":
         """The standing of an experiment among the runs of its study."""
         parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
         cell = cell_name(experiment.config.env.id, experiment.algo_name, parameters)
@@ -68,7 +68,7 @@ class Standing:
         )
 
     @classmethod
-    def untouched(cls, experiment: Experiment) -> "Standing":
+    def untouched(cls, experiment: Experiment) -> "StudyProgress":
         """As if the store had nothing of it."""
         return cls(experiment, new=experiment.config.seed)
 
@@ -111,7 +111,7 @@ _RANKS = {"FAILED": 0, "KILLED": 0, "RUNNING": 1, "FINISHED": 2}
 _KINDS = {"FAILED": "unfinished", "KILLED": "unfinished", "RUNNING": "elsewhere", "FINISHED": "finished"}
 
 
-def plan_cells(standings: Sequence[Standing], labels: Sequence[str] | None = None) -> list[CellPlan]:
+def plan_cells(standings: Sequence[StudyProgress], labels: Sequence[str] | None = None) -> list[CellPlan]:
     """What is left to do for each; `labels`: what they are called, by default after what they differ in.
 
     Raises HeadwayError for what cannot run.

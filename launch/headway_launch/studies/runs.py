@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from headway.store import Selection
+    from headway.store import RunSelection
     from headway.store.index import RunRow
 
 
@@ -25,7 +25,7 @@ def finished_runs(root: Path, study: str) -> list["RunRow"]:
     """
     finished, left_out = counted_runs(study_runs(root, study), study)
     if left_out:
-        tell(f"headway: runs of {study} left out: {', '.join(left_out)}")
+        print_line(f"headway: runs of {study} left out: {', '.join(left_out)}")
     return finished
 
 
@@ -57,7 +57,7 @@ def counted_runs(of_study: Sequence["RunRow"], study: str) -> tuple[list["RunRow
     return newest, left_out
 
 
-def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
+def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     """The curves of a metric as `headway.stats.frames` takes them, fit to be averaged: those of training laid
     on common steps, since episodes end when they do. Raises HeadwayError for a run without the metric, and
     for a cell whose runs share no step."""
@@ -80,7 +80,7 @@ def curves_of(runs: "Selection", metric: str) -> "pd.DataFrame":
     return curves
 
 
-def curve_points(runs: "Selection", metric: str) -> "pd.DataFrame":
+def curve_points(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     """As `curves_of`, each run by itself: runs without the metric have no row, steps need not be common."""
     curves = runs.curves([metric])
     kept = ["run_id", "cell", "label", "task", "controller", "seed", "env_steps"]
@@ -89,7 +89,7 @@ def curve_points(runs: "Selection", metric: str) -> "pd.DataFrame":
     return ordered.reindex(columns=[*kept, metric]).rename(columns={metric: "value"})
 
 
-def rules_beside(runs: "Selection", metric: str) -> dict[str, dict[str, float]]:
+def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float]]:
     """Of each task the rules' means over the days of the curves, where the metric is an evaluation's: other
     curves are of other days, and perhaps of another reward. The last evaluation, and the rules, may have
     more days than the curves' points."""

@@ -8,11 +8,11 @@ from platform import node
 from headway.contracts.errors import HeadwayError
 from headway.store import RunRecord
 from headway.store.index import RunIndex
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
 from headway_launch.runner.jobs import CellPlan
-from headway_launch.runner.runner import Conductor
-from headway_launch.studies.plan import Standing, keep_plan, plan_cells
+from headway_launch.runner.runner import Runner
+from headway_launch.studies.plan import StudyProgress, keep_plan, plan_cells
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class StudySession:
     """What one session has to do for the experiments, all of one study and one store."""
 
     experiments: tuple[Experiment, ...]
-    standings: tuple[Standing, ...]
+    standings: tuple[StudyProgress, ...]
     cells: tuple[CellPlan, ...]
 
     @classmethod
@@ -34,17 +34,17 @@ class StudySession:
         index = RunIndex(root)
         rows = index.rows(config.study)
         for notice in index.notices:
-            tell(f"headway: {notice}")
+            print_line(f"headway: {notice}")
         standings = [
-            Standing.untouched(experiment) if fresh else Standing.of(root, experiment, rows)
+            StudyProgress.untouched(experiment) if fresh else StudyProgress.of(root, experiment, rows)
             for experiment in experiments
         ]
         return cls(tuple(experiments), tuple(standings), tuple(plan_cells(standings, labels)))
 
-    def conductor(self, debug: bool) -> Conductor:
+    def conductor(self, debug: bool) -> Runner:
         """Ready to conduct; the plan is kept in the store. Raises HeadwayError where that cannot be used."""
         config = self.experiments[0].config
-        conductor = Conductor(self.cells, debug, plan_kept=True)
+        conductor = Runner(self.cells, debug, plan_kept=True)
         keep_plan(Path(config.store.root), config.study, self.experiments)
         tell_standing(config.study, self.standings)
         return conductor
@@ -54,7 +54,7 @@ class StudySession:
         require_all_ended(self.experiments[0].config.study, held_elsewhere(self.standings))
 
 
-def tell_standing(study: str, standings: Sequence[Standing]) -> None:
+def tell_standing(study: str, standings: Sequence[StudyProgress]) -> None:
     """A line on what the store has already, nothing where that is nothing."""
     counts = {
         "have finished and are left alone": sum(len(standing.finished) for standing in standings),
@@ -64,10 +64,10 @@ def tell_standing(study: str, standings: Sequence[Standing]) -> None:
     }
     if any(counts[kind] for kind in list(counts)[:3]):
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
-        tell(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
+        print_line(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
 
 
-def held_elsewhere(standings: Sequence[Standing]) -> list[Path]:
+def held_elsewhere(standings: Sequence[StudyProgress]) -> list[Path]:
     """The folders of runs that other sessions train."""
     return [run.directory for standing in standings for run in standing.elsewhere]
 

@@ -79,7 +79,7 @@ class Turn:
     @property
     def actor(self) -> str:
         """What an actor that does its work calls itself."""
-        return "ray::TrainingHost" if self.learners == "cluster" else "ray::RolloutActor"
+        return "ray::TrainingHost" if self.learners == "cluster" else "ray::RayRolloutWorker"
 
     @property
     def noticed(self) -> str:

@@ -22,8 +22,8 @@ from headway.contracts import (
     EnvSpec,
     HeadwayError,
     MultiDiscrete,
-    Observed,
-    Outcome,
+    Observations,
+    StepResult,
     child_seeds,
 )
 
@@ -137,13 +137,13 @@ class ParallelEnvBatch:
         self._ended = np.zeros((copies, n), dtype=np.bool_)
         """Agents whose stream has ended in this episode."""
         masks = np.ones((copies, n, _num_actions(spec)), dtype=np.bool_) if spec.has_action_mask else None
-        self._observed = Observed(
+        self._observed = Observations(
             observations=np.zeros((copies, n, d), dtype=np.float32),
             states=np.zeros((copies, s), dtype=np.float32),
             alive=np.zeros((copies, n), dtype=np.bool_),
             action_masks=masks,
         )
-        self._outcome = Outcome(
+        self._outcome = StepResult(
             rewards=np.zeros((copies, n), dtype=np.float32),
             terminated=np.zeros((copies, n), dtype=np.bool_),
             truncated=np.zeros((copies, n), dtype=np.bool_),
@@ -167,7 +167,7 @@ class ParallelEnvBatch:
         """The C copies."""
         return self._envs
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         if len(seeds) != self.num_copies:
             raise ValueError(f"reset takes one seed a copy: {self.num_copies}, not {len(seeds)}")
         self._seeds = [int(seed) for seed in seeds]
@@ -177,7 +177,7 @@ class ParallelEnvBatch:
         self._check()
         return self._observed
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
         outcome.terminated.fill(False)
         outcome.truncated.fill(False)
@@ -195,7 +195,7 @@ class ParallelEnvBatch:
             f"environment '{self._spec.name}' has no snapshots; its episodes restart on resume"
         )
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         """Raises HeadwayError, as `snapshot`."""
         raise HeadwayError(
             f"environment '{self._spec.name}' has no snapshots; its episodes restart on resume"

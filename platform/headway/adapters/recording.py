@@ -12,7 +12,7 @@ from headway.contracts import (
     Discrete,
     EnvSpec,
     MultiDiscrete,
-    Observed,
+    Observations,
     Trajectory,
     TrajectoryLayout,
     generator,
@@ -62,7 +62,7 @@ class RandomPlay:
     def __init__(self, seeds: NDArray[np.uint64]) -> None:
         self._generators = [generator(int(seed), "random play") for seed in seeds]
 
-    def act(self, spec: EnvSpec, observed: Observed) -> NDArray[Any]:
+    def act(self, spec: EnvSpec, observed: Observations) -> NDArray[Any]:
         """Actions as `BatchedEnv.step` takes them; unbounded Box actions are drawn within 10 of 0."""
         masks = observed.action_masks
         return np.stack(
@@ -73,7 +73,9 @@ class RandomPlay:
         )
 
 
-def record(env: BatchedEnv, observed: Observed, play: RandomPlay, longest: int, episodes: int) -> Recording:
+def record(
+    env: BatchedEnv, observed: Observations, play: RandomPlay, longest: int, episodes: int
+) -> Recording:
     """Play on from `observed` for `longest` steps, or until every copy has ended `episodes` episodes.
 
     Raises AssertionError where a shape or a type is not the contract's, and HeadwayError where a number that
@@ -138,7 +140,7 @@ def _draw(draw: np.random.Generator, spec: EnvSpec, mask: NDArray[np.bool_] | No
             return draw.uniform(*bounds, (n, len(low))).astype(np.float32)
 
 
-def _note_observed(track: Trajectory, step: int, observed: Observed) -> None:
+def _note_observed(track: Trajectory, step: int, observed: Observations) -> None:
     for name in ("observations", "states", "alive"):
         _note(getattr(track, name)[step], getattr(observed, name), name)
     if len(track.action_masks):

@@ -8,16 +8,16 @@ one policy, W viewpoints of a critic, A actions, D observation size, S state siz
 policy, numbers that an agent remembers.
 """
 
-from headway.contracts.acting import ActingPolicy, RememberingPolicy
-from headway.contracts.entries import AlgoEntry, EnvEntry, Painter, Rule, RuleEntry
-from headway.contracts.environment import BatchedEnv, EnvSpec, Observed, Outcome
+from headway.contracts.acting import ActingPolicy, RecurrentPolicy
+from headway.contracts.entries import AlgoEntry, EnvEntry, Renderer, Rule, RuleEntry
+from headway.contracts.environment import BatchedEnv, EnvSpec, Observations, StepResult
 from headway.contracts.errors import HeadwayError
 from headway.contracts.learning import (
     AsynchronousLearner,
     Contribution,
     Contributor,
     Learner,
-    ReplayingLearner,
+    LearnerWithReplay,
 )
 from headway.contracts.random_rule import RANDOM, RandomRule
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
@@ -41,16 +41,16 @@ __all__ = [
     "EnvSpec",
     "HeadwayError",
     "Learner",
+    "LearnerWithReplay",
     "MultiDiscrete",
     "ObservationBounds",
-    "Observed",
-    "Outcome",
-    "Painter",
+    "Observations",
     "RandomRule",
-    "RememberingPolicy",
-    "ReplayingLearner",
+    "RecurrentPolicy",
+    "Renderer",
     "Rule",
     "RuleEntry",
+    "StepResult",
     "Trajectory",
     "TrajectoryLayout",
     "WrapperEntry",

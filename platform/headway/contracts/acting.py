@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.environment import Observed
+from headway.contracts.environment import Observations
 
 Parameters = Mapping[str, NDArray[Any]]
 """Arrays by name, each with leading axis P (policies of all replicas, replica-major)."""
@@ -24,7 +24,7 @@ class ActingPolicy(Protocol):
         ...
 
     def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+        self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Actions and their log-probabilities (C, N) for a block of copies, as many of each replica
         (replica-major). Noise (C, N, ...); None acts greedily (the mode of the distribution)."""
@@ -32,7 +32,7 @@ class ActingPolicy(Protocol):
 
 
 @runtime_checkable
-class RememberingPolicy(ActingPolicy, Protocol):
+class RecurrentPolicy(ActingPolicy, Protocol):
     """An acting policy whose agents remember what they observed before, M numbers each.
 
     Whoever plays it keeps these numbers from step to step: zeros where an agent's stream begins, and again
@@ -40,19 +40,19 @@ class RememberingPolicy(ActingPolicy, Protocol):
     """
 
     @property
-    def memory_size(self) -> int:
+    def hidden_size(self) -> int:
         """M, at least 1."""
         ...
 
     @property
-    def memory_type(self) -> np.dtype[Any]:
+    def hidden_dtype(self) -> np.dtype[Any]:
         """Of the numbers remembered."""
         ...
 
     def act_from(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         memory: NDArray[Any],
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
@@ -61,6 +61,6 @@ class RememberingPolicy(ActingPolicy, Protocol):
         ...
 
 
-def memory_size(policy: ActingPolicy) -> int:
+def hidden_size(policy: ActingPolicy) -> int:
     """M: numbers that each agent remembers; 0 for a policy without memory."""
-    return policy.memory_size if isinstance(policy, RememberingPolicy) else 0
+    return policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts.acting import ActingPolicy
-from headway.contracts.environment import BatchedEnv, EnvSpec, Observed
+from headway.contracts.environment import BatchedEnv, EnvSpec, Observations
 from headway.contracts.learning import Contributor, Learner
 
 
@@ -32,7 +32,7 @@ def _keeps_nothing(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: 
 class Rule(Protocol):
     """A classical controller. It may look into the environment, not only at the observations."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """Actions for every copy and agent, shaped as `BatchedEnv.step` takes them."""
         ...
 
@@ -47,10 +47,10 @@ class RuleEntry:
     """(prepared) -> rule."""
 
 
-class Painter(Protocol):
+class Renderer(Protocol):
     """Draws what happens, for people."""
 
-    def paint(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+    def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """The first copy now, as an RGB picture (height, width, 3) of always the same size; `at_end`: as its
         last episode ended, not as its next begins."""
         ...
@@ -84,7 +84,7 @@ class EnvEntry:
     """By name; `random` is added where it is not among them."""
     metrics: Mapping[str, str] = field(default_factory=dict)
     """What each episode metric is, with its unit, in the order of `EnvSpec.metrics`: for `headway list`."""
-    painter: Callable[[Any], Painter] | None = None
+    renderer: Callable[[Any], Renderer] | None = None
     """(prepared) -> what draws it, for `headway render`."""
     preload: tuple[str, ...] = ()
     """Modules that worker processes import once, before forking (compiled kernels). A module's `warm()`, if

@@ -44,7 +44,7 @@ class EnvSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class Observed:
+class Observations:
     """What the agents of C copies face now. The arrays belong to the environment, which overwrites them
     at its next step: whoever keeps them copies them. Rows of agents not alive may hold anything."""
 
@@ -59,7 +59,7 @@ class Observed:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class StepResult:
     """What the step just taken led to. Arrays are overwritten at the next step.
 
     `terminated` and `truncated` are per agent: an agent's stream of experience ends where either is set.
@@ -105,12 +105,12 @@ class BatchedEnv(Protocol):
         """C."""
         ...
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         """Begin episode 0 of every copy; seeds (C,). All randomness of copy c's episode i follows from
         (seeds[c], i) alone, whatever the other copies are."""
         ...
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """Apply actions, (C, N) int64 or (C, N, size) float32. Actions of agents not alive are ignored."""
         ...
 
@@ -120,7 +120,7 @@ class BatchedEnv(Protocol):
         with strings or numbers as keys; no other object, not even one that can be pickled."""
         ...
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401
         """Continue from a snapshot; returns what was observed when it was taken. Works on a new environment
         with as many copies, without a reset before."""
         ...

@@ -38,7 +38,7 @@ class Learner(Protocol):
 
 
 @runtime_checkable
-class ReplayingLearner(Learner, Protocol):
+class LearnerWithReplay(Learner, Protocol):
     """A learner that keeps its experience and learns from it again.
 
     Experience can be a thousand times as large as all else, and is of no use once training is over: it is

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts.entries import RuleEntry
-from headway.contracts.environment import BatchedEnv, Observed
+from headway.contracts.environment import BatchedEnv, Observations
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 from headway.contracts.streams import generator
 
@@ -23,7 +23,7 @@ class RandomRule:
     def __init__(self, seed: int = 0) -> None:
         self._generator = generator(seed, "random rule")
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """As `BatchedEnv.step` takes them; agents with no allowed action get action 0."""
         shape, draw = observed.alive.shape, self._generator
         match env.spec.action_space:

@@ -22,14 +22,14 @@ class TrajectoryLayout:
     """T"""
     copies: int
     """C, over all replicas."""
-    memory_size: int = 0
+    hidden_size: int = 0
     """M: numbers that each agent remembers; 0: none."""
 
     @property
     def arrays(self) -> dict[str, tuple[tuple[int, ...], DTypeLike]]:
         """Shape and type of every field of `Trajectory`, in order."""
         spec, t, c, n = self.spec, self.steps, self.copies, self.spec.num_agents
-        d, s, m = spec.observation_size, spec.state_size, self.memory_size
+        d, s, m = spec.observation_size, spec.state_size, self.hidden_size
         remembered = 1 if m else 0
         match spec.action_space:
             case Discrete(n=num_actions):

@@ -107,7 +107,7 @@ class _Account:
         return np.array([by_interval.get(first + index, 0.0) for index in range(count)])
 
 
-class Ledger:
+class EnergyLedger:
     """Intervals of a machine's energy, and the accounts of the jobs that share it.
 
     Only the intervals that some job has yet to report on are kept; the rest is folded into sums.

@@ -12,7 +12,7 @@ import psutil
 
 from headway.config.experiment import EnergyConfig
 from headway.energy.gpu import ProcessUtilization, gpu_shares
-from headway.energy.ledger import Energy, Increment, JobUsage, Ledger
+from headway.energy.ledger import Energy, EnergyLedger, Increment, JobUsage
 from headway.energy.tracker import (
     NOT_MEASURED,
     PowerModes,
@@ -49,7 +49,7 @@ class EnergyMeter:
         self._config = config
         self._readings = Readings()
         self._tracker: Any = None
-        self._ledger: Ledger | None = None
+        self._ledger: EnergyLedger | None = None
         self._before: dict[str, JobUsage] = {}
         self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
         """From both threads."""
@@ -122,7 +122,7 @@ class EnergyMeter:
             self._failed = True
             self._notices.put(f"energy is not measured: CodeCarbon failed ({error})")
 
-    def _ready(self, seconds: float) -> Ledger | None:
+    def _ready(self, seconds: float) -> EnergyLedger | None:
         if self._starting is not None:
             self._starting.join(seconds)
             if not self._starting.is_alive():
@@ -140,12 +140,12 @@ class EnergyMeter:
         for line in self.modes.notices():
             self._notices.put(line)
         cores, memory = os.cpu_count() or 1, psutil.virtual_memory().total
-        self._ledger = Ledger(self._readings.time, cores, memory)
+        self._ledger = EnergyLedger(self._readings.time, cores, memory)
         # What was used before the first reading is none of its energy.
         for job, usage in {**self._before, **_own_usage()}.items():
             self._ledger.open(job, usage.cpu_seconds)
 
-    def _measure(self, ledger: Ledger, jobs: Mapping[str, JobUsage]) -> None:
+    def _measure(self, ledger: EnergyLedger, jobs: Mapping[str, JobUsage]) -> None:
         shares = gpu_shares(jobs, self._utilization.read())
         ledger.use(time.monotonic(), {**jobs, **_own_usage()}, shares)
         count = self._readings.count
@@ -156,7 +156,7 @@ class EnergyMeter:
             self._missed = True
             self._notices.put("CodeCarbon missed a reading: its energy is counted with the next")
 
-    def _close_interval(self, ledger: Ledger) -> None:
+    def _close_interval(self, ledger: EnergyLedger) -> None:
         cpu, gpu, ram, kg = self._readings.increment()
         modes = self.modes
         increment = Increment(

@@ -14,10 +14,10 @@ from headway.rollout.plan import process_holds
 from headway.rollout.workers.async_worker import AsynchronousPlan, Contributing
 from headway.rollout.workers.process_workers import process_collector
 from headway.rollout.workers.worker import Begin, Contribute, Done, Restore
-from headway.rollout.workers.worker_pool import Crew, Notify, Workplace, standing
+from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, standing
 
 
-class CrewContributors:
+class PoolContributors:
     """Workers of a crew, one a block of copies. They go on with what they do whatever the others do, also
     where one died and its replacement repeats its rollout. Evaluation is one worker's work, and whoever
     asks for it waits."""
@@ -25,7 +25,7 @@ class CrewContributors:
     in_turns = False
 
     def __init__(
-        self, plan: AsynchronousPlan, workplace: Workplace, evaluating: Collector, notify: Notify
+        self, plan: AsynchronousPlan, workplace: WorkerLauncher, evaluating: Collector, notify: Notify
     ) -> None:
         """`evaluating`: is never begun; this closes it, also where it cannot start."""
         self.plan, self.evaluating = plan, evaluating
@@ -33,7 +33,7 @@ class CrewContributors:
         self.arrived: deque[int] = deque()
         """Workers that have answered, or died, and were not heard yet; first come, first heard."""
         try:
-            self.crew = Crew(workplace, len(plan.shards), notify)
+            self.crew = WorkerPool(workplace, len(plan.shards), notify)
         except BaseException:
             evaluating.close()
             raise

@@ -3,15 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from headway.config.experiment import BackendConfig
-from headway.rollout.async_collector import CrewContributors, SerialContributors
+from headway.rollout.async_collector import PoolContributors, SerialContributors
 from headway.rollout.collector import Collector, Contributors
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.separate_evaluation import EvaluatingApart
+from headway.rollout.separate_evaluation import SeparateEvaluation
 from headway.rollout.serial_collector import SerialCollector
 from headway.rollout.workers.async_worker import AsynchronousPlan, ContributorSetup
-from headway.rollout.workers.process_workers import Processes, process_collector
+from headway.rollout.workers.process_workers import ProcessLauncher, process_collector
 from headway.rollout.workers.shared_memory import SharedPickle
-from headway.rollout.workers.worker_pool import Notify, Workplace
+from headway.rollout.workers.worker_pool import Notify, WorkerLauncher
 
 
 def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -25,7 +25,7 @@ def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, noti
     if plan.spec.max_copies_per_process is None:
         return collector
     try:
-        return EvaluatingApart(collector, _evaluating(backend, plan, workers, notify))
+        return SeparateEvaluation(collector, _evaluating(backend, plan, workers, notify))
     except BaseException:
         collector.close()
         raise
@@ -41,7 +41,7 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
     except BaseException:
         evaluating.close()
         raise
-    return CrewContributors(plan, workplace, evaluating, notify)
+    return PoolContributors(plan, workplace, evaluating, notify)
 
 
 def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -65,23 +65,23 @@ def _process(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard],
 
 
 def _ray(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
-    from headway.rollout.workers.ray_workers import actor_collector  # which imports Ray, an extra
+    from headway.rollout.workers.ray_workers import ray_collector  # which imports Ray, an extra
 
-    return actor_collector(backend, plan, shards, notify)
+    return ray_collector(backend, plan, shards, notify)
 
 
-def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
+def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
     pickled = SharedPickle.of(plan)
     setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
-    return Processes(setups, [*plan.rollout.preload, *plan.preload], pickled)
+    return ProcessLauncher(setups, [*plan.rollout.preload, *plan.preload], pickled)
 
 
-def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Workplace:
-    from headway.rollout.workers.ray_workers import Actors, pickled_whole
+def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
+    from headway.rollout.workers.ray_workers import RayLauncher, pickled_whole
 
     pickled = pickled_whole(plan)
     setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
-    return Actors(backend, setups, notify)
+    return RayLauncher(backend, setups, notify)
 
 
 _COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, Sequence[Shard], Notify], Collector]] = {
@@ -89,7 +89,7 @@ _COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, Sequence[Shard],
     "process": _process,
     "ray": _ray,
 }
-_WORKPLACES: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], Workplace]] = {
+_WORKPLACES: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], WorkerLauncher]] = {
     "process": _processes,
     "ray": _actors,
 }

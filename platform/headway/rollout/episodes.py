@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, HeadwayError, Observed, Outcome, Rule, child_seeds, generator
+from headway.contracts import BatchedEnv, HeadwayError, Observations, Rule, StepResult, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.rollout.nan_check import NameCopy, check_finite
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
-from headway.rollout.policy_player import BlockwiseActing
+from headway.rollout.policy_player import PolicyPlayer
 from headway.rollout.sampler import Tally
 
 Told = Callable[[int, int], None]
@@ -63,9 +63,9 @@ def nobody_told(step: int, ended: int) -> None:
 def run_episodes(
     env: BatchedEnv,
     seeds: NDArray[np.uint64],
-    act: Callable[[Observed, int], NDArray[Any]],
+    act: Callable[[Observations, int], NDArray[Any]],
     name_copy: NameCopy,
-    heed: Callable[[Outcome], None] = lambda outcome: None,
+    heed: Callable[[StepResult], None] = lambda outcome: None,
     told: Told = nobody_told,
 ) -> list[Row]:
     """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step,
@@ -104,10 +104,10 @@ def evaluate_policy(
 ) -> list[list[Row]]:
     """Episodes of every replica: one list a replica, one row an episode, with its `episode_seed` index."""
     env = plan.make(request.count)
-    acting = BlockwiseActing(plan, request.count, request.count)
+    acting = PolicyPlayer(plan, request.count, request.count)
     noise = None if request.greedy else _EvaluationNoise(plan, request)
 
-    def act(observed: Observed, step: int) -> NDArray[Any]:
+    def act(observed: Observations, step: int) -> NDArray[Any]:
         return acting.act(parameters, observed, None if noise is None else noise.at(step))[0]
 
     with closing(env):
@@ -163,5 +163,5 @@ class _RuleActing:
     env: BatchedEnv
     rule: Rule
 
-    def __call__(self, observed: Observed, step: int) -> NDArray[Any]:
+    def __call__(self, observed: Observations, step: int) -> NDArray[Any]:
         return self.rule.act(self.env, observed)

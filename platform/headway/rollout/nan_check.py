@@ -6,7 +6,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import EnvSpec, HeadwayError, Observed, Outcome
+from headway.contracts import EnvSpec, HeadwayError, Observations, StepResult
 
 NameCopy = Callable[[int], str]
 """What to call a copy of a batch, by its row: "copy 3 of seed 7", say."""
@@ -18,7 +18,7 @@ def _copy(row: int) -> str:
 
 @np.errstate(over="ignore")
 def check_finite(
-    spec: EnvSpec, outcome: Outcome | None, observed: Observed, step: int, name_copy: NameCopy = _copy
+    spec: EnvSpec, outcome: StepResult | None, observed: Observations, step: int, name_copy: NameCopy = _copy
 ) -> None:
     """Raise HeadwayError for a NaN or infinity where a learner looks: observations of live agents, final
     observations of agents whose stream ends, states, and all rewards (who gets nothing gets 0).
@@ -35,7 +35,7 @@ def check_finite(
 
 
 def _looked_at(
-    outcome: Outcome | None, observed: Observed
+    outcome: StepResult | None, observed: Observations
 ) -> Iterator[tuple[str, NDArray[np.float32], Callable[[], NDArray[np.bool_]], str]]:
     """What is looked at by name: (C, N or 1, size), where it counts (C, N or 1; asked for where a fault is
     suspected), and how to mend it."""

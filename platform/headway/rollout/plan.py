@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from headway.config.experiment import RolloutConfig
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
-from headway.contracts.acting import ActingPolicy, Parameters, memory_size
+from headway.contracts.acting import ActingPolicy, Parameters, hidden_size
 
 EVALUATION_BLOCK = 10
 """Evaluation episodes run at once, the same on every backend."""
@@ -103,7 +103,7 @@ class RolloutPlan:
     @property
     def layout(self) -> TrajectoryLayout:
         """Of the trajectory that all workers fill together."""
-        return TrajectoryLayout(self.spec, self.steps, self.replicas * self.copies, memory_size(self.policy))
+        return TrajectoryLayout(self.spec, self.steps, self.replicas * self.copies, hidden_size(self.policy))
 
     @property
     def evaluating_apart(self) -> "RolloutPlan":

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Observed, Outcome, RememberingPolicy
+from headway.contracts import Observations, RecurrentPolicy, StepResult
 from headway.contracts.acting import Parameters
 from headway.rollout.plan import RolloutPlan
 
 _Acted = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
 
 
-class BlockwiseActing:
+class PolicyPlayer:
     """Actions of R x E copies (replica-major), computed in blocks of a few copies of each replica.
 
     Of a policy that remembers it keeps the memory: after each step it must be told the outcome (`heed`).
@@ -23,16 +23,16 @@ class BlockwiseActing:
         self.plan, self.copies = plan, copies
         self.blocks = [slice(start, min(start + block, copies)) for start in range(0, copies, block)]
         agents = (plan.replicas * copies, plan.spec.num_agents)
-        self.remembering = plan.policy if isinstance(plan.policy, RememberingPolicy) else None
+        self.remembering = plan.policy if isinstance(plan.policy, RecurrentPolicy) else None
         self.memory: NDArray[Any] | None = None
         """(C, N, M); None for a policy without memory."""
         if self.remembering is not None:
-            self.memory = np.zeros((*agents, self.remembering.memory_size), self.remembering.memory_type)
+            self.memory = np.zeros((*agents, self.remembering.hidden_size), self.remembering.hidden_dtype)
         self.begins = np.ones(agents, np.bool_)
         """(C, N): the agent's stream begins with what is observed next."""
 
     def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+        self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Actions and log-probabilities (C, N, ...); noise (C, N, ...) or None for greedy."""
         if len(self.blocks) == 1:
@@ -41,7 +41,7 @@ class BlockwiseActing:
         parts = [
             self._ask(
                 parameters,
-                Observed(
+                Observations(
                     self._cut(observed.observations, block),
                     self._cut(observed.states, block),
                     self._cut(observed.alive, block),
@@ -59,7 +59,7 @@ class BlockwiseActing:
     def _ask(
         self,
         parameters: Parameters,
-        observed: Observed,
+        observed: Observations,
         noise: NDArray[np.float64] | None,
         memory: NDArray[Any] | None,
     ) -> _Acted:
@@ -67,7 +67,7 @@ class BlockwiseActing:
             return *self.plan.policy.act(parameters, observed, noise), None
         return self.remembering.act_from(parameters, observed, memory, noise)
 
-    def heed(self, outcome: Outcome) -> None:
+    def heed(self, outcome: StepResult) -> None:
         """Agents whose stream ended forget."""
         if self.memory is not None:
             self.begins = outcome.terminated | outcome.truncated

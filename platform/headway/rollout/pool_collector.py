@@ -9,10 +9,10 @@ from headway.rollout.collector import evaluation_requests, joined, require_shard
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, in_order
 from headway.rollout.workers.worker import Begin, Collect, Evaluate
-from headway.rollout.workers.worker_pool import Crew, Notify, Workplace, standing
+from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, standing
 
 
-class Exchange(Workplace, Protocol):
+class SamplingTransport(WorkerLauncher, Protocol):
     """A workplace of workers that sample, with the ways there and back: parameters and experience."""
 
     @property
@@ -29,13 +29,13 @@ class Exchange(Workplace, Protocol):
         ...
 
 
-class CrewCollector:
+class PoolCollector:
     """Workers that fill one trajectory with one set of parameters."""
 
-    def __init__(self, plan: RolloutPlan, exchange: Exchange, number: int, notify: Notify) -> None:
+    def __init__(self, plan: RolloutPlan, exchange: SamplingTransport, number: int, notify: Notify) -> None:
         self.plan, self.exchange, self.trajectory = plan, exchange, exchange.trajectory
         try:
-            self.crew = Crew(exchange, number, notify)
+            self.crew = WorkerPool(exchange, number, notify)
         except BaseException:
             exchange.close()
             raise

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Observed, Outcome, Trajectory, child_seeds, generator
+from headway.contracts import Observations, StepResult, Trajectory, child_seeds, generator
 from headway.contracts.acting import Parameters
 from headway.events import Row
 from headway.rollout.nan_check import check_finite
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.policy_player import BlockwiseActing
+from headway.rollout.policy_player import PolicyPlayer
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Tally:
         self.lengths = np.zeros(copies, np.int64)
         self.returns = np.zeros(copies)
 
-    def add(self, outcome: Outcome) -> list[tuple[int, dict[str, float | int | str]]]:
+    def add(self, outcome: StepResult) -> list[tuple[int, dict[str, float | int | str]]]:
         """Count a step; (copy, row) of each episode that ended with it."""
         self.lengths += 1
         # What `mean` and `any` come to, without what they cost where copies are few.
@@ -66,12 +66,12 @@ class Sampler:
         self.plan_of_all, self.shard = plan, shard
         self.plan = plan.of_replicas(shard.first_replica, shard.replicas)
         self.env = self.plan.make_for_training(shard.count)
-        self.acting = BlockwiseActing(self.plan, shard.count, plan.block)
+        self.acting = PolicyPlayer(self.plan, shard.count, plan.block)
         if own:
             self.views = part_of(trajectory, shard.replicas, Shard(0, shard.replicas, 0, shard.count))
         else:
             self.views = part_of(trajectory, plan.replicas, shard)
-        self.observed: Observed | None = None
+        self.observed: Observations | None = None
         self.tally = Tally(shard.replicas * shard.count, plan.spec.metrics)
 
     def begin(self, purpose: str = "env") -> None:
@@ -137,7 +137,7 @@ class Sampler:
         ]
         return np.stack(draws, axis=1)
 
-    def _store_observed(self, t: int, observed: Observed) -> None:
+    def _store_observed(self, t: int, observed: Observations) -> None:
         self.views["observations"][t] = self._by_replica(observed.observations)
         self.views["states"][t] = self._by_replica(observed.states)
         self.views["alive"][t] = self._by_replica(observed.alive)

@@ -8,7 +8,7 @@ from headway.rollout.collector import Collector
 from headway.rollout.sampler import Episode
 
 
-class EvaluatingApart:
+class SeparateEvaluation:
     """Trains with one collector and evaluates with another, which is never begun."""
 
     def __init__(self, training: Collector, evaluating: Collector) -> None:

@@ -174,7 +174,7 @@ def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def costs(summaries: pd.DataFrame) -> pd.DataFrame:
-    """What a run cost, of each task and controller (the index), from `Selection.summaries`: of `kwh`, its
+    """What a run cost, of each task and controller (the index), from `RunSelection.summaries`: of `kwh`, its
     parts, `kg_co2` and `cpu_seconds` the mean and, `..._std`, the deviation over runs (ddof = 1; NaN for
     one), and how many `runs`. Only of runs whose energy was measured; what is not known is NaN, never 0, and
     the CO2 is known where that of every such run is."""

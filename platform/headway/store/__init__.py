@@ -9,7 +9,7 @@ from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import RunLog, Table, read
 from headway.store.provenance import provenance
-from headway.store.query import Selection, select
+from headway.store.query import RunSelection, select
 from headway.store.run_folder import CHECKPOINTS, RunRecord, Status, find_run
 from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking.sync import sync, sync_each
@@ -22,7 +22,7 @@ __all__ = [
     "RunLog",
     "RunRecord",
     "RunRow",
-    "Selection",
+    "RunSelection",
     "SessionStore",
     "Status",
     "Table",

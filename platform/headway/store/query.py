@@ -59,7 +59,7 @@ def select(
     run_id: One = None,
     seed: int | Sequence[int] | None = None,
     newest: bool = False,
-) -> "Selection":
+) -> "RunSelection":
     """The runs in the store at `root` that pass all filters, the oldest first; each filter takes one value or
     several. With `newest`, of each cell and seed only the run that began last.
 
@@ -91,7 +91,7 @@ def select(
     if seed is not None:
         seeds = (seed,) if isinstance(seed, int) else tuple(seed)
         rows = [row for row in rows if row.seed in seeds]
-    return Selection(folder, tuple(newest_runs(rows) if newest else rows))
+    return RunSelection(folder, tuple(newest_runs(rows) if newest else rows))
 
 
 def newest_runs(rows: Iterable[RunRow]) -> list[RunRow]:
@@ -103,7 +103,7 @@ def newest_runs(rows: Iterable[RunRow]) -> list[RunRow]:
 
 
 @dataclass(frozen=True)
-class Selection:
+class RunSelection:
     """Some runs of a store. Frames are read anew at each call; a frame without rows has no columns but those
     of `LABELS`. Methods raise HeadwayError for a file that cannot be read."""
 

@@ -29,7 +29,7 @@ from headway.store.run_folder import (
 )
 from headway.store.tracking.client import Tracker
 from headway.store.tracking.sync import RunFollower, behind, deliver
-from headway.store.tracking.thread import Courier, Errand
+from headway.store.tracking.thread import TrackingTask, TrackingThread
 
 EPISODES_RESTARTED = "episodes_restarted"
 """Tag of a run that was resumed where its environment keeps no snapshots: after which iterations."""
@@ -46,7 +46,7 @@ class SessionStore:
         self.curve_points = config.curve_points
         make_folder(self.root)
         self.tracking_uri = config.tracking_uri
-        self._mlflow = Courier(self.root, config.tracking_uri)
+        self._mlflow = TrackingThread(self.root, config.tracking_uri)
 
     @classmethod
     def open(cls, config: StoreConfig) -> Self:
@@ -101,7 +101,7 @@ class SessionStore:
         """Lines for the user since the last call."""
         return self._mlflow.notices()
 
-    def follow(self, errand: Errand) -> None:
+    def follow(self, errand: TrackingTask) -> None:
         """Let the MLflow thread do it, after all given to it before."""
         self._mlflow.submit(errand)
 
@@ -109,7 +109,7 @@ class SessionStore:
         """Wait (at most so long) until MLflow is up to date, also with what earlier sessions left; returns
         the last notices."""
         if behind(self.root, self.tracking_uri):
-            self.follow(Errand(self._deliver, lambda: None, self._deliver))
+            self.follow(TrackingTask(self._deliver, lambda: None, self._deliver))
         self._mlflow.close(seconds)
         return self.notices()
 
@@ -188,7 +188,7 @@ class Cell:
             _, parent = tracker.cell(self._study, self.name, self._parameters, {}, going_on=False)
             tracker.finish(parent, status, ended, sent, ())
 
-        self._store.follow(Errand(end, lambda: None, end))
+        self._store.follow(TrackingTask(end, lambda: None, end))
 
 
 class Run:
@@ -267,7 +267,7 @@ class Run:
         self._tell(self._follower.complete)
 
     def _tell(self, step: Callable[[Tracker], object]) -> None:
-        self._store.follow(Errand(step, self._follower.forget, self._follower.catch_up))
+        self._store.follow(TrackingTask(step, self._follower.forget, self._follower.catch_up))
 
 
 def _seconds_since(moment: str) -> float:

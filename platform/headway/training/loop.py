@@ -17,7 +17,7 @@ from headway.contracts import (
     EnvSpec,
     HeadwayError,
     Learner,
-    ReplayingLearner,
+    LearnerWithReplay,
 )
 from headway.contracts.acting import ActingPolicy
 from headway.events import (
@@ -49,7 +49,7 @@ from headway.store.checkpoint import (
 from headway.store.checkpoint_fit import require_fitting
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS
-from headway.training.modes import Asynchronous, InStep, Mode
+from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ class _Training:
         began = time.monotonic()
         learner = self.learner
         going_on = self.iteration < self.config.iterations
-        experience = learner.experience() if isinstance(learner, ReplayingLearner) and going_on else None
+        experience = learner.experience() if isinstance(learner, LearnerWithReplay) and going_on else None
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
@@ -277,7 +277,7 @@ class _Training:
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
-        if isinstance(self.learner, ReplayingLearner) and state["experience"] is not None:
+        if isinstance(self.learner, LearnerWithReplay) and state["experience"] is not None:
             self.learner.load_experience(state["experience"])
         if not self.mode.repeats:
             line = "its workers' contributions are applied as they come, and never twice in the same order"
@@ -299,7 +299,7 @@ def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -
     backend, plan = job.config.backend, job.plan()
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
-        return collector, InStep(learner, collector)
+        return collector, SynchronousMode(learner, collector)
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
             f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is no "
@@ -307,7 +307,7 @@ def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -
         )
     together = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
     contributors = open_contributors(backend, together, notify)
-    return contributors, Asynchronous(learner, contributors, job.config.iterations)
+    return contributors, AsynchronousMode(learner, contributors, job.config.iterations)
 
 
 def _means(group: str, rows: list[Row]) -> dict[str, float | int | str]:

@@ -16,7 +16,7 @@ from headway.rollout.workers.worker import Contribute
 
 
 @dataclass(frozen=True)
-class Iterated:
+class IterationResult:
     """What an iteration brought."""
 
     episodes: list[Episode]
@@ -33,12 +33,12 @@ class Mode(Protocol):
     repeats: bool
     """The same again, and what is resumed, is the same."""
 
-    def iterate(self, iteration: int, progress: float) -> Iterated:
+    def iterate(self, iteration: int, progress: float) -> IterationResult:
         """The iteration of that number, from 1, when `progress` of the budget is used."""
         ...
 
 
-class InStep:
+class SynchronousMode:
     """Workers sample, then the learner learns from all that they sampled."""
 
     repeats = True
@@ -46,17 +46,17 @@ class InStep:
     def __init__(self, learner: Learner, collector: Collector) -> None:
         self.learner, self.collector = learner, collector
 
-    def iterate(self, iteration: int, progress: float) -> Iterated:
+    def iterate(self, iteration: int, progress: float) -> IterationResult:
         """See `Mode`."""
         began = time.monotonic()
         parameters = self.learner.acting_parameters()
         episodes = self.collector.collect(iteration, parameters)
         collected = time.monotonic()
         metrics = self.learner.update(self.collector.trajectory, iteration, progress)
-        return Iterated(episodes, metrics, collected - began, time.monotonic() - collected)
+        return IterationResult(episodes, metrics, collected - began, time.monotonic() - collected)
 
 
-class Asynchronous:
+class AsynchronousMode:
     """Workers sample and find gradients by themselves; the learner applies each as it comes and gives its
     worker the parameters that it led to. No worker waits for another, also not where an iteration ends: that
     is when as many contributions were applied as there are workers. What a worker does wait for, once it has
@@ -77,7 +77,7 @@ class Asynchronous:
         """Contributions in all."""
         self.repeats = learner.in_turns or contributors.in_turns
 
-    def iterate(self, iteration: int, progress: float) -> Iterated:
+    def iterate(self, iteration: int, progress: float) -> IterationResult:
         """See `Mode`. All other metrics are means over the iteration's contributions."""
         began, learn_s, workers = time.monotonic(), 0.0, self.contributors.number
         before = (iteration - 1) * workers
@@ -101,7 +101,7 @@ class Asynchronous:
         replicas = len(next(iter(means.values())))
         means["staleness/mean"] = np.full(replicas, np.mean(staleness))
         means["staleness/max"] = np.full(replicas, float(max(staleness)))
-        return Iterated(in_order(episodes), means, time.monotonic() - began - learn_s, learn_s)
+        return IterationResult(in_order(episodes), means, time.monotonic() - began - learn_s, learn_s)
 
     def _assign(self, worker: int, updates: int) -> None:
         """Give a worker the parameters of the moment, after so many updates, unless all that the budget

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, EnvSpec, Observed, Outcome
+from headway.contracts import BatchedEnv, EnvSpec, Observations, StepResult
 
 
 class BatchWrapper:
@@ -18,7 +18,7 @@ class BatchWrapper:
     def __init__(self, inner: BatchedEnv, spec: EnvSpec | None = None) -> None:
         """`spec`: the wrapped environment's; None: that of the inner one."""
         self.inner = inner
-        self.faced: Observed | None = None
+        self.faced: Observations | None = None
         """What the inner environment observed last; rules look there."""
         self._spec = spec or inner.spec
 
@@ -30,29 +30,29 @@ class BatchWrapper:
     def num_copies(self) -> int:
         return self.inner.num_copies
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self.faced = self.inner.reset(seeds)
         return self._begin(self.faced)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome, self.faced = self.inner.step(actions)
         return self._advance(outcome, self.faced)
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         return self.inner.snapshot()
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         self.faced = self.inner.restore(snapshot)
         return self._begin(self.faced)
 
     def close(self) -> None:
         self.inner.close()
 
-    def _begin(self, observed: Observed) -> Observed:
+    def _begin(self, observed: Observations) -> Observations:
         """What is observed where all copies begin, or where an environment without memory goes on."""
         return observed
 
-    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+    def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         return outcome, observed
 
 
@@ -65,10 +65,10 @@ class AbsentObserveZeros(BatchWrapper):
         shape = (inner.num_copies, spec.num_agents, spec.observation_size)
         self._observations = np.zeros(shape, dtype=np.float32)
 
-    def _begin(self, observed: Observed) -> Observed:
+    def _begin(self, observed: Observations) -> Observations:
         self._observations.fill(0)
         np.copyto(self._observations, observed.observations, where=observed.alive[..., None])
         return replace(observed, observations=self._observations)
 
-    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+    def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         return outcome, self._begin(observed)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observed, Outcome
+from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observations, StepResult
 from headway.wrappers.batch import BatchWrapper
 
 
@@ -46,16 +46,16 @@ class FrameStackBatch(BatchWrapper):
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         return {"inner": self.inner.snapshot(), "frames": self._frames.copy()}
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         self.faced = self.inner.restore(snapshot["inner"])
         self._frames[:] = snapshot["frames"]
         return self._shown(self.faced)
 
-    def _begin(self, observed: Observed) -> Observed:
+    def _begin(self, observed: Observations) -> Observations:
         self._push(observed, np.ones(observed.alive.shape, dtype=np.bool_))
         return self._shown(observed)
 
-    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+    def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         over = outcome.terminated | outcome.truncated
         if over.any():
             self._finals[over, :-1] = self._frames[over, 1:]
@@ -64,7 +64,7 @@ class FrameStackBatch(BatchWrapper):
         finals = self._finals.reshape(*over.shape, -1)
         return replace(outcome, final_observations=finals), self._shown(observed)
 
-    def _push(self, observed: Observed, fresh: NDArray[np.bool_]) -> None:
+    def _push(self, observed: Observations, fresh: NDArray[np.bool_]) -> None:
         """Take in a frame; `fresh` (C, N): what went before is forgotten."""
         frames = self._frames
         frames[:, :, :-1] = frames[:, :, 1:]
@@ -72,7 +72,7 @@ class FrameStackBatch(BatchWrapper):
         if fresh.any():
             frames[fresh, :-1] = frames[fresh, -1:] if self._repeat_first else 0
 
-    def _shown(self, observed: Observed) -> Observed:
+    def _shown(self, observed: Observations) -> Observations:
         return replace(observed, observations=self._frames.reshape(*observed.alive.shape, -1))
 
 

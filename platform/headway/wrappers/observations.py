@@ -9,7 +9,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, BatchedWrapper, HeadwayError, ObservationBounds, Observed, Outcome
+from headway.contracts import (
+    BatchedEnv,
+    BatchedWrapper,
+    HeadwayError,
+    ObservationBounds,
+    Observations,
+    StepResult,
+)
 from headway.wrappers.batch import BatchWrapper
 
 Floats = NDArray[np.float32]
@@ -69,12 +76,12 @@ class ChangedObservations(BatchWrapper):
         self._observations = np.zeros(shape, dtype=np.float32)
         self._finals = np.zeros(shape, dtype=np.float32)
 
-    def _begin(self, observed: Observed) -> Observed:
+    def _begin(self, observed: Observations) -> Observations:
         with np.errstate(all="ignore"):  # whatever absent agents' rows hold
             self._write(observed.observations, self._observations)
         return replace(observed, observations=self._observations)
 
-    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+    def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         if outcome.terminated.any() or outcome.truncated.any():
             with np.errstate(all="ignore"):
                 self._write(outcome.final_observations, self._finals)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observed, Outcome
+from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observations, StepResult
 from headway.wrappers.batch import BatchWrapper
 
 
@@ -53,7 +53,7 @@ class ChangedRewards(BatchWrapper):
         self._change = change
         self._rewards = np.zeros((inner.num_copies, inner.spec.num_agents), dtype=np.float32)
 
-    def _advance(self, outcome: Outcome, observed: Observed) -> tuple[Outcome, Observed]:
+    def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         self._rewards[...] = self._change(outcome.rewards)
         return replace(outcome, rewards=self._rewards), observed
 

@@ -22,9 +22,9 @@ from headway.contracts import (
     EnvSpec,
     HeadwayError,
     ObservationBounds,
-    Observed,
-    Painter,
+    Observations,
     RandomRule,
+    Renderer,
     Rule,
     RuleEntry,
 )
@@ -86,7 +86,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         prepare_beside=None if beside is None else _prepare_beside(name, entry, tuple(wrappers), beside),
         parallel_env=None,
         rules={rule: _behind(rule, own) for rule, own in rules.items()},
-        painter=None if entry.painter is None else _painter_behind(entry.painter),
+        renderer=None if entry.renderer is None else _renderer_behind(entry.renderer),
     )
 
 
@@ -100,7 +100,7 @@ def _prepare_beside(
     return lambda config, other: _prepare(name, entry, wrappers, beside(config, other.prepared))
 
 
-def _painter_behind(make: Callable[[Any], Painter]) -> Callable[[Wrapped], Painter]:
+def _renderer_behind(make: Callable[[Any], Renderer]) -> Callable[[Wrapped], Renderer]:
     return lambda wrapped: make(wrapped.prepared)
 
 
@@ -110,7 +110,7 @@ def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
     return _natives(inner)[0][0] if _shows_native(inner) else inner
 
 
-def _innermost(env: BatchedEnv, observed: Observed | None) -> tuple[BatchedEnv, Observed | None]:
+def _innermost(env: BatchedEnv, observed: Observations | None) -> tuple[BatchedEnv, Observations | None]:
     """What the batched wrappers are around, and what that observed last, where `env` observed `observed`."""
     inner: Any = env
     while hasattr(inner, "inner"):
@@ -126,7 +126,7 @@ def _has_native(parallel_env: Any) -> bool:  # noqa: ANN401 - PettingZoo comes w
     return hasattr(type(parallel_env.unwrapped), "native")
 
 
-def _natives(env: ParallelEnvBatch) -> list[tuple[BatchedEnv, Observed]]:
+def _natives(env: ParallelEnvBatch) -> list[tuple[BatchedEnv, Observations]]:
     """Of each copy, the batch of one behind its ParallelEnv, and what that observed last."""
     return [one.unwrapped.native for one in env.parallel_envs]
 
@@ -235,7 +235,7 @@ class RuleBehindWrappers:
     through_parallel_env: bool
     """Between the wrappers and what the rule looks into is a ParallelEnv."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[Any]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """As the rule does, given the environment behind the wrappers and what that observed last."""
         if isinstance(self.rule, RandomRule):
             return self.rule.act(env, observed)

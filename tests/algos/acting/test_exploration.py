@@ -8,11 +8,11 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed, RememberingPolicy, generator
-from headway_algos.acting.exploration import EpsilonGreedyPolicy, WanderingPolicy
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, RecurrentPolicy, generator
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 from headway_algos.off_policy.ddpg import DeterministicMethod
 from headway_algos.off_policy.dqn import ValueMethod
-from headway_algos.off_policy.learner import ReplayLearner
+from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES
@@ -34,12 +34,12 @@ def _spec(algorithm: str, come_and_go: bool = False) -> EnvSpec:
 
 def _learner(
     algorithm: str, policies: Policies, precision: str, seeds: tuple[int, ...], spec: EnvSpec | None = None
-) -> tuple[ReplayLearner, Any]:
+) -> tuple[OffPolicyLearner, Any]:
     """Networks with biases and a normaliser that has seen something; its acting policy."""
     spec = spec or _spec(algorithm)
     entry, model = ENTRIES[algorithm], NetworkConfig((8, 7), "relu")
     config = entry.config(policies=policies, precision=precision, model=model)
-    learner = ReplayLearner(config, spec, seeds, "cpu", METHODS[algorithm])
+    learner = OffPolicyLearner(config, spec, seeds, "cpu", METHODS[algorithm])
     random = torch.Generator().manual_seed(0)
     with torch.no_grad():
         for parameter in learner.method.network.parameters():
@@ -49,13 +49,13 @@ def _learner(
     return learner, entry.acting_policy(config, spec)
 
 
-def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observed:
+def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observations:
     draw = np.random.default_rng(seed)
     masks = None
     if spec.has_action_mask:
         masks = draw.random((copies, AGENTS, 4)) < 0.6
         masks[..., 1] |= ~masks.any(axis=-1)
-    return Observed(
+    return Observations(
         (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
         np.zeros((copies, 0), np.float32),
         np.ones((copies, AGENTS), np.bool_),
@@ -63,7 +63,7 @@ def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observed:
     )
 
 
-def _torch_outputs(learner: ReplayLearner, observed: Observed) -> NDArray[np.float64]:
+def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray[np.float64]:
     """(C, N, A), by the learner's own way of laying out rows."""
     rows = learner.layout.rows(observed.observations[None])
     mean, scale = learner.moments.mean.to(learner.dtype), learner.moments.scale.to(learner.dtype)
@@ -124,7 +124,7 @@ def test_epsilon_is_the_chance_of_any_allowed_action(epsilon: float) -> None:
     one = _observed(spec, 1)
     assert one.action_masks is not None
     masks = np.repeat(one.action_masks, draws, axis=0)
-    many = Observed(
+    many = Observations(
         np.repeat(one.observations, draws, axis=0), np.zeros((draws, 0), np.float32),
         np.ones((draws, AGENTS), np.bool_), masks,
     )  # fmt: skip
@@ -158,7 +158,9 @@ def test_absent_agents_rows_are_never_read() -> None:
         np.testing.assert_array_equal(actions[observed.alive], expected[observed.alive])
 
 
-def _wandering(theta: float, sigma: float, agents: int) -> tuple[WanderingPolicy, dict[str, NDArray[Any]]]:
+def _wandering(
+    theta: float, sigma: float, agents: int
+) -> tuple[OrnsteinUhlenbeckPolicy, dict[str, NDArray[Any]]]:
     """A policy of zero networks in bounds so wide that nothing is cut: actions are noise / 1e6."""
     names = tuple(f"a{i}" for i in range(agents))
     spec = EnvSpec("made", names, 1, Box((-1e6,), (1e6,)), agents_come_and_go=True)
@@ -166,7 +168,7 @@ def _wandering(theta: float, sigma: float, agents: int) -> tuple[WanderingPolicy
         policies="shared", model=NetworkConfig(()), ou_theta=theta, ou_sigma=sigma, precision="float64"
     )
     policy = ENTRIES["ddpg"].acting_policy(config, spec)
-    assert isinstance(policy, WanderingPolicy)
+    assert isinstance(policy, OrnsteinUhlenbeckPolicy)
     shapes = policy.parameter_shapes(1)
     parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in shapes.items()}
     return policy, parameters | {"exploration": np.full((1, 1, 1), 1e-6)}
@@ -179,10 +181,10 @@ def test_noise_has_the_variance_and_the_memory_of_an_ornstein_uhlenbeck_process(
     """In steps of one: variance sigma^2 / (1 - (1 - theta)^2), autocorrelation (1 - theta)^lag."""
     agents, steps = 400, 300
     policy, parameters = _wandering(theta, sigma, agents)
-    assert isinstance(policy, RememberingPolicy)
+    assert isinstance(policy, RecurrentPolicy)
     noise = policy.noise(generator(0, "action", 0), steps)
-    memory = np.zeros((1, agents, policy.memory_size))
-    observed = Observed(
+    memory = np.zeros((1, agents, policy.hidden_size))
+    observed = Observations(
         np.zeros((1, agents, 1), np.float32), np.zeros((1, 0), np.float32), np.ones((1, agents), np.bool_)
     )
     path = np.empty((steps, agents))
@@ -202,7 +204,7 @@ def test_noise_has_the_variance_and_the_memory_of_an_ornstein_uhlenbeck_process(
 
 def test_noise_stands_still_while_an_agent_is_away_or_acting_greedily() -> None:
     policy, parameters = _wandering(0.15, 0.2, 2)
-    observed = Observed(
+    observed = Observations(
         np.zeros((1, 2, 1), np.float32), np.zeros((1, 0), np.float32), np.array([[True, False]])
     )
     memory = np.array([[[0.5], [0.7]]])
@@ -233,7 +235,7 @@ def test_parameters_have_the_shapes_that_workers_make_room_for(algorithm: str) -
         shapes = {name: (a.shape, a.dtype) for name, a in given.items()}
         assert shapes == acting.parameter_shapes(2)
         assert all(a.flags.c_contiguous for a in given.values())
-        assert isinstance(acting, EpsilonGreedyPolicy if algorithm == "madqn" else WanderingPolicy)
+        assert isinstance(acting, EpsilonGreedyPolicy if algorithm == "madqn" else OrnsteinUhlenbeckPolicy)
 
 
 def test_exploration_falls_as_configured() -> None:

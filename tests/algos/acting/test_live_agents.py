@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed
-from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringStack, WanderingPolicy
-from headway_algos.acting.gru import RecurrentActingPolicy
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringStack, OrnsteinUhlenbeckPolicy
+from headway_algos.acting.gru import GRUActingPolicy
 from headway_algos.acting.live_agents import SLOTS_EACH, Answer
-from headway_algos.acting.mlp import StackedActingPolicy
+from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.config import AlgoConfig, ModelConfig
 
 SLOTS, COPIES, SIZE = 32, 3, 5
 MODEL = ModelConfig(hidden=(9, 7))
 Precision = Literal["float32", "float64"]
 Policies = Literal["independent", "shared"]
-Policy = StackedActingPolicy | RecurrentActingPolicy | EpsilonGreedyPolicy | WanderingPolicy
+Policy = MLPActingPolicy | GRUActingPolicy | EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy
 KINDS = ("discrete", "box", "gated discrete", "gated box", "epsilon-greedy", "wandering")
 
 
@@ -31,13 +31,13 @@ def _spec(space: ActionSpace) -> EnvSpec:
 def _policy(kind: str, precision: Precision = "float64", policies: Policies = "shared") -> Policy:
     space = Discrete(4) if kind.endswith(("discrete", "greedy")) else Box((-1.0, -2.0), (1.0, 2.0))
     config = AlgoConfig(policies=policies, model=MODEL, precision=precision)
-    flat = StackedActingPolicy.of(config, _spec(space))
+    flat = MLPActingPolicy.of(config, _spec(space))
     if kind.startswith("gated"):
-        return RecurrentActingPolicy(flat, 6)
+        return GRUActingPolicy(flat, 6)
     if kind == "epsilon-greedy":
         return EpsilonGreedyPolicy(ExploringStack(flat))
     if kind == "wandering":
-        return WanderingPolicy(ExploringStack(flat), 0.2, 0.3)
+        return OrnsteinUhlenbeckPolicy(ExploringStack(flat), 0.2, 0.3)
     return flat
 
 
@@ -50,7 +50,9 @@ def _parameters(policy: Policy, replicas: int) -> dict[str, NDArray[Any]]:
     return drawn
 
 
-def _faced(policy: Policy, alive: NDArray[np.bool_]) -> tuple[Observed, NDArray[Any], NDArray[Any] | None]:
+def _faced(
+    policy: Policy, alive: NDArray[np.bool_]
+) -> tuple[Observations, NDArray[Any], NDArray[Any] | None]:
     """What agents face, with NaN where nobody is, the noise, and what is remembered."""
     draw, spec = np.random.default_rng(7), _flat(policy).spec
     copies, masks, memory = len(alive), None, None
@@ -61,25 +63,25 @@ def _faced(policy: Policy, alive: NDArray[np.bool_]) -> tuple[Observed, NDArray[
         masks[..., 2] |= ~masks.any(axis=-1)
         masks[~alive] = False
     noise = np.stack([policy.noise(draw, 1)[0] for _ in range(copies)])
-    if isinstance(policy, RecurrentActingPolicy | WanderingPolicy):
-        memory = draw.normal(0, 1, (copies, SLOTS, policy.memory_size)).astype(policy.memory_type)
-    return Observed(observations, np.zeros((copies, 0), np.float32), alive, masks), noise, memory
+    if isinstance(policy, GRUActingPolicy | OrnsteinUhlenbeckPolicy):
+        memory = draw.normal(0, 1, (copies, SLOTS, policy.hidden_size)).astype(policy.hidden_dtype)
+    return Observations(observations, np.zeros((copies, 0), np.float32), alive, masks), noise, memory
 
 
-def _flat(policy: Policy) -> StackedActingPolicy:
-    if isinstance(policy, EpsilonGreedyPolicy | WanderingPolicy):
+def _flat(policy: Policy) -> MLPActingPolicy:
+    if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy):
         return policy.stack.flat
-    return policy.flat if isinstance(policy, RecurrentActingPolicy) else policy
+    return policy.flat if isinstance(policy, GRUActingPolicy) else policy
 
 
 def _ask(
     policy: Policy,
     parameters: dict[str, NDArray[Any]],
-    observed: Observed,
+    observed: Observations,
     memory: NDArray[Any] | None,
     noise: NDArray[Any] | None,
 ) -> Answer:
-    if isinstance(policy, RecurrentActingPolicy | WanderingPolicy):
+    if isinstance(policy, GRUActingPolicy | OrnsteinUhlenbeckPolicy):
         assert memory is not None
         return policy.act_from(parameters, observed, memory, noise)
     return *policy.act(parameters, observed, noise), None
@@ -132,7 +134,7 @@ def test_a_replica_acts_to_the_last_bit_as_if_it_were_alone(kind: str) -> None:
     together = _ask(policy, parameters, observed, memory, noise)
     for r in range(len(counts)):
         block = slice(r * COPIES, (r + 1) * COPIES)
-        one = Observed(
+        one = Observations(
             observed.observations[block],
             observed.states[block],
             observed.alive[block],
@@ -159,7 +161,7 @@ def test_where_few_slots_are_empty_every_one_is_computed(count: int) -> None:
 
 def test_only_agents_of_many_that_come_and_go_and_share_a_policy_can_be_left_out() -> None:
     shared = _policy("discrete")
-    assert isinstance(shared, StackedActingPolicy)
+    assert isinstance(shared, MLPActingPolicy)
     assert shared.alone is not None
     assert replace(shared, spec=replace(shared.spec, agents_come_and_go=False)).alone is None
     assert replace(shared, spec=replace(shared.spec, agents=shared.spec.agents[1:])).alone is None

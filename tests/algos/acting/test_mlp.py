@@ -8,8 +8,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observed, generator
-from headway_algos.acting.mlp import StackedActingPolicy
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, generator
+from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 
@@ -28,13 +28,13 @@ def _spec(space: ActionSpace, come_and_go: bool = False) -> EnvSpec:
     )  # fmt: skip
 
 
-def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observed:
+def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observations:
     draw = np.random.default_rng(seed)
     masks = None
     if isinstance(spec.action_space, Discrete):
         masks = draw.random((copies, AGENTS, spec.action_space.n)) < 0.6
         masks[..., 1] |= ~masks.any(axis=-1)
-    return Observed(
+    return Observations(
         (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
         np.zeros((copies, 0), np.float32),
         np.ones((copies, AGENTS), np.bool_),
@@ -49,7 +49,7 @@ def _learner(
     seeds: tuple[int, ...],
     activation: Literal["tanh", "relu"] = "tanh",
     normalise: bool = True,
-) -> tuple[OnPolicyLearner, StackedActingPolicy]:
+) -> tuple[OnPolicyLearner, MLPActingPolicy]:
     """Policies far from uniform, with a normaliser that has seen something."""
     model = ModelConfig(hidden=(8, 7), activation=activation, actor_gain=1.5)
     config = AlgoConfig(policies=policies, model=model, precision=precision, normalise_observations=normalise)
@@ -61,11 +61,11 @@ def _learner(
     if normalise:
         stack = len(learner.actor.network.weights[0])
         learner.actor.moments.include(1 + 2 * torch.randn(stack, 50, SIZE, generator=random))
-    return learner, StackedActingPolicy.of(config, spec)
+    return learner, MLPActingPolicy.of(config, spec)
 
 
 def _torch_log_probs(
-    learner: OnPolicyLearner, observed: Observed, actions: NDArray[Any]
+    learner: OnPolicyLearner, observed: Observations, actions: NDArray[Any]
 ) -> NDArray[np.float64]:
     """(C, N), agent by agent from the learner's own way of laying out rows."""
     layout = learner.layout
@@ -148,7 +148,7 @@ def test_frequencies_of_sampled_actions_are_the_probabilities() -> None:
     learner, acting = _learner(spec, "shared", "float64", (0,))
     one = _observed(spec, 1)
     assert one.action_masks is not None
-    many = Observed(
+    many = Observations(
         np.repeat(one.observations, draws, axis=0),
         np.zeros((draws, 0), np.float32),
         np.ones((draws, AGENTS), np.bool_),
@@ -182,7 +182,7 @@ def test_gaussian_actions_have_the_mean_and_deviation_of_the_policy() -> None:
     spec, draws = _spec(SPACES["box"]), 40_000
     learner, acting = _learner(spec, "independent", "float64", (0,))
     one = _observed(spec, 1)
-    many = Observed(
+    many = Observations(
         np.repeat(one.observations, draws, axis=0),
         np.zeros((draws, 0), np.float32),
         np.ones((draws, AGENTS), np.bool_),
@@ -234,8 +234,8 @@ def test_a_single_agents_observations_are_left_alone() -> None:
     """One agent: rows by policy are a view of the environment's own memory."""
     spec = EnvSpec("made", ("only",), SIZE, Discrete(2), agents_come_and_go=True)
     config = AlgoConfig(model=ModelConfig(hidden=(4,)))
-    learner, acting = OnPolicyLearner(config, spec, (0,), "cpu"), StackedActingPolicy.of(config, spec)
+    learner, acting = OnPolicyLearner(config, spec, (0,), "cpu"), MLPActingPolicy.of(config, spec)
     observations = np.full((2, 1, SIZE), np.nan, np.float32)
-    observed = Observed(observations, np.zeros((2, 0), np.float32), np.zeros((2, 1), np.bool_))
+    observed = Observations(observations, np.zeros((2, 0), np.float32), np.zeros((2, 1), np.bool_))
     acting.act(learner.acting_parameters(), observed, None)
     assert np.isnan(observations).all()

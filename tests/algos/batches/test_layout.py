@@ -11,7 +11,7 @@ from torch import Tensor
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout, generator
 from headway_algos.batches import layout
-from headway_algos.batches.layout import Endings, Layout, Piece, minibatches, zero_where_absent
+from headway_algos.batches.layout import Layout, Piece, Truncations, minibatches, zero_where_absent
 from headway_algos.grouping import Grouping
 
 SPEC = EnvSpec("made", tuple("abcdef"), 3, Discrete(2), state_size=2, groups=tuple("xyxzxz"))
@@ -164,7 +164,7 @@ def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) ->
     made.truncated[:, :COPIES] = False  # replicas differ in how many there are
     made.truncated[3, 1] = True
     made.terminated[3, 1] = False
-    endings = Endings.of(made, REPLICAS)
+    endings = Truncations.of(made, REPLICAS)
     values = made.final_observations[..., 0].astype(np.float64)
     back = endings.put(endings.take(values), values.shape)
     cut = (made.truncated & ~made.terminated).any(axis=2)
@@ -174,7 +174,7 @@ def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) ->
 
 def test_no_endings() -> None:
     made = Trajectory.allocate(TrajectoryLayout(SPEC, 4, REPLICAS * COPIES))
-    endings = Endings.of(made, REPLICAS)
+    endings = Truncations.of(made, REPLICAS)
     assert len(endings) == 0
     assert endings.take(made.final_states).shape == (0, REPLICAS, 2)
     assert (endings.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()

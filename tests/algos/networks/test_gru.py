@@ -13,8 +13,8 @@ from torch import Tensor
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
-from headway_algos.batches.hidden_states import Memories
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.hidden_states import HiddenStates
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.networks.actor import Actor
@@ -168,7 +168,7 @@ def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, 
 
 def made(fabricate: Fabricate, spec: EnvSpec, seed: int, steps: int = 8, **chances: float) -> Trajectory:
     """A trajectory of three copies in which some agents remember something at its start."""
-    return fabricate(spec, steps, 3, seed, memory_size=UNITS, **{"ends": 0.15, "leaves": 0.05, **chances})
+    return fabricate(spec, steps, 3, seed, hidden_size=UNITS, **{"ends": 0.15, "leaves": 0.05, **chances})
 
 
 def naive_memories(
@@ -199,7 +199,7 @@ def test_memories_are_replayed_as_agent_by_agent(fabricate: Fabricate, policies:
     network = learner.actor.network
     assert isinstance(network, RecurrentNetwork)
     memories = learner._memories(track, learner._observations(track))
-    assert isinstance(memories, Memories)
+    assert isinstance(memories, HiddenStates)
     groups = {n: k for k, members in enumerate(learner.grouping.members) for n in members.tolist()}
     before, after = naive_memories(network, track.observations, track, lambda n: groups[n])
     np.testing.assert_allclose(memories.before, before, atol=1e-12)
@@ -256,12 +256,12 @@ def test_gradients_through_sequences_are_those_of_a_loop(fabricate: Fabricate, p
 
 def rows_of(
     learner: OnPolicyLearner, track: Trajectory, advantages: NDArray[Any]
-) -> tuple[PolicyRows, Tensor]:
+) -> tuple[PolicyBatch, Tensor]:
     """What the update is given, by way of an update that keeps it."""
-    kept: list[tuple[PolicyRows, Tensor]] = []
+    kept: list[tuple[PolicyBatch, Tensor]] = []
 
     class Keeping:
-        def improve(self, rows: PolicyRows, by_policy: Tensor, generators: object) -> dict[str, Tensor]:
+        def improve(self, rows: PolicyBatch, by_policy: Tensor, generators: object) -> dict[str, Tensor]:
             kept.append((rows, by_policy))
             return {}
 
@@ -280,7 +280,7 @@ def test_fisher_products_go_through_time(fabricate: Fabricate) -> None:
     config = named("itrpo", model=model, normalise_observations=False)
     spec = replace(DISCRETE, agents=("a",), groups=("x",), observation_size=2, has_action_mask=False)
     learner = OnPolicyLearner(config, spec, (0,), "cpu")
-    track = fabricate(spec, 7, 2, 4, memory_size=2, absent=0.2, ends=0.2)
+    track = fabricate(spec, 7, 2, 4, hidden_size=2, absent=0.2, ends=0.2)
     batch = WholeBatch.of(*rows_of(learner, track, np.zeros(track.rewards.shape)))
     actor, parameters = learner.actor, learner.actor.learnable
     shapes = [p.shape for p in parameters]

@@ -7,7 +7,7 @@ from torch import nn
 
 from headway.contracts import generator
 from headway_algos.networks.mlp import StackedMLP, orthogonal, tanh_layer
-from headway_algos.networks.normalisation import RunningMoments
+from headway_algos.networks.normalisation import RunningStatistics
 
 DOUBLE = torch.float64
 
@@ -90,7 +90,7 @@ def test_a_policys_first_weights_depend_on_its_seed_and_place_alone() -> None:
 @pytest.mark.parametrize("size", [4, 500], ids=["few values", "many values"])
 def test_running_moments_equal_numpys_on_all_data_at_once(size: int) -> None:
     draw = np.random.default_rng(0)
-    moments = RunningMoments(3, size)
+    moments = RunningStatistics(3, size)
     seen: list[list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]] = [[], [], []]
     for batch in range(6):
         rows = 1e4 + draw.normal(size=(3, 20 + batch, size)) * np.geomspace(0.1, 100, size)
@@ -113,7 +113,7 @@ def test_running_moments_equal_numpys_on_all_data_at_once(size: int) -> None:
 def test_running_moments_take_rows_that_are_gathered_slice_by_slice() -> None:
     draw = np.random.default_rng(3)
     rows, selected = draw.normal(size=(1, 30_000, 2)) * [1.0, 50.0], draw.random((1, 30_000)) < 0.8
-    moments = RunningMoments(1, 2)
+    moments = RunningStatistics(1, 2)
     moments.include(torch.from_numpy(rows), selected)
     np.testing.assert_allclose(moments.mean[0, 0], rows[selected].mean(axis=0), rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(moments.variance[0, 0], rows[selected].var(axis=0), rtol=1e-12)
@@ -126,7 +126,7 @@ def test_running_moments_of_a_network_are_bit_for_bit_those_it_has_alone(batch: 
     draw = np.random.default_rng(2)
     rows = torch.from_numpy(draw.normal(size=(3, batch, 3)).astype(np.float32))
     selected = draw.random((3, batch)) < [[others], [0.7], [others]]
-    stacked, alone = RunningMoments(3, 3), RunningMoments(1, 3)
+    stacked, alone = RunningStatistics(3, 3), RunningStatistics(1, 3)
     stacked.include(rows, selected)
     alone.include(rows[1:2], selected[1:2])
     assert torch.equal(stacked.mean[1], alone.mean[0])
@@ -135,7 +135,7 @@ def test_running_moments_of_a_network_are_bit_for_bit_those_it_has_alone(batch: 
 
 def test_running_moments_without_a_selection_take_every_row() -> None:
     rows = torch.randn(2, 30, 3, generator=torch.Generator().manual_seed(4))
-    one, other = RunningMoments(2, 3), RunningMoments(2, 3)
+    one, other = RunningStatistics(2, 3), RunningStatistics(2, 3)
     one.include(rows)
     other.include(rows, np.ones((2, 30), np.bool_))
     torch.testing.assert_close(one.mean, other.mean)
@@ -144,7 +144,7 @@ def test_running_moments_without_a_selection_take_every_row() -> None:
 
 def test_a_single_row_leaves_no_trace_of_the_variance_assumed_before() -> None:
     rows = torch.tensor([[[3.0], [5.0], [10.0]]], dtype=torch.float64)
-    moments = RunningMoments(1, 1)
+    moments = RunningStatistics(1, 1)
     moments.include(rows[:, :1])
     assert float(moments.mean) == 3
     assert float(moments.variance) == 1

@@ -10,8 +10,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, HeadwayError, ReplayingLearner, Trajectory
-from headway_algos.off_policy.learner import ReplayLearner
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, HeadwayError, LearnerWithReplay, Trajectory
+from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES
@@ -39,9 +39,9 @@ CASES = {
 every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
 
 
-def _learner(config: ReplayConfig, spec: EnvSpec, seeds: tuple[int, ...]) -> ReplayLearner:
+def _learner(config: ReplayConfig, spec: EnvSpec, seeds: tuple[int, ...]) -> OffPolicyLearner:
     learner = ENTRIES[config.name].learner(config, spec, seeds, "cpu")
-    assert isinstance(learner, ReplayLearner)
+    assert isinstance(learner, OffPolicyLearner)
     return learner
 
 
@@ -54,7 +54,7 @@ def _numbers(state: Any, path: str = "") -> dict[str, NDArray[Any]]:  # noqa: AN
     return {name: value for key, part in items for name, value in _numbers(part, f"{path} {key}").items()}
 
 
-def _tensors(learner: ReplayLearner) -> dict[str, NDArray[Any]]:
+def _tensors(learner: OffPolicyLearner) -> dict[str, NDArray[Any]]:
     """Every tensor that learning changes, with leading axis P."""
     return _numbers(learner.state_dict())
 
@@ -142,7 +142,7 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
 def test_a_checkpoint_goes_on_bit_for_bit(fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec) -> None:
     config = replace(config, lr_end=0.1, precision="float32")
     first, second = (_learner(config, spec, (1, 2)) for _ in range(2))
-    assert isinstance(first, ReplayingLearner)
+    assert isinstance(first, LearnerWithReplay)
     made = [fabricate(spec, 8, 6, seed=i, absent=0.3, idle=0.4) for i in range(4)]
     for iteration in (1, 2):
         first.update(made[iteration - 1], iteration, iteration / 4)

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
-from headway_algos.off_policy.replay_buffer import ReplayMemory
+from headway_algos.off_policy.replay_buffer import ReplayBuffer
 from headway_algos.off_policy.transitions import Transitions
 
 SPEC = EnvSpec("made", ("a", "b"), 2, Discrete(3), has_action_mask=True)
@@ -32,11 +32,11 @@ def _numbered(numbers: NDArray[np.int64], spec: EnvSpec = SPEC) -> Transitions:
     )
 
 
-def _memory(capacity: int = CAPACITY, spec: EnvSpec = SPEC) -> ReplayMemory:
-    return ReplayMemory(spec, POLICIES, capacity, torch.device("cpu"))
+def _memory(capacity: int = CAPACITY, spec: EnvSpec = SPEC) -> ReplayBuffer:
+    return ReplayBuffer(spec, POLICIES, capacity, torch.device("cpu"))
 
 
-def _held(memory: ReplayMemory) -> list[list[float]]:
+def _held(memory: ReplayBuffer) -> list[list[float]]:
     """Of each policy, the numbers held, sorted."""
     by_policy = memory.arrays["returns"].numpy().reshape(POLICIES, memory.capacity)
     return [sorted(row[:count].tolist()) for row, count in zip(by_policy, memory.filled, strict=True)]

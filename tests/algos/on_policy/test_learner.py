@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
-from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.layout import Endings, Layout, zero_where_absent
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.layout import Layout, Truncations, zero_where_absent
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.behaviour_policy import Behaviour
+from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import CRITICS
-from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.orders import ORDERS
@@ -346,7 +346,7 @@ class PlainGradient:
         self.actor, self.lr, self.share, self.improvements = actor, config.lr, 1.0, 0
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         chosen = torch.from_numpy(rows.selected)
         log_probs = self.actor(rows.observations, rows.masks).log_prob(rows.actions)
@@ -372,7 +372,7 @@ class PlainGradient:
 def _each_in_turn(
     update: Update,
     grouping: Grouping,
-    rows: PolicyRows,
+    rows: PolicyBatch,
     advantages: Tensor,
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
@@ -425,13 +425,13 @@ class RewardAbovePar:
     ) -> None:
         self.par, self.share, self.seen, self.viewpoints = np.zeros(len(seeds)), 1.0, 0, viewpoints
 
-    def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
+    def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         rewards = trajectory.rewards[:, :, : self.viewpoints].astype(np.float64)
         values = np.repeat(self.par, rewards.shape[1] // len(self.par))[:, None] + np.zeros_like(rewards)
         there = np.ones_like(rewards, np.bool_)
-        return Estimate(rewards - values, values, rewards, there, torch.empty(0))
+        return CriticEstimate(rewards - values, values, rewards, there, torch.empty(0))
 
-    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+    def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         self.par = estimate.returns.reshape(len(estimate.returns), len(self.par), -1).mean(axis=(0, 2))
         return {"par": self.par}
 
@@ -528,7 +528,7 @@ def test_truncation_alone_bootstraps_and_from_the_final_observation(
     assert not _changed_by(config, spec, made, another_start)
 
 
-def _values(learner: OnPolicyLearner, scene: Scene) -> NDArray[np.float64]:
+def _values(learner: OnPolicyLearner, scene: CriticBatch) -> NDArray[np.float64]:
     """(M, C, W) by the learner's value critic."""
     assert isinstance(learner.critic, ValueCritic)
     return learner.critic.values(learner.critic.rows(scene), len(scene.observations))
@@ -536,8 +536,8 @@ def _values(learner: OnPolicyLearner, scene: Scene) -> NDArray[np.float64]:
 
 def _final_values(learner: OnPolicyLearner, made: Trajectory) -> NDArray[np.float64]:
     """(T, C, N): what streams that were cut bootstrap from."""
-    endings = Endings.of(made, 1)
-    return endings.put(_values(learner, Scene.after_endings(made, endings)), made.rewards.shape)
+    endings = Truncations.of(made, 1)
+    return endings.put(_values(learner, CriticBatch.after_endings(made, endings)), made.rewards.shape)
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, WITH_STATE])
@@ -552,7 +552,7 @@ def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
     final = _final_values(learner, made)
     after, alive = made.observations[3:4].copy(), made.alive[3:4].copy()
     after[:, :, 1], alive[:, :, 1] = 0.5, True
-    expected = _values(learner, Scene(zero_where_absent(after, alive), made.states[3:4], alive, None))
+    expected = _values(learner, CriticBatch(zero_where_absent(after, alive), made.states[3:4], alive, None))
     np.testing.assert_allclose(final[2, :, 1], expected[0, :, 1], rtol=1e-12)
 
 
@@ -563,7 +563,7 @@ def test_an_agent_absent_when_cut_bootstraps_from_its_final_observation(fabricat
     made.truncated[3] = True
     learner = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
     everyone = np.ones((1, 1, 4), np.bool_)
-    at_end = Scene(made.final_observations[3:], made.final_states[3:], everyone, None)
+    at_end = CriticBatch(made.final_observations[3:], made.final_states[3:], everyone, None)
     np.testing.assert_allclose(_final_values(learner, made)[3], _values(learner, at_end)[0], rtol=1e-12)
 
 
@@ -592,7 +592,7 @@ def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) ->
         made = fabricate(DISCRETE, 8, 4, seed=iteration, ends=1.1)
         made.rewards[:], made.terminated[:], made.truncated[:] = 50, True, False
         learner.update(made, iteration, 0.0)
-    np.testing.assert_allclose(_values(learner, Scene.of_steps(made)), 50, rtol=0.05)
+    np.testing.assert_allclose(_values(learner, CriticBatch.of_steps(made)), 50, rtol=0.05)
 
 
 def test_value_errors_are_cut(fabricate: Fabricate) -> None:

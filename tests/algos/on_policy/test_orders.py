@@ -12,7 +12,7 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
@@ -44,7 +44,7 @@ class Recording(PPO):
         return part
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         info = super().improve(rows, advantages, generators)
         with torch.no_grad():
@@ -58,7 +58,7 @@ def _update(kind: type[PPO], spec: EnvSpec, config: AlgoConfig = CONFIG) -> PPO:
     return kind(Actor(config.model, spec, range(R), N, DOUBLE), config, layout)
 
 
-def _rows(spec: EnvSpec) -> tuple[PolicyRows, Tensor, NDArray[np.bool_]]:
+def _rows(spec: EnvSpec) -> tuple[PolicyBatch, Tensor, NDArray[np.bool_]]:
     random = torch.Generator().manual_seed(1)
     actions = (
         torch.randint(A, (R * N, B), generator=random)
@@ -69,7 +69,7 @@ def _rows(spec: EnvSpec) -> tuple[PolicyRows, Tensor, NDArray[np.bool_]]:
     observations = torch.randn(R * N, B, D, generator=random, dtype=DOUBLE)
     log_probs, advantages = torch.randn(2, R * N, B, generator=random, dtype=DOUBLE)
     log_probs[~torch.from_numpy(selected)] = 0
-    return PolicyRows(observations, None, actions, log_probs, selected), advantages, selected
+    return PolicyBatch(observations, None, actions, log_probs, selected), advantages, selected
 
 
 def _generators(purpose: str, count: int) -> list[np.random.Generator]:
@@ -167,7 +167,7 @@ def test_the_order_is_drawn_anew_for_each_replica_and_iteration(
     def noting(
         update: PPO,
         grouping: Grouping,
-        rows: PolicyRows,
+        rows: PolicyBatch,
         advantages: Tensor,
         generators: Sequence[np.random.Generator],
         order_generators: Sequence[np.random.Generator],

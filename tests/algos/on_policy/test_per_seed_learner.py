@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from headway.config.schema import build
-from headway.contracts import Box, Discrete, EnvSpec, Learner, ReplayingLearner, Trajectory
+from headway.contracts import Box, Discrete, EnvSpec, Learner, LearnerWithReplay, Trajectory
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.split_learner import PartingLearner
+from headway_algos.on_policy.split_learner import SplitLearner
 from headway_algos.registry import ENTRIES
 
 Fabricate = Callable[..., Trajectory]
@@ -90,7 +90,7 @@ def _experience(
     """One trajectory per seed: one of agents that are always there, one of few, one of hardly any."""
     memory = settings["model"].get("gru_size", 0)
     return [
-        fabricate(spec, 12, 3, 10 * iteration + r, absent=absent, idle=0.2, leaves=0.02, memory_size=memory)
+        fabricate(spec, 12, 3, 10 * iteration + r, absent=absent, idle=0.2, leaves=0.02, hidden_size=memory)
         for r, absent in enumerate((0.0, 0.5, 0.95))
     ]
 
@@ -152,7 +152,7 @@ def test_a_state_of_all_seeds_at_once_is_gone_on_from(
     tracks = [_joined(_experience(fabricate, spec, iteration, settings)) for iteration in (1, 2, 3)]
     _trained(first, tracks[:2])
     second.load_state_dict(first.state_dict())
-    if isinstance(first, ReplayingLearner) and isinstance(second, ReplayingLearner):
+    if isinstance(first, LearnerWithReplay) and isinstance(second, LearnerWithReplay):
         second.load_experience(first.experience())
     for learner in (first, second):
         learner.update(tracks[2], 3, 0.4)
@@ -166,7 +166,7 @@ def test_a_state_of_a_learner_that_stacks_seeds_is_gone_on_from(fabricate: Fabri
     """Of a run begun on a GPU, or before seeds were kept apart."""
     name, settings, spec = CASES[case]
     config = build(ENTRIES[name].config, {**settings, "precision": "float64"}, "algo", name)
-    stacked = (PartingLearner if config.shared_until else OnPolicyLearner)(config, spec, SEEDS, "cpu")
+    stacked = (SplitLearner if config.shared_until else OnPolicyLearner)(config, spec, SEEDS, "cpu")
     apart = ENTRIES[name].learner(config, spec, SEEDS, "cpu")
     tracks = [_joined(_experience(fabricate, spec, iteration, settings)) for iteration in (1, 2, 3)]
     for i, track in enumerate(tracks[:2]):

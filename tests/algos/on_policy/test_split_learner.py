@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from headway.contracts import Discrete, EnvSpec, Trajectory
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.split_learner import PartingLearner
+from headway_algos.on_policy.split_learner import SplitLearner
 from headway_algos.recipes.coma import COMAConfig
 from headway_algos.recipes.ippo import IPPOConfig
 from headway_algos.recipes.mappo import MAPPOConfig
@@ -42,7 +42,7 @@ def test_they_are_the_shared_policy_until_they_part_and_go_on_from_it(
     name: str, fabricate: Fabricate
 ) -> None:
     config, spec = CASES[name]
-    parting = PartingLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
+    parting = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
     shared = OnPolicyLearner(replace(config, policies="shared"), spec, SEEDS, "cpu")
     policies = parting.policies
     for iteration, progress in enumerate((0.0, 0.25, 0.49)):
@@ -68,10 +68,10 @@ def test_a_learner_taken_up_again_goes_on_bit_for_bit(name: str, parts_at: int, 
     """Also where it is kept just before, or just after, the policies part."""
     config, spec = CASES[name]
     config = replace(config, shared_until=parts_at / 4)
-    first = PartingLearner(config, spec, SEEDS, "cpu")
+    first = SplitLearner(config, spec, SEEDS, "cpu")
     for iteration in range(2):
         first.update(fabricate(spec, 20, 2 * len(SEEDS), seed=iteration), iteration, iteration / 4)
-    again = PartingLearner(config, spec, SEEDS, "cpu")
+    again = SplitLearner(config, spec, SEEDS, "cpu")
     again.load_state_dict(first.state_dict())
     for iteration in (2, 3):
         trajectory = fabricate(spec, 20, 2 * len(SEEDS), seed=iteration)
@@ -82,7 +82,7 @@ def test_a_learner_taken_up_again_goes_on_bit_for_bit(name: str, parts_at: int, 
 
 def test_the_optimiser_goes_on_with_the_moments_of_the_shared_policy(fabricate: Fabricate) -> None:
     config, spec = CASES["ippo"]
-    learner = PartingLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
+    learner = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
     steps = learner.together.state_dict()["policy_update"]["optimiser"]["counts"]
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
@@ -101,7 +101,7 @@ def test_once_parted_they_learn_in_smaller_steps(update: str, fabricate: Fabrica
             model=MODEL, precision="float64", epochs=1, minibatches=1, shared_until=0.5, apart_lr=apart_lr,
             normalise_observations=False,
         )  # fmt: skip
-        learner = PartingLearner(config, SPEC, SEEDS, "cpu")
+        learner = SplitLearner(config, SPEC, SEEDS, "cpu")
         learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
         before = learner.acting_parameters()
         learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
@@ -132,6 +132,6 @@ def test_what_cannot_part_is_refused(changes: dict[str, object], message: str) -
 
 def test_the_registry_makes_it() -> None:
     config = IPPOConfig(model=MODEL, shared_until=0.5)
-    assert isinstance(ENTRIES["ippo"].learner(config, SPEC, SEEDS[:1], "cpu"), PartingLearner)
+    assert isinstance(ENTRIES["ippo"].learner(config, SPEC, SEEDS[:1], "cpu"), SplitLearner)
     plain = replace(config, shared_until=0.0)
     assert isinstance(ENTRIES["ippo"].learner(plain, SPEC, SEEDS[:1], "cpu"), OnPolicyLearner)

@@ -13,14 +13,14 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import make_network
 from headway_algos.on_policy.critics.critic_inputs import VIEWS
-from headway_algos.on_policy.critics.estimate import Estimate
-from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+from headway_algos.on_policy.critics.estimate import CriticEstimate
+from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
 from headway_algos.on_policy.updates.ppo import PPO
 from headway_algos.optim import fast_path, kernel
 from headway_algos.optim.adam import StackedAdam
@@ -61,7 +61,7 @@ class Case:
             log_probs = self.actor(observations, masks).log_prob(actions) + moved
         # Seed 0 has all of its rows, others fewer.
         selected = np.arange(ROWS) < np.array([ROWS - 123 * seed for seed in seeds])[:, None]
-        self.rows = PolicyRows(observations, masks, actions, log_probs, selected)
+        self.rows = PolicyBatch(observations, masks, actions, log_probs, selected)
         self.advantages = torch.stack([torch.as_tensor(rows[4], dtype=FLOAT) for rows in each])
 
     def _rows(self, seed: int, space: str, masked: bool) -> list[Any]:
@@ -81,11 +81,11 @@ class Case:
         update = PPO(self.actor, self.config, self.layout)
         return update, update.improve(self.rows, self.advantages, [generator(s, "t") for s in self.seeds])
 
-    def fit(self, outputs: int) -> tuple[Regression, dict[str, Any]]:
+    def fit(self, outputs: int) -> tuple[ReturnRegression, dict[str, Any]]:
         config, layout = self.config, self.layout
         view = VIEWS["local"](config, self.spec, Grouping.of("shared", self.spec))
         networks = ReturnNetworks(config, view, outputs, self.seeds, layout)
-        regression = Regression(config, view, self.seeds, networks, layout)
+        regression = ReturnRegression(config, view, self.seeds, networks, layout)
         returns = np.stack([np.random.default_rng(s).normal(size=(ROWS, 1)) for s in self.seeds], axis=1)
         taken = None
         if outputs > 1:
@@ -93,13 +93,13 @@ class Case:
                 [torch.from_numpy(np.random.default_rng(s).integers(outputs, size=ROWS)) for s in self.seeds]
             )
         present = self.rows.selected.T[..., None]
-        estimate = Estimate(
+        estimate = CriticEstimate(
             returns, returns, returns, present, self.rows.observations, memories=None, taken=taken
         )
         return regression, regression.fit(estimate, 0)
 
 
-def _state(learned: PPO | Regression) -> list[Tensor]:
+def _state(learned: PPO | ReturnRegression) -> list[Tensor]:
     optimiser = learned.optimiser
     assert isinstance(optimiser, StackedAdam)
     return [*optimiser.parameters, *optimiser.means.parts]

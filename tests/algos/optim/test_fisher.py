@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.func import functional_call
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import ModelConfig
 from headway_algos.networks.actor import Actor
@@ -45,7 +45,7 @@ def _batch(space: str, masked: bool = False) -> WholeBatch:
     masks[..., 1] |= ~masks.any(-1)
     actions = torch.zeros(P, B, dtype=torch.int64) if space == "discrete" else torch.zeros(P, B, A)
     zeros = torch.zeros(P, B, dtype=DOUBLE)
-    rows = PolicyRows(
+    rows = PolicyBatch(
         torch.randn(P, B, D, generator=random, dtype=DOUBLE),
         masks if masked else None,
         actions,

@@ -11,7 +11,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import AWAY, MOVE, SERVICE_CENTER
-from headway_envs.bus.picture import OUT_OF_SERVICE, QUEUE, BusPainter, geography
+from headway_envs.bus.picture import OUT_OF_SERVICE, QUEUE, BusRenderer, geography
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.source import scenario_tables
@@ -51,52 +51,52 @@ def test_calls_lie_where_the_tables_have_their_stops(line: Prepared) -> None:
 
 
 def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(line: Prepared) -> None:
-    painter = BusPainter(line)
-    left, top, right, bottom = painter._map
+    renderer = BusRenderer(line)
+    left, top, right, bottom = renderer._map
     assert bottom - top >= (right - left) / 5.0
-    places = np.column_stack((painter._places.right, -painter._places.up))
-    metres, pixels = places - places[0], painter._pixels - painter._pixels[0]
-    np.testing.assert_allclose(pixels, painter._scale * metres, atol=1e-6)
+    places = np.column_stack((renderer._places.right, -renderer._places.up))
+    metres, pixels = places - places[0], renderer._pixels - renderer._pixels[0]
+    np.testing.assert_allclose(pixels, renderer._scale * metres, atol=1e-6)
 
 
 def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
-    env, painter = began(line), BusPainter(line)
-    first = painter.paint(env, at_end=False)
+    env, renderer = began(line), BusRenderer(line)
+    first = renderer.render(env, at_end=False)
     assert first.dtype == np.uint8
     for _ in range(120):
         drive(env, 1)
-        later = painter.paint(env, at_end=False)
+        later = renderer.render(env, at_end=False)
     assert later.shape == first.shape
-    assert len(painter._panels) == 2
-    for left, top, right, bottom in painter._panels:
+    assert len(renderer._panels) == 2
+    for left, top, right, bottom in renderer._panels:
         strokes = (later[top:bottom] != first[top:bottom]).any(axis=-1)
         hours = np.flatnonzero(strokes.any(axis=0))
         assert strokes.sum() > 1000
         assert hours.max() <= left + (right - left) * 2 / 19 + 2  # two of nineteen hours
-    above = slice(painter._map[1], painter._map[3])
+    above = slice(renderer._map[1], renderer._map[3])
     assert near(later[above], QUEUE) > near(first[above], QUEUE) + 50
 
 
 def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
     """As the field draws it: with both directions in one, buses that meet look like buses that overtake."""
-    painter = BusPainter(line)
-    assert painter._directions == sorted(set(painter._places.directions))
+    renderer = BusRenderer(line)
+    assert renderer._directions == sorted(set(renderer._places.directions))
     for pattern, (first, last) in enumerate(pairwise(line.network.pattern_calls)):
-        up = painter._heights[first:last]
+        up = renderer._heights[first:last]
         assert (np.diff(up) > 0).all()
         assert up[0] == 0.0
-        longest = painter._longest[painter._directions.index(painter._places.directions[pattern])]
+        longest = renderer._longest[renderer._directions.index(renderer._places.directions[pattern])]
         if longest.start == first:
             assert up[-1] == 1.0
 
 
 def test_a_pattern_that_begins_on_the_way_is_drawn_from_there(line: Prepared) -> None:
     """The way back, taken for a variant of the way there, begins where that ends."""
-    painter = BusPainter(line)
-    painter._places = replace(painter._places, directions=("I", "I"))
-    painter._directions = ["I"]
-    painter._longest = [painter._longest_of("I")]
-    heights = painter._of_diagram()
+    renderer = BusRenderer(line)
+    renderer._places = replace(renderer._places, directions=("I", "I"))
+    renderer._directions = ["I"]
+    renderer._longest = [renderer._longest_of("I")]
+    heights = renderer._of_diagram()
     starts = sorted(heights[line.network.pattern_calls[:2]])
     assert starts[0] == 0.0
     assert starts[1] > 0.98
@@ -104,28 +104,28 @@ def test_a_pattern_that_begins_on_the_way_is_drawn_from_there(line: Prepared) ->
 
 
 def test_buses_at_a_centre_stand_out(line: Prepared) -> None:
-    env, painter = began(line), BusPainter(line)
+    env, renderer = began(line), BusRenderer(line)
     drive(env, 60)
-    assert near(painter.paint(env, at_end=False)[: painter._map[3]], OUT_OF_SERVICE) == 0
+    assert near(renderer.render(env, at_end=False)[: renderer._map[3]], OUT_OF_SERVICE) == 0
     while not (env.world.slots["phase"] == AWAY).any():
         drive(env, 1, SERVICE_CENTER)
-    assert near(painter.paint(env, at_end=False)[: painter._map[3]], OUT_OF_SERVICE) > 60
+    assert near(renderer.render(env, at_end=False)[: renderer._map[3]], OUT_OF_SERVICE) > 60
 
 
 def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
     short = ENTRY.prepare(BusConfig(end_hour=6))
-    env, painter = began(short), BusPainter(short)
-    painter.paint(env, at_end=False)
+    env, renderer = began(short), BusRenderer(short)
+    renderer.render(env, at_end=False)
     ended = False
     while not ended:
-        before = painter.paint(env, at_end=False)
+        before = renderer.render(env, at_end=False)
         ended = drive(env, 1)
-    last, again = painter.paint(env, at_end=True), painter.paint(env, at_end=False)
-    below = slice(painter._panels[0][1], painter._panels[-1][3])
+    last, again = renderer.render(env, at_end=True), renderer.render(env, at_end=False)
+    below = slice(renderer._panels[0][1], renderer._panels[-1][3])
     np.testing.assert_array_equal(last[below], before[below])
     assert (again[below] != last[below]).any()
 
 
 def test_it_says_what_it_cannot_draw(line: Prepared) -> None:
     with pytest.raises(TypeError, match="the picture of a bus network needs a BusBatchedEnv, not object"):
-        BusPainter(line).paint(object(), at_end=False)
+        BusRenderer(line).render(object(), at_end=False)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Outcome, generator
+from headway.contracts import HeadwayError, StepResult, generator
 from headway_envs.intersection.config import IntersectionConfig, RewardConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
@@ -21,7 +21,7 @@ WILD = {"av_speed_mode": 0, "hdv_speed_mode": 1}
 """AVs that heed nobody: many crashes."""
 
 
-def _metrics(env: IntersectionBatchedEnv, outcome: Outcome) -> dict[str, float]:
+def _metrics(env: IntersectionBatchedEnv, outcome: StepResult) -> dict[str, float]:
     return dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
 
 

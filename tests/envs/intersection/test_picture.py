@@ -13,7 +13,7 @@ from headway_envs.intersection.picture import (
     HUMAN,
     Camera,
     Frame,
-    IntersectionPainter,
+    IntersectionRenderer,
     render,
 )
 
@@ -77,4 +77,4 @@ def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> N
 
 def test_it_says_what_it_cannot_draw() -> None:
     with pytest.raises(TypeError, match="needs an IntersectionBatchedEnv, not object"):
-        IntersectionPainter().paint(object(), at_end=False)
+        IntersectionRenderer().render(object(), at_end=False)

@@ -18,11 +18,11 @@ from headway_envs.intersection.layout import (
     SCRATCH,
     SUMS,
     TRAFFIC,
-    Happened,
     Slots,
+    StepEvents,
     Traffic,
 )
-from headway_envs.intersection.reporting import METRICS, Ledger, jain
+from headway_envs.intersection.reporting import METRICS, EpisodeMetrics, jain
 from headway_envs.intersection.sumo.simulation import libsumo
 
 SEED = np.array([3], np.uint64)
@@ -69,7 +69,7 @@ def _random_traffic(seed: int, count: int) -> Traffic:
     return traffic
 
 
-def _seen(traffic: Traffic, count: int, happened: Happened, pays: int = PAY_TEAM) -> tuple[np.void, Slots]:
+def _seen(traffic: Traffic, count: int, happened: StepEvents, pays: int = PAY_TEAM) -> tuple[np.void, Slots]:
     """The account, and what concerns each AV, after a step that brought this traffic; every other slot had
     been asked."""
     crossing, memory, account, scratch = (
@@ -116,7 +116,7 @@ def test_actions_of_another_shape_are_refused(crossing: Callable[..., Any]) -> N
 def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
     """Equations 7 to 12, with vectors as the paper writes them."""
     count, traffic = 17, _random_traffic(seed, 17)
-    paper = _seen(traffic, count, Happened(1, crashes, 3, 420.0, 5, 0.5))[0]["paper"]
+    paper = _seen(traffic, count, StepEvents(1, crashes, 3, 420.0, 5, 0.5))[0]["paper"]
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
     wished = np.full(count, 20.0)
     nearness = np.linalg.norm(wished) - np.linalg.norm(v - wished)
@@ -142,7 +142,7 @@ def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
 def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     count, traffic = 17, _random_traffic(seed, 17)
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
-    account, _ = _seen(traffic, count, Happened(3, 2, 1, 420.0, 5, 0.5))
+    account, _ = _seen(traffic, count, StepEvents(3, 2, 1, 420.0, 5, 0.5))
     scaled = dict(zip(TERMS, account["scaled"], strict=True))
     assert max(map(abs, scaled.values())) <= 1
     assert scaled["standstill"] == pytest.approx(-(v < 0.1).mean())
@@ -151,7 +151,7 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     assert scaled["lane_change"] == pytest.approx(-1 / automated.sum())
     assert scaled["throughput"] == 1
     assert scaled["collision"] == -1
-    nobody, _ = _seen(_random_traffic(seed, 0), 0, Happened())
+    nobody, _ = _seen(_random_traffic(seed, 0), 0, StepEvents())
     assert (nobody["scaled"] == 0).all()
     assert (nobody["paper"] == 0).all()
 
@@ -159,7 +159,7 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
 @pytest.mark.parametrize("pays", [PAY_PAPER, PAY_TEAM, PAY_OWN])
 def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(pays: int) -> None:
     count, traffic = 17, _random_traffic(2, 17)
-    account, slots = _seen(traffic, count, Happened(1, 0, 0, 420.0, 5, 0.5), pays)
+    account, slots = _seen(traffic, count, StepEvents(1, 0, 0, 420.0, 5, 0.5), pays)
     there = slots.acting & slots.alive
     assert 0 < there.sum() < slots.alive.sum()
     paper = account["paper_return"] / there.sum()
@@ -180,7 +180,7 @@ def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(pays:
 @pytest.mark.parametrize("seed", range(4))
 def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: int) -> None:
     count, traffic = 25, _random_traffic(seed, 25)
-    (_, slots), draw = _seen(traffic, count, Happened()), np.random.default_rng(9)
+    (_, slots), draw = _seen(traffic, count, StepEvents()), np.random.default_rng(9)
     yields = draw.random((16, 16)) < 0.5
     foes = yields | yields.T
     until = np.minimum(np.maximum(200 - traffic.position, 0) / np.maximum(traffic.speed, 0.1), 20)
@@ -245,7 +245,7 @@ def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: i
 
 def test_the_state_counts_everybody_once() -> None:
     count, traffic = 30, _random_traffic(1, 30)
-    state = _seen(traffic, count, Happened(pending=10, passed=0.25))[0]["state"]
+    state = _seen(traffic, count, StepEvents(pending=10, passed=0.25))[0]["state"]
     by_approach = state[:-2].reshape(4, 16)
     cells, beyond = by_approach[:, :12].reshape(4, 4, 3), by_approach[:, 12:].reshape(4, 2, 2)
     assert 10 * (cells[..., :2].sum() + beyond[..., 0].sum()) == pytest.approx(count, abs=1e-4)
@@ -336,7 +336,9 @@ def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None
     assert jain([3.0, 3.0, 3.0]) == pytest.approx(1.0)
     assert jain([5.0, 0.0, 0.0, 0.0]) == pytest.approx(0.25)
     assert jain([]) == 1.0
-    ledger = Ledger(IntersectionConfig(), steps=1000, through=[2, 1, 0, 0], travel_s=[20.0, 30.0, 40.0])
+    ledger = EpisodeMetrics(
+        IntersectionConfig(), steps=1000, through=[2, 1, 0, 0], travel_s=[20.0, 30.0, 40.0]
+    )
     account = np.zeros(1, ACCOUNT)
     account["present"] = 500.0, 400.0, 900.0, 0.0
     metrics = dict(zip(METRICS, ledger.metrics(account[0]), strict=True))
@@ -347,7 +349,7 @@ def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None
 
 def test_means_are_over_vehicles_of_their_kind() -> None:
     count, traffic = 12, _random_traffic(3, 12)
-    account, _ = _seen(traffic, count, Happened())
+    account, _ = _seen(traffic, count, StepEvents())
     sums = {name: account[name] for name in SUMS}
     automated = traffic.slot[:count] >= 0
     change = (traffic.speed - traffic.before)[:count] / 0.1

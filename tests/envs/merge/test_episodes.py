@@ -6,7 +6,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from headway_envs.merge.config import CAVS, HDVS, PRESETS, Manners, MergeConfig, RewardConfig
+from headway_envs.merge.config import CAVS, HDVS, PRESETS, Dynamics, MergeConfig, RewardConfig
 from headway_envs.merge.entry import ENTRIES
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.contact import outlines, shrunk_overlap
@@ -181,7 +181,7 @@ def test_without_the_tie_nobody_leaves_the_outer_ramp_lane(make: Make) -> None:
 def test_presets_differ_in_every_field() -> None:
     same = [
         field.name
-        for field in fields(Manners)
+        for field in fields(Dynamics)
         if getattr(PRESETS["clean"], field.name) == getattr(PRESETS["paper"], field.name)
     ]
     assert same == []

@@ -8,7 +8,7 @@ from PIL import ImageColor
 
 from headway_envs.merge.entry import ENTRIES
 from headway_envs.merge.env import MergeBatchedEnv
-from headway_envs.merge.picture import CAV, CRASHED, HUMAN, MergePainter
+from headway_envs.merge.picture import CAV, CRASHED, HUMAN, MergeRenderer
 
 CAR_PIXELS = 25 * 10
 """Of a whole vehicle, edges included."""
@@ -24,8 +24,8 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(
     make: Callable[..., MergeBatchedEnv], name: str
 ) -> None:
     env = make(name, density=1)
-    painter = MergePainter(env.prepared)
-    first = painter.paint(env, at_end=False)
+    renderer = MergeRenderer(env.prepared)
+    first = renderer.render(env, at_end=False)
     episode = env.world.episodes[0]
     cavs, humans = int(episode["cavs"]), int(episode["cars"] - episode["cavs"])
     assert first.dtype == np.uint8
@@ -36,10 +36,10 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(
     while not ended:
         outcome, _ = env.step(np.ones((1, 3), np.int64))
         ended = bool(outcome.episode_ended[0])
-    last = painter.paint(env, at_end=True)
+    last = renderer.render(env, at_end=True)
     assert last.shape == first.shape
     assert count(last, CRASHED) > 0.6 * CAR_PIXELS
-    assert count(painter.paint(env, at_end=False), CRASHED) == 0
+    assert count(renderer.render(env, at_end=False), CRASHED) == 0
 
 
 def test_the_end_can_be_drawn_after_the_next_episode_has_been_asked_for(
@@ -47,15 +47,15 @@ def test_the_end_can_be_drawn_after_the_next_episode_has_been_asked_for(
 ) -> None:
     """As through the adapter of a ParallelEnv, which resets within its step."""
     env = make(steps=4)
-    painter = MergePainter(env.prepared)
+    renderer = MergeRenderer(env.prepared)
     for _ in range(4):
         env.step(np.ones((1, env.spec.num_agents), np.int64))
-    last = painter.paint(env, at_end=True)
+    last = renderer.render(env, at_end=True)
     env.reset(np.ones(1, np.uint64))
     assert count(last, CAV) > 0.6 * CAR_PIXELS
-    np.testing.assert_array_equal(painter.paint(env, at_end=True), last)
+    np.testing.assert_array_equal(renderer.render(env, at_end=True), last)
 
 
 def test_it_says_what_it_cannot_draw(make: Callable[..., MergeBatchedEnv]) -> None:
     with pytest.raises(TypeError, match="the picture of a merge needs a MergeBatchedEnv, not object"):
-        MergePainter(make().prepared).paint(object(), at_end=False)
+        MergeRenderer(make().prepared).render(object(), at_end=False)

@@ -15,7 +15,7 @@ from headway.store import Run
 from headway.store.index import RunIndex
 from headway_launch.commands import browse
 from headway_launch.commands.main import run as run_command
-from headway_launch.runner.recorder import JobRecording
+from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.training_process import TrainingProcess
 
 pytestmark = pytest.mark.slow
@@ -73,7 +73,7 @@ def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = SimpleNamespace(directory=tmp_path / "absent", record=SimpleNamespace(durable_iteration=0))
-    recording = JobRecording([cast(Run, run)])
+    recording = JobRecorder([cast(Run, run)])
     recording.take(Failed("it broke", "Traceback"))
     assert recording.status == "FAILED"
     assert "traceback.txt" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from headway.contracts.errors import HeadwayError
 from headway.stats import plots
 from headway.stats.plots import colours, draw_rules, far_off, intervals, learning_curves, near_rules
-from headway.store import RunLog, RunRecord, Selection, select
+from headway.store import RunLog, RunRecord, RunSelection, select
 from headway.store.atomic_files import write_text
 from headway.store.run_folder import Process, create_run_folder, now, rules_file
 from headway_launch.commands.main import run
@@ -21,7 +21,7 @@ from headway_launch.studies.runs import curves_of, rules_beside
 
 
 @pytest.fixture
-def runs(tmp_path: Path) -> Selection:
+def runs(tmp_path: Path) -> RunSelection:
     run_id, directory = create_run_folder(tmp_path, "study", "cell", 0)
     record = RunRecord(run_id, "study", "bus", "ippo", 0, 1, now(), Process.current(), "FINISHED")
     replace(record).write(directory)
@@ -36,18 +36,18 @@ def runs(tmp_path: Path) -> Selection:
 
 @pytest.mark.parametrize("metric", ["evaluation_greedy/return", "evaluation_sampled/return"])
 def test_rules_stand_beside_curves_of_evaluation_on_the_days_of_their_points(
-    metric: str, runs: Selection
+    metric: str, runs: RunSelection
 ) -> None:
     assert rules_beside(runs, metric) == {"bus": {"optimal": 3.5}}
 
 
-def test_rules_do_not_stand_beside_other_curves(runs: Selection) -> None:
+def test_rules_do_not_stand_beside_other_curves(runs: RunSelection) -> None:
     """Training is paid by what is learned from, whose reward may be another."""
     assert rules_beside(runs, "training/return") == {}
     assert rules_beside(runs, "evaluation_greedy/regret") == {}
 
 
-def test_a_metric_that_a_run_has_not_is_one_line_with_the_nearest(runs: Selection) -> None:
+def test_a_metric_that_a_run_has_not_is_one_line_with_the_nearest(runs: RunSelection) -> None:
     assert curves_of(runs, "training/return")["value"].tolist() == [1.0]
     with pytest.raises(HeadwayError, match=r"has no 'training/retrun'; did you mean training/return\?"):
         curves_of(runs, "training/retrun")
@@ -130,7 +130,7 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
 
 
 def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_out(
-    runs: Selection,
+    runs: RunSelection,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

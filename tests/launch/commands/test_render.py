@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from headway_envs.merge.picture import MergePainter
+from headway_envs.merge.picture import MergeRenderer
 from headway_launch.commands.main import run
 from headway_launch.console.video import caption_strip
 
@@ -65,34 +65,34 @@ def test_a_long_caption_takes_more_lines_and_loses_nothing(word: str) -> None:
 def test_the_frames_of_an_episode_are_not_all_held_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
-    painted: list[weakref.ref[Any]] = []
+    rendered: list[weakref.ref[Any]] = []
     most = 0
 
-    def paint(self: object, env: object, at_end: bool) -> np.ndarray:
+    def render(self: object, env: object, at_end: bool) -> np.ndarray:
         nonlocal most
-        frame = np.full((40, 40, 3), len(painted), np.uint8)
-        painted.append(weakref.ref(frame))
-        most = max(most, sum(one() is not None for one in painted))
+        frame = np.full((40, 40, 3), len(rendered), np.uint8)
+        rendered.append(weakref.ref(frame))
+        most = max(most, sum(one() is not None for one in rendered))
         return frame
 
-    monkeypatch.setattr(MergePainter, "paint", paint)
+    monkeypatch.setattr(MergeRenderer, "render", render)
     output = tmp_path / f"idle{suffix}"
     words = ["render", "merge", "--rule", "idle", "env.args.density=1", "env.args.steps=30"]
     assert run([*words, "--output", str(output)]) == 0
-    assert len(painted) == 31
+    assert len(rendered) == 31
     assert most <= 3
 
 
 def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    painted, paint = [], MergePainter.paint
+    rendered, render = [], MergeRenderer.render
     monkeypatch.setattr(
-        MergePainter, "paint", lambda *words, **named: painted.append(1) or paint(*words, **named)
+        MergeRenderer, "render", lambda *words, **named: rendered.append(1) or render(*words, **named)
     )
     words = ["render", "merge", "--rule", "idle", "env.args.steps=20", "--step", "2"]
     assert run([*words, "--output", str(tmp_path / "moment.png")]) == 0
-    assert len(painted) == 3
+    assert len(rendered) == 3
 
 
 def test_a_trained_policy_is_drawn_behind_its_wrappers(
@@ -181,14 +181,14 @@ def test_where_nothing_can_be_written_nothing_is_played(
     monkeypatch.chdir(tmp_path)
     Path("taken.gif").mkdir()
     Path("file").write_text("")
-    painted: list[int] = []
-    monkeypatch.setattr(MergePainter, "paint", lambda *words, **named: painted.append(1))
+    rendered: list[int] = []
+    monkeypatch.setattr(MergeRenderer, "render", lambda *words, **named: rendered.append(1))
     assert run(["render", "merge", "--rule", "idle", "--output", output]) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"headway: --output: {output} cannot be written (")
     assert "Errno" not in told
     assert ("there is no folder no; make it first" in told) == output.startswith("no/")
-    assert painted == []
+    assert rendered == []
 
 
 def test_a_terminal_is_told_how_far_an_episode_is(

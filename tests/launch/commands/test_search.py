@@ -11,7 +11,7 @@ from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex
 from headway_launch.commands import search
 from headway_launch.experiments.search import read_search
-from headway_launch.runner.runner import Conductor
+from headway_launch.runner.runner import Runner
 
 pytestmark = pytest.mark.slow
 
@@ -85,7 +85,7 @@ def test_no_winner_is_named_while_another_session_trains_a_seed(
     small = ("toy_matrix", "env_steps=1024", "energy=off", f"store.root={tmp_path}")
     done = _headway("search", *small)
     assert done.returncode == 0, done.stderr
-    monkeypatch.setattr(Conductor, "final_rewards", lambda self: [[1.0], []])
+    monkeypatch.setattr(Runner, "final_rewards", lambda self: [[1.0], []])
     monkeypatch.setattr("headway_launch.console.threads.limit_threads", lambda: None)
     parser = argparse.ArgumentParser()
     search.add_arguments(parser)

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from headway.events import EvaluationFinished, Failed, IterationFinished, Started, Usage
 from headway_launch.console.progress import JobProgress, overall, seconds_left
-from headway_launch.console.progress_display import Counted, Progress
+from headway_launch.console.progress_display import CountedProgress, Progress
 
 
 def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:
@@ -127,17 +127,17 @@ def test_work_of_known_length_tells_how_far_it_is(
 ) -> None:
     moment = [0.0]
     monkeypatch.setattr("headway_launch.console.progress_display.time.monotonic", lambda: moment[0])
-    with Counted("days simulated", 20) as counted:
+    with CountedProgress("days simulated", 20) as counted:
         assert counted.line == "days simulated: 0 of 20"
         for _ in range(4):
             moment[0] += 10.0
             counted.add()
     # Where lines cannot stay in place, one every half minute.
     assert capsys.readouterr().err == "days simulated: 3 of 20, about 0:02:50 left\n"
-    with Counted("steps played") as counted:
+    with CountedProgress("steps played") as counted:
         counted.add()
     assert counted.line == "steps played: 1"
-    with Counted("episodes played", 6) as counted:
+    with CountedProgress("episodes played", 6) as counted:
         counted.add(0, "rule idle, step 12")
         assert counted.line == "episodes played: 0 of 6 (rule idle, step 12)"
         counted.add(3, "rule idle, step 13")
@@ -149,14 +149,14 @@ def test_on_a_terminal_the_count_stays_in_place_and_goes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    with Counted("days simulated", 2) as counted:
+    with CountedProgress("days simulated", 2) as counted:
         counted.add()
         counted.add()
     drawn = capsys.readouterr().err
     assert "\n" not in drawn
     assert drawn.startswith("\rdays simulated: 0 of 2\x1b[K")
     assert drawn.endswith("\rdays simulated: 2 of 2\x1b[K\r\x1b[K")
-    with Counted("days simulated", 2) as counted:
+    with CountedProgress("days simulated", 2) as counted:
         counted.note("a line that stays")
     first = "\rdays simulated: 0 of 2\x1b[K"
     assert capsys.readouterr().err == f"{first}\r\x1b[Ka line that stays\n{first}\r\x1b[K"
@@ -169,7 +169,7 @@ def test_the_count_fits_the_terminal_that_stderr_is(monkeypatch: pytest.MonkeyPa
     with os.fdopen(terminal, "w") as stderr:
         monkeypatch.setattr("sys.stderr", stderr)
         termios.tcsetwinsize(terminal, (24, 40))
-        with Counted("episodes played", 6) as counted:
+        with CountedProgress("episodes played", 6) as counted:
             counted.add(6, "rule headway_holding_0.9, step 1,000")
             termios.tcsetwinsize(terminal, (24, 20))
             counted.add(0)

@@ -11,7 +11,7 @@ from headway_launch.experiments.compose import compose, groups, resolve, summary
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.search import read_search
 from headway_launch.experiments.sweep import compose_sweep
-from headway_launch.runner.jobs import Shares, new_jobs, plan_jobs, share_cores
+from headway_launch.runner.jobs import CoreShares, new_jobs, plan_jobs, share_cores
 from headway_launch.studies.plan import distinct
 
 
@@ -375,7 +375,11 @@ def test_jobs_are_stacks_of_seeds_in_order() -> None:
 
 def test_cores_go_to_training_processes_first() -> None:
     experiment = compose(["env=trivial"])
-    for seeds, cores, expected in ((50, 16, Shares(16, 1)), (4, 16, Shares(4, 4)), (1, 2, Shares(1, 2))):
+    for seeds, cores, expected in (
+        (50, 16, CoreShares(16, 1)),
+        (4, 16, CoreShares(4, 4)),
+        (1, 2, CoreShares(1, 2)),
+    ):
         jobs = new_jobs(experiment, range(seeds))
         assert share_cores(experiment.config.backend, jobs, cores) == expected
 

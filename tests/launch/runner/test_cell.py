@@ -8,10 +8,10 @@ import pytest
 from headway.config.experiment import StoreConfig
 from headway.events import Row
 from headway.store.session import SessionStore
-from headway_launch.console.progress_display import Counted
+from headway_launch.console.progress_display import CountedProgress
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.runner import cell as cell_module
-from headway_launch.runner.cell import CellWork
+from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.jobs import CellPlan
 
 RULES = ("evaluation.rules=[optimal]", "evaluation.episodes=3", "evaluation.final_episodes=3")
@@ -29,7 +29,7 @@ def test_rules_of_other_days_are_played_again(tmp_path: Path, monkeypatch: pytes
         rules: Sequence[str],
         root: int,
         episodes: int,
-        so_far: Counted,
+        so_far: CountedProgress,
     ) -> dict[str, list[Row]]:
         roots.append(root)
         return play(experiment, prepared, rules, root, episodes, so_far)
@@ -44,7 +44,7 @@ def test_rules_of_other_days_are_played_again(tmp_path: Path, monkeypatch: pytes
         plan = CellPlan(
             compose((*TINY, f"store.root={tmp_path}", *overrides)), jobs=(), finished=(run.directory,)
         )
-        work = CellWork(store, plan)
+        work = SessionCell(store, plan)
         work.play_rules({})
         return len(work.rules["optimal"])
 

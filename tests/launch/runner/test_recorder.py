@@ -8,7 +8,7 @@ import pytest
 from headway.config.experiment import StoreConfig
 from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
 from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, RunRecord, SessionStore, save_checkpoint
-from headway_launch.runner.recorder import JobRecording
+from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.results import print_cells, seed_result
 
 STEPS = 100
@@ -22,7 +22,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
     return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
 
 
-def train(recording: JobRecording, iterations: int) -> None:
+def train(recording: JobRecorder, iterations: int) -> None:
     """Iterations that are logged durably and reported, each with an evaluation of as much return."""
     for iteration in range(1, iterations + 1):
         row = {"iteration": iteration, "env_steps": STEPS * iteration, "wall_s": 1.0 * iteration}
@@ -38,7 +38,7 @@ def train(recording: JobRecording, iterations: int) -> None:
 def test_a_checkpoint_that_was_not_told_of_counts_and_nothing_beyond_it(
     runs: Sequence[Run], last: Event
 ) -> None:
-    recording = JobRecording(runs)
+    recording = JobRecorder(runs)
     train(recording, 8)
     save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the other seed's, and a word
     recording.take(last)
@@ -56,7 +56,7 @@ def test_a_curve_of_two_points_has_no_area(
     runs: Sequence[Run], evaluations: int, area: float | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Normalised by its own range it would be 0.5, whatever was learnt; a straight line's is, too."""
-    recording = JobRecording(runs)
+    recording = JobRecorder(runs)
     train(recording, evaluations)
     save_checkpoint(runs[0].directory / CHECKPOINTS, evaluations, {})
     recording.take(Finished(evaluations, stopped=False))
@@ -70,7 +70,7 @@ def test_a_curve_of_two_points_has_no_area(
 
 
 def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
-    recording = JobRecording(runs)
+    recording = JobRecorder(runs)
     train(recording, 8)
     recording.take(Finished(8, stopped=True))
     result = seed_result(runs[0], recording, "greedy", {}, {})
@@ -82,16 +82,16 @@ def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[R
     log = RunLog(runs[0].directory)
     log.append("curve", [{"iteration": 0, "env_steps": 0, "wall_s": 0.0, "evaluation_greedy/return": 7.0}])
     log.commit(0)
-    recording = JobRecording(runs)
+    recording = JobRecorder(runs)
     recording.take(Finished(0, stopped=True))
     result = seed_result(runs[0], recording, "greedy", {}, {})
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
 
 
 def test_runs_whose_episodes_began_anew_are_tagged_with_every_time(runs: Sequence[Run]) -> None:
-    JobRecording(runs).take(Started(0, ()))
+    JobRecorder(runs).take(Started(0, ()))
     assert "episodes_restarted" not in runs[0].record.tags
     for iteration in (3, 7):
-        JobRecording(runs).take(Started(iteration, (), episodes_restarted=True))
+        JobRecorder(runs).take(Started(iteration, (), episodes_restarted=True))
     for run in runs:
         assert RunRecord.read(run.directory).tags["episodes_restarted"] == "3, 7"

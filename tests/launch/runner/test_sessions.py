@@ -20,7 +20,7 @@ import pytest
 from headway.store import CHECKPOINTS
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
-from headway_launch.runner.runner import Conductor
+from headway_launch.runner.runner import Runner
 from headway_launch.runner.scheduler import StopRequests
 
 pytestmark = pytest.mark.slow
@@ -136,7 +136,7 @@ def test_what_the_store_took_is_told_of_long_trainings(
     seconds: float, told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = SimpleNamespace(recording=SimpleNamespace(trained_s=seconds, store_s=1.0))
-    Conductor._say_what_tracking_took(cast(Conductor, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
+    Runner._say_what_tracking_took(cast(Runner, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
     assert capsys.readouterr().err.startswith("the store: ") == told
 
 

@@ -13,7 +13,7 @@ from headway.training.loop import TrainingJob
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.calibration import Pace, Trial, calibrate
-from headway_launch.runner.jobs import CellPlan, Shares
+from headway_launch.runner.jobs import CellPlan, CoreShares
 from headway_launch.runner.training_process import TrainingProcess, Work
 from headway_launch.studies.dry_run import makespan, spans
 
@@ -95,7 +95,7 @@ def test_cells_share_the_processes_that_measure_them(
 
     paces: dict[int, Pace] = {}
 
-    def kept(cells: Sequence[CellPlan], shares: Shares) -> tuple[dict[int, Pace], str]:
+    def kept(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
         found, modes = calibrate(cells, shares)
         paces.update(found)
         return found, modes

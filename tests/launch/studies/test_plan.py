@@ -16,9 +16,9 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.sweep import compose_sweep
-from headway_launch.runner.cell import CellWork
-from headway_launch.runner.jobs import Shares, workers_of
-from headway_launch.studies.plan import Standing, keep_plan, kept_plans, plan_cells
+from headway_launch.runner.cell import SessionCell
+from headway_launch.runner.jobs import CoreShares, workers_of
+from headway_launch.studies.plan import StudyProgress, keep_plan, kept_plans, plan_cells
 from headway_launch.studies.session import require_all_ended
 
 BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
@@ -55,9 +55,9 @@ def keep_run(
     return run_id
 
 
-def standing(root: Path, *overrides: str) -> Standing:
+def standing(root: Path, *overrides: str) -> StudyProgress:
     [experiment] = compose_sweep([*BASE, f"store.root={root}", *overrides])
-    return Standing.of(root, experiment, RunIndex(root).rows("toys"))
+    return StudyProgress.of(root, experiment, RunIndex(root).rows("toys"))
 
 
 def test_each_seed_stands_where_its_best_run_does(tmp_path: Path) -> None:
@@ -134,8 +134,8 @@ def test_smaller_blocks_than_were_asked_for_are_no_other_configuration(tmp_path:
                "env.max_copies_per_process=2", "backend=process", "evaluation.rules=[]")  # fmt: skip
     [cell] = plan_cells([standing(tmp_path, *limited, "seed=0")])
     store = SessionStore.open(cell.experiment.config.store)
-    work = CellWork(store, cell)
-    [run] = work.runs(cell.jobs[0], Shares(1, 1))
+    work = SessionCell(store, cell)
+    [run] = work.runs(cell.jobs[0], CoreShares(1, 1))
     run.finish("KILLED", {})
     store.close()
     assert read_json(run.directory / "plan.json")["rollout"]["block"] == 2
@@ -143,7 +143,7 @@ def test_smaller_blocks_than_were_asked_for_are_no_other_configuration(tmp_path:
     assert [each.record.run_id for each in found.unfinished] == [run.run_id]
     [cell] = plan_cells([found])
     assert cell.jobs[0].config.rollout.block == 2
-    assert workers_of(cell.jobs[0], Shares(1, 1)) == 4
+    assert workers_of(cell.jobs[0], CoreShares(1, 1)) == 4
     assert cell.experiment.config.rollout.block == 4
 
 

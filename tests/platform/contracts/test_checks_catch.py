@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.adapters.conformance import CHECKS, play
-from headway.contracts import EnvSpec, HeadwayError, Observed, Outcome
+from headway.contracts import EnvSpec, HeadwayError, Observations, StepResult
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
-Change = Callable[[Outcome, Observed, int], None]
+Change = Callable[[StepResult, Observations, int], None]
 
 
 class Broken(Visitors):
@@ -27,48 +27,48 @@ class Broken(Visitors):
     def spec(self) -> EnvSpec:
         return self._promised
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome, observed = super().step(actions)
         self._calls += 1
         self._change(outcome, observed, self._calls)
         return outcome, observed
 
 
-def keep(outcome: Outcome, observed: Observed, call: int) -> None:
+def keep(outcome: StepResult, observed: Observations, call: int) -> None:
     pass
 
 
-def act_while_away(outcome: Outcome, observed: Observed, call: int) -> None:
+def act_while_away(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.acting.fill(True)
 
 
-def set_both(outcome: Outcome, observed: Observed, call: int) -> None:
+def set_both(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.truncated[outcome.episode_ended] = True
     outcome.terminated[outcome.episode_ended] = True
 
 
-def leave_one_running(outcome: Outcome, observed: Observed, call: int) -> None:
+def leave_one_running(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.terminated[:, 0] = outcome.truncated[:, 0] = False
 
 
-def allow_nothing(outcome: Outcome, observed: Observed, call: int) -> None:
+def allow_nothing(outcome: StepResult, observed: Observations, call: int) -> None:
     assert observed.action_masks is not None
     observed.action_masks[:, :3] = False
 
 
-def pay_by_call(outcome: Outcome, observed: Observed, call: int) -> None:
+def pay_by_call(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.rewards[:] += call % 11
 
 
-def pay_by_neighbour(outcome: Outcome, observed: Observed, call: int) -> None:
+def pay_by_neighbour(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.rewards[:] += outcome.rewards[-1].sum()
 
 
-def pay_the_team_where_it_acted(outcome: Outcome, observed: Observed, call: int) -> None:
+def pay_the_team_where_it_acted(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.rewards[:] = outcome.acting
 
 
-def spoil_metrics(outcome: Outcome, observed: Observed, call: int) -> None:
+def spoil_metrics(outcome: StepResult, observed: Observations, call: int) -> None:
     outcome.metrics.fill(np.nan)
 
 
@@ -106,7 +106,7 @@ class Pickled(Visitors):
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         return {"kept": super().snapshot(), "days": {1, 2}}
 
-    def restore(self, snapshot: Any) -> Observed:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         return super().restore(snapshot["kept"])
 
 
@@ -126,7 +126,7 @@ def test_promised_masks_that_are_missing_are_caught() -> None:
 class Overruling(Visitors):
     """Writes into the actions that it is given."""
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         actions[0] = 1 - actions[0].clip(0, 1)
         return super().step(actions)
 
@@ -137,7 +137,7 @@ def test_actions_that_step_replaces_in_place_are_caught() -> None:
 
 
 def test_nan_in_a_live_row_is_caught_while_playing() -> None:
-    def spoil(outcome: Outcome, observed: Observed, call: int) -> None:
+    def spoil(outcome: StepResult, observed: Observations, call: int) -> None:
         if call == 4:
             observed.observations[1] = np.nan
 

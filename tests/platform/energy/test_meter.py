@@ -13,7 +13,7 @@ from headway.config.experiment import EnergyConfig
 from headway.contracts import HeadwayError
 from headway.energy import Energy, EnergyMeter, JobUsage, meter
 from headway.energy.gpu import gpu_shares
-from headway.energy.ledger import Increment, Ledger
+from headway.energy.ledger import EnergyLedger, Increment
 
 GIB = 2**30
 PARTS = ("cpu_kwh", "gpu_kwh", "ram_kwh", "kg_co2")
@@ -26,7 +26,7 @@ def _increment(cpu: float, gpu: float, ram: float) -> Increment:
 @pytest.mark.parametrize("seed", range(20))
 def test_all_shares_sum_to_the_total(seed: int) -> None:
     generator = np.random.default_rng(seed)
-    ledger = Ledger(0.0, cores=2, memory_bytes=8 * GIB)
+    ledger = EnergyLedger(0.0, cores=2, memory_bytes=8 * GIB)
     used = dict.fromkeys("abcd", 0.0)
     running, ended, now = set("abcd"), {}, 0.0
     for _ in range(40):
@@ -51,7 +51,7 @@ def test_all_shares_sum_to_the_total(seed: int) -> None:
 
 
 def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
-    ledger = Ledger(0.0, cores=4, memory_bytes=8 * GIB)
+    ledger = EnergyLedger(0.0, cores=4, memory_bytes=8 * GIB)
     ledger.use(10.0, {"busy": JobUsage(20.0, 2 * GIB), "light": JobUsage(4.0, 0)}, {"busy": 1.0})
     ledger.close_interval(10.0, _increment(40.0, 3.0, 8.0))
     busy, light, idle = *(ledger.shares()[job] for job in ("busy", "light")), ledger.idle()
@@ -63,7 +63,7 @@ def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
 
 
 def test_rare_reports_cost_a_job_nothing() -> None:
-    often, rarely = (Ledger(0.0, cores=1, memory_bytes=GIB) for _ in range(2))
+    often, rarely = (EnergyLedger(0.0, cores=1, memory_bytes=GIB) for _ in range(2))
     for second in range(1, 31):
         often.use(second, {"job": JobUsage(0.9 * second, 0)}, {})
         rarely.use(second, {"job": JobUsage(0.9 * (second // 10 * 10), 0)}, {})
@@ -74,7 +74,7 @@ def test_rare_reports_cost_a_job_nothing() -> None:
 
 
 def test_what_was_used_before_the_measurement_is_not_charged() -> None:
-    ledger = Ledger(100.0, cores=1, memory_bytes=GIB)
+    ledger = EnergyLedger(100.0, cores=1, memory_bytes=GIB)
     ledger.open("job", 50.0)
     ledger.use(110.0, {"job": JobUsage(55.0, 0)}, {})
     ledger.close_interval(110.0, _increment(10.0, 0.0, 0.0))
@@ -82,7 +82,7 @@ def test_what_was_used_before_the_measurement_is_not_charged() -> None:
 
 
 def test_the_unknown_is_never_zero() -> None:
-    ledger = Ledger(0.0, cores=1, memory_bytes=GIB)
+    ledger = EnergyLedger(0.0, cores=1, memory_bytes=GIB)
     ledger.use(1.0, {"job": JobUsage(1.0, GIB)}, {"job": 1.0})
     ledger.close_interval(1.0, Increment(None, None, 2.0, 0.2))
     energy = ledger.settle("job")

@@ -12,7 +12,7 @@ import pytest
 from rehearsal import plan_of_toy
 
 from headway.config.experiment import BackendConfig
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observed, Outcome
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
 from headway.rollout import backends
 from headway.rollout.nan_check import check_finite
 from headway.rollout.plan import RolloutPlan
@@ -279,15 +279,15 @@ def _limited(plan: RolloutPlan, limit: int) -> RolloutPlan:
 SPEC = EnvSpec("bridge", ("north", "south"), 2, Discrete(3), state_size=1)
 
 
-def _step(copies: int = 3) -> tuple[Outcome, Observed]:
+def _step(copies: int = 3) -> tuple[StepResult, Observations]:
     """A step of which nothing is wrong: (C, 2) agents, of whom copy 0's second is absent."""
-    observed = Observed(
+    observed = Observations(
         np.zeros((copies, 2, 2), np.float32),
         np.zeros((copies, 1), np.float32),
         np.ones((copies, 2), np.bool_),
     )
     nobody = np.zeros((copies, 2), np.bool_)
-    outcome = Outcome(
+    outcome = StepResult(
         rewards=np.zeros((copies, 2), np.float32),
         terminated=nobody.copy(),
         truncated=nobody.copy(),

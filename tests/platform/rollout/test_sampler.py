@@ -14,8 +14,8 @@ from headway.contracts import (
     Discrete,
     EnvSpec,
     HeadwayError,
-    Observed,
-    Outcome,
+    Observations,
+    StepResult,
     Trajectory,
     TrajectoryLayout,
     child_seeds,
@@ -25,7 +25,7 @@ from headway.contracts.acting import Parameters
 from headway.rollout import episodes
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, Shard
-from headway.rollout.policy_player import BlockwiseActing
+from headway.rollout.policy_player import PolicyPlayer
 from headway.rollout.sampler import Episode, Sampler
 from headway_envs.toy.trivial import TrivialConfig
 from headway_envs.toy.trivial_parallel import TrivialParallel
@@ -51,11 +51,11 @@ class Clock:
     def num_copies(self) -> int:
         return len(self.seeds)
 
-    def reset(self, seeds: NDArray[np.uint64]) -> Observed:
+    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self.seeds[:] = seeds
         return self._observe()
 
-    def step(self, actions: NDArray[Any]) -> tuple[Outcome, Observed]:
+    def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         self.steps += 1
         self.paid[:] = actions + np.arange(AGENTS)
         ended = self.steps == np.arange(self.num_copies) + 2
@@ -63,7 +63,7 @@ class Clock:
         everyone = np.broadcast_to(ended[:, None], self.paid.shape)
         even = self.episodes[:, None] % 2 == 0
         metrics = np.stack([self.episodes, self.episodes % 2], axis=1).astype(np.float64)
-        outcome = Outcome(
+        outcome = StepResult(
             rewards=self.paid,
             terminated=everyone & ~even,
             truncated=everyone & even,
@@ -80,16 +80,16 @@ class Clock:
     def snapshot(self) -> None:
         raise NotImplementedError
 
-    def restore(self, snapshot: object) -> Observed:
+    def restore(self, snapshot: object) -> Observations:
         raise NotImplementedError
 
     def close(self) -> None:
         pass
 
-    def _observe(self) -> Observed:
+    def _observe(self) -> Observations:
         rows = np.stack([np.arange(self.num_copies), self.episodes, self.steps], axis=1)
         self.observations[:] = rows[:, None]
-        return Observed(
+        return Observations(
             self.observations, self.observations[:, 0, 2:] * 100, np.ones_like(self.paid, np.bool_)
         )
 
@@ -107,7 +107,7 @@ class StepPolicy:
         return generator.random((steps, AGENTS))
 
     def act(
-        self, parameters: Parameters, observed: Observed, noise: NDArray[np.float64] | None
+        self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         self.rows.append(len(observed.observations))
         actions = observed.observations[..., 2].astype(np.int64)
@@ -195,9 +195,9 @@ def test_actions_are_computed_in_blocks_of_all_replicas(copies: int, block: int,
     policy = StepPolicy([])
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, policy, (5, 6, 7), copies, 4, block)
     shown = np.arange(3 * copies * AGENTS * 3, dtype=np.float32).reshape(-1, AGENTS, 3)
-    observed = Observed(shown, np.zeros((len(shown), 1), np.float32), np.ones(shown.shape[:2], np.bool_))
+    observed = Observations(shown, np.zeros((len(shown), 1), np.float32), np.ones(shown.shape[:2], np.bool_))
     noise = shown[..., 0].astype(np.float64)
-    actions, log_probs = BlockwiseActing(plan, copies, block).act({}, observed, noise)
+    actions, log_probs = PolicyPlayer(plan, copies, block).act({}, observed, noise)
     assert policy.rows == rows
     np.testing.assert_array_equal(actions, shown[..., 2])
     np.testing.assert_array_equal(log_probs, noise)
@@ -206,8 +206,8 @@ def test_actions_are_computed_in_blocks_of_all_replicas(copies: int, block: int,
 def test_blocks_are_cut_where_there_is_no_state_too() -> None:
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5, 6), 4, 4, 2)
     shown = np.arange(8 * AGENTS * 3, dtype=np.float32).reshape(-1, AGENTS, 3)
-    observed = Observed(shown, np.zeros((8, 0), np.float32), np.ones(shown.shape[:2], np.bool_))
-    actions, _ = BlockwiseActing(plan, 4, 2).act({}, observed, None)
+    observed = Observations(shown, np.zeros((8, 0), np.float32), np.ones(shown.shape[:2], np.bool_))
+    actions, _ = PolicyPlayer(plan, 4, 2).act({}, observed, None)
     np.testing.assert_array_equal(actions, shown[..., 2])
 
 
@@ -226,7 +226,7 @@ def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
     assert all(row["episode"] == 0 for replica in rows for row in replica)
 
     class Still:
-        def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
             return np.zeros(observed.alive.shape, np.int64)
 
     made.clear()
@@ -312,7 +312,7 @@ def test_a_rule_that_draws_draws_anew_in_every_block() -> None:
         def __init__(self) -> None:
             self.generator = np.random.default_rng(0)
 
-        def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+        def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
             drawn.append(self.generator.random())
             return np.zeros(observed.alive.shape, np.int64)
 

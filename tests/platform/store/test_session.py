@@ -22,7 +22,7 @@ from headway.store.atomic_files import read_json
 from headway.store.checkpoint import save_checkpoint
 from headway.store.run_folder import rules_file
 from headway.store.tracking.client import Tracker
-from headway.store.tracking.thread import Errand
+from headway.store.tracking.thread import TrackingTask
 
 ITERATIONS = 40
 
@@ -277,7 +277,9 @@ def test_a_living_run_that_cannot_be_read_is_told_of_once_and_others_go_on(root:
     broken = _begin(store, seed=0)
     (broken.directory / "curve-000001.parquet").write_bytes(b"no Parquet")
     for iteration in (1, 2, 3):
-        store.follow(Errand(broken._follower.catch_up, broken._follower.forget, broken._follower.catch_up))
+        store.follow(
+            TrackingTask(broken._follower.catch_up, broken._follower.forget, broken._follower.catch_up)
+        )
         broken.record = replace(broken.record, durable_iteration=iteration)
     whole = _begin(store, seed=1)
     _train(whole, 1, ITERATIONS)

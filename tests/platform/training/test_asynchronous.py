@@ -31,7 +31,7 @@ from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 from headway.config.experiment import BackendConfig
 from headway.contracts import Contribution, Contributor, EnvSpec, HeadwayError, Trajectory
 from headway.events import Event, Notice, Started, Usage
-from headway.rollout.async_collector import CrewContributors, SerialContributors
+from headway.rollout.async_collector import PoolContributors, SerialContributors
 from headway.rollout.backends import open_contributors
 from headway.rollout.collector import Contributors
 from headway.rollout.serial_collector import SerialCollector
@@ -40,7 +40,7 @@ from headway.rollout.workers.process_workers import GRACE_S
 from headway.rollout.workers.worker import Contribute, Done
 from headway.rollout.workers.worker_pool import WorkerFailedError
 from headway.training.loop import TrainingJob, train
-from headway.training.modes import Asynchronous
+from headway.training.modes import AsynchronousMode
 from headway_algos.config import ModelConfig
 from headway_algos.registry import ENTRIES
 
@@ -228,11 +228,11 @@ def test_a_contributor_whose_learner_applies_nothing_is_refused_by_its_entry_s_n
 
 
 @contextmanager
-def _opened(job: TrainingJob, notices: list[str]) -> Iterator[CrewContributors]:
+def _opened(job: TrainingJob, notices: list[str]) -> Iterator[PoolContributors]:
     assert job.make_contributor is not None
     plan = AsynchronousPlan(job.plan(), job.make_contributor, job.algo_config, job.contributor_preload)
     with closing(open_contributors(BackendConfig("process"), plan, notices.append)) as contributors:
-        assert isinstance(contributors, CrewContributors)
+        assert isinstance(contributors, PoolContributors)
         contributors.begin()
         yield contributors
 
@@ -273,7 +273,7 @@ def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: P
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
         first, second = map(psutil.Process, contributors.crew.process_ids())
-        mode = Asynchronous(learner, contributors)
+        mode = AsynchronousMode(learner, contributors)
         mode.iterate(1, 0.0)
         first.suspend()
         went_on = [mode.iterate(i, 0.0) for i in range(2, 5)]
@@ -386,7 +386,7 @@ def test_gradients_that_come_as_they_like_are_each_applied_once(
 
         monkeypatch.setattr(contributors, "next_done", next_done)
         first = psutil.Process(contributors.crew.process_ids()[0])
-        mode = Asynchronous(learner, contributors, iterations=12)
+        mode = AsynchronousMode(learner, contributors, iterations=12)
         mode.iterate(1, 0.0)
         first.suspend()
         for iteration in range(2, 6):
@@ -444,7 +444,7 @@ def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> No
     learner: Any = _Recorder(in_turns=False)
     scripted: Any = _Scripted([2, 2, 0, 2, 1, 1])
     contributors: Contributors = scripted
-    mode = Asynchronous(learner, contributors)
+    mode = AsynchronousMode(learner, contributors)
     assert not mode.repeats
     one, two = mode.iterate(1, 0.0), mode.iterate(2, 0.5)
     assert [of for of, _, _ in learner.applied] == ["2@0", "2@1", "0@0", "2@2", "1@0", "1@5"]
@@ -461,7 +461,7 @@ def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> No
 def test_nobody_begins_with_what_the_budget_does_not_hold(in_turns: bool, order: list[int]) -> None:
     learner: Any = _Recorder(in_turns)
     scripted: Any = _Scripted(order)
-    mode = Asynchronous(learner, scripted, iterations=2)
+    mode = AsynchronousMode(learner, scripted, iterations=2)
     mode.iterate(1, 0.0)
     assert len(scripted.tasks) == 3
     mode.iterate(2, 0.5)

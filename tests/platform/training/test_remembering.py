@@ -19,11 +19,11 @@ from rehearsal import (
 )
 from runs import Log, job_of, logs_of, trained
 
-from headway.contracts import Outcome, Trajectory
-from headway.contracts.acting import memory_size
+from headway.contracts import StepResult, Trajectory
+from headway.contracts.acting import hidden_size
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.policy_player import BlockwiseActing
-from headway_algos.acting.gru import RecurrentActingPolicy
+from headway.rollout.policy_player import PolicyPlayer
+from headway_algos.acting.gru import GRUActingPolicy
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_an_agents_memory_is_a_part_of_what_it_does(
     whole: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same network that forgets after every step does something else."""
-    monkeypatch.setattr(BlockwiseActing, "heed", lambda acting, outcome: acting.forget())
+    monkeypatch.setattr(PolicyPlayer, "heed", lambda acting, outcome: acting.forget())
     trained(job := job_of(tmp_path, core="gru"))
     assert logs_of(job) != [whole]
 
@@ -85,15 +85,15 @@ def test_memory_goes_on_between_iterations_and_ends_with_a_stream() -> None:
     assert ended.any()
 
 
-class _Steady(RecurrentActingPolicy):
+class _Steady(GRUActingPolicy):
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         return np.full((steps, self.flat.spec.num_agents), 0.5)
 
 
 def _steadily(plan: RolloutPlan, iterations: int) -> list[Trajectory]:
     """Trajectories under noise that is the same in every iteration."""
-    assert isinstance(plan.policy, RecurrentActingPolicy)
-    plan = replace(plan, policy=_Steady(plan.policy.flat, plan.policy.memory_size))
+    assert isinstance(plan.policy, GRUActingPolicy)
+    plan = replace(plan, policy=_Steady(plan.policy.flat, plan.policy.hidden_size))
     with collector_of(plan, "serial") as collector:
         collector.begin()
         found = []
@@ -115,10 +115,10 @@ def test_blocks_remember_each_its_own_copies(block: int) -> None:
 
 def test_a_trajectory_has_no_room_for_memory_where_there_is_none() -> None:
     plain, remembering = (plan_of_toy("visitors", core=core) for core in ("none", "gru"))
-    assert (memory_size(plain.policy), memory_size(remembering.policy)) == (0, 4)
+    assert (hidden_size(plain.policy), hidden_size(remembering.policy)) == (0, 4)
     assert Trajectory.allocate(plain.layout).memory.size == 0
     assert Trajectory.allocate(remembering.layout).memory.shape == (1, 4, 3, 4)
-    plain_acting, acting = (BlockwiseActing(plan, 4, 4) for plan in (plain, remembering))
+    plain_acting, acting = (PolicyPlayer(plan, 4, 4) for plan in (plain, remembering))
     assert plain_acting.snapshot() == {}
     assert acting.snapshot().keys() == {"memory", "begins"}
 
@@ -139,13 +139,13 @@ def test_without_snapshots_all_is_forgotten_with_the_episodes(tmp_path: Path) ->
 
 def test_who_is_terminated_or_truncated_forgets_and_no_one_else() -> None:
     plan = plan_of_toy("visitors", core="gru")
-    acting = BlockwiseActing(plan, 2, 2)
+    acting = PolicyPlayer(plan, 2, 2)
     assert acting.memory is not None
     acting.memory.fill(1)
     over, none = np.zeros((2, 3), np.bool_), np.zeros((2, 0))
     over[1, 1:] = True
     acting.heed(
-        Outcome(
+        StepResult(
             rewards=none,
             terminated=over,
             truncated=over[::-1],

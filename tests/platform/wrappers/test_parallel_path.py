@@ -17,7 +17,7 @@ from same_game import prepared
 from headway.adapters.conformance import play
 from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
 from headway.adapters.pettingzoo import ParallelEnvBatch, episode_seed
-from headway.contracts import BatchedEnv, HeadwayError, Observed, RuleEntry, WrapperEntry
+from headway.contracts import BatchedEnv, HeadwayError, Observations, RuleEntry, WrapperEntry
 from headway.registry import env_entry, wrapper_entries
 from headway.rollout.episodes import evaluate_rule
 from headway.wrappers import parallel
@@ -255,7 +255,7 @@ def test_behind_a_wrapper_that_changes_what_actions_mean_only_random_is_left() -
 class Defend:
     """A rule of an environment that another package has written as a ParallelEnv."""
 
-    def act(self, env: BatchedEnv, observed: Observed) -> NDArray[np.int64]:
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         assert isinstance(env, ParallelEnvBatch)
         assert observed.observations.shape[-1] == 2
         return np.ones(observed.alive.shape, dtype=np.int64)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from headway.contracts import EnvSpec, Trajectory
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
-from headway_algos.on_policy.behaviour_policy import Behaviour
+from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
-from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.value import ValueCritic
 
 
@@ -20,12 +20,12 @@ class Critic(Protocol):
     """Turns experience into advantages, and learns from it to judge better. Whatever it carries from one
     iteration to the next is in its state."""
 
-    def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
+    def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """Advantages, and what `fit` learns from; changes nothing. `behaviour` is of the policies that
         acted; `iteration` is for random draws."""
         ...
 
-    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+    def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """Learn what values should have been. Returns metrics by name, each (R,)."""
         ...
 

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, generator
-from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
-from headway_algos.on_policy.behaviour_policy import Behaviour
-from headway_algos.on_policy.critics.critic_inputs import CounterfactualView
-from headway_algos.on_policy.critics.estimate import Estimate
-from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
+from headway_algos.on_policy.critics.critic_inputs import CounterfactualInputs
+from headway_algos.on_policy.critics.estimate import CriticEstimate
+from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
 from headway_algos.on_policy.critics.reward_streams import lambda_advantages
 from headway_algos.on_policy.gae import counterfactual_advantages
 
@@ -55,41 +55,41 @@ class CounterfactualCritic:
                 "use critic: local or central"
             )
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.view = CounterfactualView(config, spec, grouping)
+        self.view = CounterfactualInputs(config, spec, grouping)
         self.layout = Layout(self.view.grouping, len(seeds), device, dtype)
         self.networks = ReturnNetworks(config, self.view, spec.action_space.n, seeds, self.layout)
         self.target = deepcopy(self.networks).requires_grad_(False)
-        self.regression = Regression(config, self.view, seeds, self.networks, self.layout)
+        self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
         self.fits = 0
 
     def action_values(
-        self, networks: ReturnNetworks, scene: Scene, memories: Memories | None = None
+        self, networks: ReturnNetworks, scene: CriticBatch, memories: HiddenStates | None = None
     ) -> NDArray[np.float64]:
         """Q (M, C, N, A) of each own action, the others' as in the scene; in units of return. `memories`:
         what these networks remembered, if they do."""
         return self._by_agent(networks, networks.inputs(*self._rows(scene)), scene, memories)
 
-    def _rows(self, scene: Scene) -> tuple[Tensor, Tensor]:
+    def _rows(self, scene: CriticBatch) -> tuple[Tensor, Tensor]:
         """What is seen, not normalised, (P, B, seen_size), and indicators (P, B, indicator_size)."""
         return self.layout.rows(self.view.seen(scene)), self.layout.rows(self.view.indicators(scene))
 
     def _by_agent(
-        self, networks: ReturnNetworks, inputs: Tensor, scene: Scene, memories: Memories | None
+        self, networks: ReturnNetworks, inputs: Tensor, scene: CriticBatch, memories: HiddenStates | None
     ) -> NDArray[np.float64]:
         """Q (M, C, N, A) of a scene's network inputs (P, B, input_size)."""
         memory = None if memories is None else self.layout.rows(scene.remembered(memories))
         action_values = networks.predict(inputs, memory).transpose(1, 2)
         return self.layout.by_agent(action_values, len(scene.observations))
 
-    def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
+    def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """See `headway_algos.on_policy.critics.Critic`."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        scene = Scene.of_steps(trajectory)
+        scene = CriticBatch.of_steps(trajectory)
         assert scene.actions is not None
         taken = scene.actions[..., None]
         rows = self._rows(scene)
 
-        def worth(scene: Scene) -> NDArray[np.float64]:
+        def worth(scene: CriticBatch) -> NDArray[np.float64]:
             drawn = behaviour.drawn(scene, random)
             action_values = self.action_values(self.target, drawn, target_memories)
             return np.asarray((behaviour.probabilities(scene) * action_values).sum(axis=-1))
@@ -104,7 +104,7 @@ class CounterfactualCritic:
         inputs = self.networks.inputs(*rows)
         memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
         action_values = self._by_agent(self.networks, inputs, scene, memories)
-        return Estimate(
+        return CriticEstimate(
             counterfactual_advantages(action_values, scene.actions, behaviour.probabilities(scene), present),
             np.take_along_axis(action_values, taken, axis=-1)[..., 0],
             ahead + target_values,
@@ -115,7 +115,7 @@ class CounterfactualCritic:
             target_memories,
         )
 
-    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+    def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """See `headway_algos.on_policy.critics.Critic`; renews the target network when it is due."""
         metrics = self.regression.fit(estimate, iteration)
         self.target.carry(estimate.target_memories)

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec
 from headway_algos.acting.mlp import actor_outputs
-from headway_algos.batches.critic_batch import Scene
+from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.layout import zero_where_absent
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 
 
-class View(Protocol):
+class CriticInputs(Protocol):
     """What a critic sees from each of W viewpoints: N agents, or 1 for a whole team."""
 
     grouping: Grouping
@@ -30,16 +30,16 @@ class View(Protocol):
     seen_size: int
     indicator_size: int
 
-    def seen(self, scene: Scene) -> NDArray[np.float32]:
+    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
         """Measurements, to be normalised: (M, C, W, seen_size)."""
         ...
 
-    def indicators(self, scene: Scene) -> NDArray[np.float32] | None:
+    def indicators(self, scene: CriticBatch) -> NDArray[np.float32] | None:
         """What is taken as it is, (M, C, W, indicator_size): actions, and who looks; None where size is 0."""
         ...
 
 
-class LocalView:
+class LocalInputs:
     """V(o): each agent's own observation, one critic a policy."""
 
     team = whole = asks_actions = False
@@ -48,15 +48,15 @@ class LocalView:
         self.grouping, self.viewpoints = grouping, spec.num_agents
         self.seen_size, self.indicator_size = spec.observation_size, 0
 
-    def seen(self, scene: Scene) -> NDArray[np.float32]:
+    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
         """The observations themselves."""
         return scene.observations
 
-    def indicators(self, scene: Scene) -> None:
+    def indicators(self, scene: CriticBatch) -> None:
         """None."""
 
 
-class CentralView:
+class CentralInputs:
     """V(s): the global state, or all observations in a row where the environment gives none.
 
     For a shared team reward there is one critic a replica, with one viewpoint. Otherwise there is one a
@@ -77,17 +77,17 @@ class CentralView:
         self.seen_size = _state_size(spec) + (spec.observation_size if self.own_observation else 0)
         self.indicator_size = spec.num_agents * actor_outputs(spec) if self.asks_actions else 0
 
-    def seen(self, scene: Scene) -> NDArray[np.float32]:
+    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
         """The state from every viewpoint, and the own observation where that tells viewpoints apart."""
         state = _from_everywhere(_state(scene, self.has_state), self.viewpoints)
         return np.concatenate([state, scene.observations], axis=-1) if self.own_observation else state
 
-    def indicators(self, scene: Scene) -> NDArray[np.float32] | None:
+    def indicators(self, scene: CriticBatch) -> NDArray[np.float32] | None:
         """The others' actions, if asked for."""
         return others_actions(scene, self.space) if self.asks_actions else None
 
 
-class CounterfactualView:
+class CounterfactualInputs:
     """Q(s, u^-a, o^a, id_a): state, own observation, the others' actions and who looks (Foerster et al.
     2018, arXiv:1705.08926, section 4).
 
@@ -104,12 +104,12 @@ class CounterfactualView:
         self.seen_size = _state_size(spec) + spec.observation_size
         self.indicator_size = spec.num_agents * (actor_outputs(spec) + 1)
 
-    def seen(self, scene: Scene) -> NDArray[np.float32]:
+    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
         """State and own observation."""
         state = _from_everywhere(_state(scene, self.has_state), self.viewpoints)
         return np.concatenate([state, scene.observations], axis=-1)
 
-    def indicators(self, scene: Scene) -> NDArray[np.float32]:
+    def indicators(self, scene: CriticBatch) -> NDArray[np.float32]:
         """The others' actions, one-hot, and the agent's index, one-hot."""
         agents = np.eye(self.viewpoints, dtype=np.float32)
         index = np.broadcast_to(agents, (*scene.present.shape[:2], *agents.shape))
@@ -120,7 +120,7 @@ def _state_size(spec: EnvSpec) -> int:
     return spec.state_size or spec.num_agents * spec.observation_size
 
 
-def _state(scene: Scene, has_state: bool) -> NDArray[np.float32]:
+def _state(scene: CriticBatch, has_state: bool) -> NDArray[np.float32]:
     """(M, C, S)"""
     return scene.states if has_state else scene.observations.reshape(*scene.observations.shape[:2], -1)
 
@@ -130,7 +130,7 @@ def _from_everywhere(seen: NDArray[np.float32], viewpoints: int) -> NDArray[np.f
     return np.broadcast_to(seen[:, :, None], (*seen.shape[:2], viewpoints, seen.shape[2]))
 
 
-def others_actions(scene: Scene, space: ActionSpace) -> NDArray[np.float32]:
+def others_actions(scene: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:
     """(M, C, N, N x A): what each agent's teammates chose, one block of A a teammate: one-hot if Discrete,
     the action as the environment cuts it if Box. Zeros stand in the agent's own block and in those of
     absent agents.
@@ -153,7 +153,7 @@ def others_actions(scene: Scene, space: ActionSpace) -> NDArray[np.float32]:
     return blocks.reshape(*blocks.shape[:3], -1)
 
 
-VIEWS: dict[str, Callable[[AlgoConfig, EnvSpec, Grouping], View]] = {
-    "local": LocalView,
-    "central": CentralView,
+VIEWS: dict[str, Callable[[AlgoConfig, EnvSpec, Grouping], CriticInputs]] = {
+    "local": LocalInputs,
+    "central": CentralInputs,
 }

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.hidden_states import HiddenStates
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CriticEstimate:
     """Judgement of T steps of C copies from W viewpoints (N agents, or 1 for a whole team), and what the
     critic is to learn from them."""
 
@@ -26,7 +26,7 @@ class Estimate:
     """Rows (P, B, input_size) of the critic's networks, normalised."""
     taken: Tensor | None = None
     """(P, B): which of the networks' outputs was meant; None where they have one."""
-    memories: Memories | None = None
+    memories: HiddenStates | None = None
     """What the networks remembered, where they do."""
-    target_memories: Memories | None = None
+    target_memories: HiddenStates | None = None
     """What a target network remembered, where there is one that does."""

@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway.contracts import Trajectory, generator
-from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout, Piece, even_slices
 from headway_algos.batches.sequences import learning_batches
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.gru import RecurrentNetwork, make_network
-from headway_algos.networks.normalisation import RunningMoments
+from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.passes import PerceptronPass, forward_pass
 from headway_algos.networks.timeline import Timeline
-from headway_algos.on_policy.critics.critic_inputs import View
-from headway_algos.on_policy.critics.estimate import Estimate
-from headway_algos.on_policy.critics.reward_streams import Streams, presence
+from headway_algos.on_policy.critics.critic_inputs import CriticInputs
+from headway_algos.on_policy.critics.estimate import CriticEstimate
+from headway_algos.on_policy.critics.reward_streams import RewardStreams, presence
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.fast_path import Learn, regression, uncut
-from headway_algos.optim.kfac_regression import NaturalRegression
+from headway_algos.optim.kfac_regression import KFACRegression
 
 
 class ReturnNetworks(nn.Module):
     """P networks, their input normalisers, and the moments of the returns that they speak in."""
 
     def __init__(
-        self, config: AlgoConfig, view: View, outputs: int, seeds: Sequence[int], layout: Layout
+        self, config: AlgoConfig, view: CriticInputs, outputs: int, seeds: Sequence[int], layout: Layout
     ) -> None:
         super().__init__()
         self.config = config
@@ -40,8 +40,8 @@ class ReturnNetworks(nn.Module):
         self.network = make_network(model, seeds, networks, "critic", sizes, 1.0, layout.dtype)
         self.carried: NDArray[Any] | None = None
         """(C, W, M): what networks that remember did after the last trajectory they learned from."""
-        self.input_moments = RunningMoments(len(seeds) * networks, view.seen_size)
-        self.return_moments = RunningMoments(len(seeds) * networks, 1)
+        self.input_moments = RunningStatistics(len(seeds) * networks, view.seen_size)
+        self.return_moments = RunningStatistics(len(seeds) * networks, 1)
         self.to(layout.device)
 
     def inputs(self, seen: Tensor, indicators: Tensor | None) -> Tensor:
@@ -67,22 +67,24 @@ class ReturnNetworks(nn.Module):
             outputs = outputs * self.return_moments.std + self.return_moments.mean
         return outputs
 
-    def replayed(self, inputs: Tensor, trajectory: Trajectory, view: View, layout: Layout) -> Memories | None:
+    def replayed(
+        self, inputs: Tensor, trajectory: Trajectory, view: CriticInputs, layout: Layout
+    ) -> HiddenStates | None:
         """What networks that remember do along a trajectory, from where the last one left them; of others
         None. `inputs` (P, B, input_size) are those of its steps."""
         if not isinstance(self.network, RecurrentNetwork):
             return None
-        streams = Streams.of(trajectory, view)
+        streams = RewardStreams.of(trajectory, view)
         keeps = np.broadcast_to(streams.present[:-1], streams.rewards.shape)
         start = self.carried
         if start is None:
             start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
         begins = streams.begins(trajectory, view)
-        return Memories.replayed(
+        return HiddenStates.replayed(
             self.network, inputs, start, begins, keeps, layout, self.config.piece_samples
         )
 
-    def carry(self, memories: Memories | None) -> None:
+    def carry(self, memories: HiddenStates | None) -> None:
         """Go on, at the next trajectory, from what was remembered at the end of this one."""
         if memories is not None:
             self.carried = memories.after_the_last_step[0]
@@ -96,17 +98,22 @@ class ReturnNetworks(nn.Module):
         self.carried = None if state is None else state.cpu().numpy().copy()
 
 
-class Regression:
+class ReturnRegression:
     """Networks that regress on returns by minibatches, each with its own."""
 
     def __init__(
-        self, config: AlgoConfig, view: View, seeds: Sequence[int], networks: ReturnNetworks, layout: Layout
+        self,
+        config: AlgoConfig,
+        view: CriticInputs,
+        seeds: Sequence[int],
+        networks: ReturnNetworks,
+        layout: Layout,
     ) -> None:
         self.config, self.view, self.seeds = config, view, tuple(seeds)
         self.networks, self.layout = networks, layout
         self.optimiser = _optimiser(config, networks.network)
 
-    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+    def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """Learn the returns where present. `loss`, (R,), is the mean squared error in normalised units;
         `explained_variance`, (R,), is of the values before.
 
@@ -147,7 +154,7 @@ class Regression:
             "explained_variance": explained_variance(estimate, layout.replicas),
         }
 
-    def _learn(self, piece: Piece, estimate: Estimate, targets: Tensor) -> Tensor:
+    def _learn(self, piece: Piece, estimate: CriticEstimate, targets: Tensor) -> Tensor:
         """Add a piece's gradients; returns its share of the loss, (P,)."""
         taken = None if estimate.taken is None else piece.of(estimate.taken)
         passed = forward_pass(self.networks.network, piece.of(estimate.inputs), piece.timeline)
@@ -164,7 +171,7 @@ class Regression:
             else:
                 of_outputs = torch.zeros_like(outputs).scatter_(1, taken[:, None], slope[:, None])
             passed.send_back(of_outputs)
-            if isinstance(self.optimiser, NaturalRegression):
+            if isinstance(self.optimiser, KFACRegression):
                 assert isinstance(passed, PerceptronPass)
                 self.optimiser.include(passed.linear, taken, piece.weight)
             return (error * piece.weight).sum(1)
@@ -176,7 +183,7 @@ class Regression:
     def absorb(self, trajectory: Trajectory) -> None:
         """Add an iteration's inputs to the normaliser's statistics."""
         if self.config.normalise_observations:
-            seen = self.layout.rows(self.view.seen(Scene.of_steps(trajectory)))
+            seen = self.layout.rows(self.view.seen(CriticBatch.of_steps(trajectory)))
             selected = self.layout.selection(presence(trajectory.alive[:-1], self.view))
             self.networks.input_moments.include(seen, selected)
 
@@ -201,13 +208,13 @@ class Regression:
         self.networks.load_carried(state.get("memory"))
 
 
-def _optimiser(config: AlgoConfig, network: nn.Module) -> StackedAdam | NaturalRegression:
+def _optimiser(config: AlgoConfig, network: nn.Module) -> StackedAdam | KFACRegression:
     if config.critic_update == "kfac":
-        return NaturalRegression(network, config)
+        return KFACRegression(network, config)
     return StackedAdam(network.parameters(), config.critic_lr or config.lr, config.grad_clip)
 
 
-def explained_variance(estimate: Estimate, replicas: int) -> NDArray[np.float64]:
+def explained_variance(estimate: CriticEstimate, replicas: int) -> NDArray[np.float64]:
     """1 - Var(returns - values) / Var(returns) of each replica, (R,); NaN where returns do not vary."""
     result = np.full(replicas, np.nan)
     steps, copies, viewpoints = estimate.present.shape

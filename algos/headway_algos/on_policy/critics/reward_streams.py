@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, Trajectory
-from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.layout import Endings
+from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.layout import Truncations
 from headway_algos.config import AlgoConfig
-from headway_algos.on_policy.critics.critic_inputs import View
+from headway_algos.on_policy.critics.critic_inputs import CriticInputs
 from headway_algos.on_policy.gae import generalised_advantages, with_teammates_values
 
 
 @dataclass(frozen=True)
-class Streams:
+class RewardStreams:
     """Rewards and their ends, from each of W viewpoints."""
 
     rewards: NDArray[np.float64]
@@ -28,7 +28,7 @@ class Streams:
     """(T + 1, C, W)"""
 
     @classmethod
-    def of(cls, trajectory: Trajectory, view: View) -> "Streams":
+    def of(cls, trajectory: Trajectory, view: CriticInputs) -> "RewardStreams":
         """Each agent's own, or the team's: that goes on until the episode ends, whoever is present."""
         rewards = trajectory.rewards.astype(np.float64)
         terminated, truncated = trajectory.terminated, trajectory.truncated
@@ -40,7 +40,7 @@ class Streams:
             terminated, truncated = (np.broadcast_to(a, rewards.shape) for a in (terminated, truncated))
         return cls(rewards, terminated, truncated, presence(trajectory.alive, view))
 
-    def begins(self, trajectory: Trajectory, view: View) -> NDArray[np.bool_]:
+    def begins(self, trajectory: Trajectory, view: CriticInputs) -> NDArray[np.bool_]:
         """(T + 1, C, W): a stream begins with the step, or, in the last row, with what comes after."""
         first = trajectory.begins
         if view.team:
@@ -48,16 +48,16 @@ class Streams:
         return np.concatenate([first, self.terminated | self.truncated])
 
 
-def presence(alive: NDArray[np.bool_], view: View) -> NDArray[np.bool_]:
+def presence(alive: NDArray[np.bool_], view: CriticInputs) -> NDArray[np.bool_]:
     """(M, C, N) -> (M, C, W): where there is a value to speak of."""
     return np.ones((*alive.shape[:2], 1), np.bool_) if view.whole else alive
 
 
 def lambda_advantages(
     trajectory: Trajectory,
-    view: View,
+    view: CriticInputs,
     values: NDArray[np.float64],
-    worth: Callable[[Scene], NDArray[np.float64]],
+    worth: Callable[[CriticBatch], NDArray[np.float64]],
     config: AlgoConfig,
     spec: EnvSpec,
     replicas: int,
@@ -67,12 +67,12 @@ def lambda_advantages(
     `worth` values what no step of the trajectory begins with, scenes of (M, C) -> (M, C, W): what comes
     after the last step, and the final observations of streams that were truncated.
     """
-    streams = Streams.of(trajectory, view)
-    values = np.concatenate([values, worth(Scene.after_the_last_step(trajectory))])
-    endings = Endings.of(trajectory, replicas)
+    streams = RewardStreams.of(trajectory, view)
+    values = np.concatenate([values, worth(CriticBatch.after_the_last_step(trajectory))])
+    endings = Truncations.of(trajectory, replicas)
     final_values = np.zeros(streams.rewards.shape)
     if len(endings):
-        final_values = endings.put(worth(Scene.after_endings(trajectory, endings)), final_values.shape)
+        final_values = endings.put(worth(CriticBatch.after_endings(trajectory, endings)), final_values.shape)
     present = streams.present
     if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
         values, present = with_teammates_values(values, present, () if spec.shared_reward else spec.groups)

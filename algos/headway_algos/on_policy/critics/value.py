@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory, generator
-from headway_algos.batches.critic_batch import Scene
-from headway_algos.batches.hidden_states import Memories
+from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
-from headway_algos.on_policy.behaviour_policy import Behaviour
+from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics.critic_inputs import VIEWS
-from headway_algos.on_policy.critics.estimate import Estimate
-from headway_algos.on_policy.critics.return_regression import Regression, ReturnNetworks
+from headway_algos.on_policy.critics.estimate import CriticEstimate
+from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
 from headway_algos.on_policy.critics.reward_streams import lambda_advantages, presence
 
 
@@ -42,9 +42,9 @@ class ValueCritic:
         self.view = VIEWS[config.critic](config, spec, grouping)
         self.layout = Layout(self.view.grouping, len(seeds), device, dtype)
         self.networks = ReturnNetworks(config, self.view, 1, seeds, self.layout)
-        self.regression = Regression(config, self.view, seeds, self.networks, self.layout)
+        self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
 
-    def rows(self, scene: Scene) -> Tensor:
+    def rows(self, scene: CriticBatch) -> Tensor:
         """Network inputs (P, B, input_size)."""
         indicators = self.view.indicators(scene)
         shown = None if indicators is None else self.layout.rows(indicators)
@@ -57,31 +57,31 @@ class ValueCritic:
         `viewpoints`: W, where it is fewer than all."""
         return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments, viewpoints)
 
-    def _memory(self, scene: Scene, memories: Memories | None) -> Tensor | None:
+    def _memory(self, scene: CriticBatch, memories: HiddenStates | None) -> Tensor | None:
         """(P, B, M): what the networks remembered at the moments of a scene, if they do."""
         return None if memories is None else self.layout.rows(scene.remembered(memories))
 
-    def estimate(self, trajectory: Trajectory, behaviour: Behaviour, iteration: int) -> Estimate:
+    def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """See `headway_algos.on_policy.critics.Critic`."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
         there = presence(trajectory.alive, self.view).shape[2]
         viewpoints = there if there < self.view.viewpoints else None
 
-        def worth(scene: Scene) -> NDArray[np.float64]:
+        def worth(scene: CriticBatch) -> NDArray[np.float64]:
             shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene
             moments = len(shown.observations)
             return self.values(self.rows(shown), moments, self._memory(shown, memories), viewpoints)
 
-        scene = Scene.of_steps(trajectory)
+        scene = CriticBatch.of_steps(trajectory)
         inputs = self.rows(scene)
         memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
         values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories), viewpoints)
         advantages, present = lambda_advantages(
             trajectory, self.view, values, worth, self.config, self.spec, self.layout.replicas
         )
-        return Estimate(advantages, values, advantages + values, present, inputs, memories=memories)
+        return CriticEstimate(advantages, values, advantages + values, present, inputs, memories=memories)
 
-    def fit(self, estimate: Estimate, iteration: int) -> dict[str, NDArray[np.float64]]:
+    def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """See `headway_algos.on_policy.critics.Critic`."""
         return self.regression.fit(estimate, iteration)
 

@@ -7,7 +7,7 @@ import numpy as np
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.a2c import A2C
@@ -24,7 +24,7 @@ class Update(Protocol):
     config: AlgoConfig
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """Move the policies along advantages (P, B), used as they come; generators (P,) are for whatever it
         shuffles or draws. Rows of policies that remember are told in which sequences they stand.

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
@@ -29,7 +29,7 @@ class A2C:
         self.optimiser = StackedAdam(actor.learnable, config.lr, config.grad_clip)
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """See `headway_algos.on_policy.updates.Update`; there is nothing to shuffle."""
         batch = WholeBatch.of(rows, advantages)

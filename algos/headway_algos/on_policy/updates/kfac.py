@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
@@ -35,7 +35,7 @@ class KFAC:
         self.optimiser = StackedKFAC(actor.network, actor.log_std, config, config.lr, config.kl_bound)
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """See `headway_algos.on_policy.updates.Update`; the generators draw the Fisher information's actions.
 

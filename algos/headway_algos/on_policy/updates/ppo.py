@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout, Piece, even_slices
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.sequences import learning_batches, over_rows
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
@@ -26,7 +26,7 @@ def slope_of_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor
     return torch.where(gained > ratio.clamp(1 - clip, 1 + clip) * advantages, 0, gained)
 
 
-def _network_outputs(actor: Actor, rows: PolicyRows, config: AlgoConfig) -> Tensor:
+def _network_outputs(actor: Actor, rows: PolicyBatch, config: AlgoConfig) -> Tensor:
     """Network outputs (P, B, A) of all rows."""
     if rows.sequences is not None:
         return over_rows(actor.network, rows.observations, rows.sequences, config.piece_samples)
@@ -46,7 +46,7 @@ class PPO:
         self.kl_coeff = torch.full((policies,), config.kl_coeff, device=layout.device, dtype=layout.dtype)
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """See `headway_algos.on_policy.updates.Update`."""
         actor, config, layout = self.actor, self.config, self.layout
@@ -82,7 +82,7 @@ class PPO:
     def _learn(
         self,
         piece: Piece,
-        rows: PolicyRows,
+        rows: PolicyBatch,
         advantages: Tensor,
         old_outputs: Tensor | None,
         old_log_std: Tensor | None,
@@ -149,7 +149,11 @@ def adapted(kl_coeff: Tensor, kl: Tensor, target: float) -> Tensor:
 
 
 def _mean_kl(
-    actor: Actor, rows: PolicyRows, old_outputs: Tensor | None, old_log_std: Tensor | None, config: AlgoConfig
+    actor: Actor,
+    rows: PolicyBatch,
+    old_outputs: Tensor | None,
+    old_log_std: Tensor | None,
+    config: AlgoConfig,
 ) -> Tensor:
     """Mean KL(old || new) of each policy over its selected rows, (P,)."""
     assert old_outputs is not None

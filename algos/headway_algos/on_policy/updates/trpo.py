@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
@@ -32,7 +32,7 @@ class TRPO:
         self.actor, self.config, self.share = actor, config, 1.0
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+        self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """See `headway_algos.on_policy.updates.Update`; there is nothing to shuffle."""
         actor, config = self.actor, self.config

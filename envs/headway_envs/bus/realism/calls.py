@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Observed, Rule
+from headway.contracts import HeadwayError, Observations, Rule
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.network import pattern_rows
@@ -121,12 +121,12 @@ def _stated_date(tables: Tables, day_type: str) -> str:
         ) from None
 
 
-def _always_move(slots: int) -> Callable[[Observed], NDArray[np.int64]]:
+def _always_move(slots: int) -> Callable[[Observations], NDArray[np.int64]]:
     actions = np.ones((1, slots), np.int64)
     return lambda _: actions
 
 
-def _by(rule: Rule, env: BusBatchedEnv) -> Callable[[Observed], NDArray[np.int64]]:
+def _by(rule: Rule, env: BusBatchedEnv) -> Callable[[Observations], NDArray[np.int64]]:
     return lambda observed: np.asarray(rule.act(env, observed), np.int64)
 
 

@@ -67,7 +67,7 @@ def _crossing(config: IntersectionConfig, network: Network) -> NDArray[np.void]:
     return crossing
 
 
-class Street:
+class SumoBridge:
     """Keeps a roster in step with SUMO. Vehicles are read and commanded in the order in which they came.
 
     After `advance` speeds and places are still those before: the kernel has yet to take the `answers` in.

@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.progress_display import Counted
+from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
@@ -44,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.tables import print_table
 
     tables = scenario_tables(arguments.scenario, arguments.seed)
-    with Counted("day types described", len(DAY_TYPES)) as counted:
+    with CountedProgress("day types described", len(DAY_TYPES)) as counted:
         days = by_day_type(tables, counted.add)
     if not days:
         raise HeadwayError(f"scenario '{arguments.scenario}' has trips of no weekday and no sunday")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.progress_display import Counted
+from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from headway_envs.bus.config import BusConfig
@@ -69,7 +69,7 @@ def execute(arguments: argparse.Namespace) -> int:
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
     config = replace(config, day_type="weekday" if day == "weekday" else "sunday")
     records = Path(arguments.records) if arguments.records else None
-    with Counted("days simulated", arguments.days) as simulated:
+    with CountedProgress("days simulated", arguments.days) as simulated:
         rows = compare_replay(tables, config, arguments.days, records, simulated.add)
     if arguments.format == "csv":
         writer = csv.writer(sys.stdout, lineterminator="\n")

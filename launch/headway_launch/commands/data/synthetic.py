@@ -9,7 +9,7 @@ from headway_launch.commands.data.writing import (
     tell_written,
     write_scenario,
 )
-from headway_launch.console.progress_display import Counted
+from headway_launch.console.progress_display import CountedProgress
 
 EXAMPLES = """\
 examples:
@@ -44,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
     out = check_output(arguments)
     from headway_envs.bus.scenario.synthetic import generate, lines_of
 
-    with Counted("lines with a timetable", lines_of(arguments.size)) as counted:
+    with CountedProgress("lines with a timetable", lines_of(arguments.size)) as counted:
         tables = generate(arguments.size, arguments.seed, counted.add)
     write_scenario(tables, out)
     tell_written(tables, out)

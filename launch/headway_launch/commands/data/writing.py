@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.progress_display import Counted
-from headway_launch.console.unwritten import unwritten
+from headway_launch.console.figures import unwritten
+from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
@@ -94,7 +94,7 @@ def tell_written(tables: "Tables", out: Path) -> None:
         f"{out}: {tables.patterns['line'].nunique():,} lines, {len(tables.patterns):,} patterns, "
         f"{len(tables.stops):,} stops, {len(tables.links):,} links"
     )
-    with Counted("day types described", len(DAY_TYPES)) as counted:
+    with CountedProgress("day types described", len(DAY_TYPES)) as counted:
         days = by_day_type(tables, counted.add)
     for day in days:
         print(

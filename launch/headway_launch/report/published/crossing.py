@@ -7,7 +7,7 @@ import pandas as pd
 
 from headway_launch.report.parts import MISSING, Part, Section, Table, with_interval
 from headway_launch.report.published.episodes import (
-    Figure,
+    MetricColumn,
     env_of,
     learner_figures,
     rule_figures,
@@ -25,19 +25,19 @@ ENVIRONMENT = "intersection"
 HUMANS = "human"
 """The rule by which SUMO drives all vehicles, with right of way."""
 FIGURES = (
-    Figure("paper_return", "reward (their sum)", 0),
-    Figure("sumo_steps", "steps", 0),
-    Figure("inflow_vph", "inflow, veh/h", 0),
-    Figure("outflow_vph", "outflow, veh/h", 0),
-    Figure("efficiency", "efficiency", 3),
-    Figure("collisions", "collisions", 2),
-    Figure("speed", "speed, m/s", 2),
-    Figure("fuel_gal_s", "fuel, gal/s", 6),
-    Figure("vehicles", "vehicles", 1),
-    Figure("speed_av", "AVs' speed, m/s", 2),
-    Figure("acceleration_av", "AVs' acceleration, m/s²", 2),
-    Figure("hardest_braking_av", "AVs' hardest braking, m/s²", 1),
-    Figure("fairness_jain", "fairness", 3),
+    MetricColumn("paper_return", "reward (their sum)", 0),
+    MetricColumn("sumo_steps", "steps", 0),
+    MetricColumn("inflow_vph", "inflow, veh/h", 0),
+    MetricColumn("outflow_vph", "outflow, veh/h", 0),
+    MetricColumn("efficiency", "efficiency", 3),
+    MetricColumn("collisions", "collisions", 2),
+    MetricColumn("speed", "speed, m/s", 2),
+    MetricColumn("fuel_gal_s", "fuel, gal/s", 6),
+    MetricColumn("vehicles", "vehicles", 1),
+    MetricColumn("speed_av", "AVs' speed, m/s", 2),
+    MetricColumn("acceleration_av", "AVs' acceleration, m/s²", 2),
+    MetricColumn("hardest_braking_av", "AVs' hardest braking, m/s²", 1),
+    MetricColumn("fairness_jain", "fairness", 3),
 )
 PUBLISHED_NAMES = {"ippo": "PPO", "a3c": "A3C", "ddpg": "DDPG"}
 COMPARED = (FIGURES[3], FIGURES[5])

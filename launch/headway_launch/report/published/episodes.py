@@ -14,7 +14,7 @@ from headway_launch.studies.runs import configuration
 
 
 @dataclass(frozen=True)
-class Figure:
+class MetricColumn:
     """One column of a table: a metric of the episodes, as it is headed."""
 
     metric: str
@@ -34,7 +34,7 @@ def env_of(data: StudyData, task: str) -> dict[str, Any]:
     return found
 
 
-def learner_figures(data: StudyData, task: str, figures: Sequence[Figure]) -> pd.DataFrame:
+def learner_figures(data: StudyData, task: str, figures: Sequence[MetricColumn]) -> pd.DataFrame:
     """A row a learner: `algorithm`, `seeds`, and of each metric its mean over seeds and `_std`; NaN for what
     was not logged."""
     found = {}
@@ -49,7 +49,7 @@ def learner_figures(data: StudyData, task: str, figures: Sequence[Figure]) -> pd
     return pd.DataFrame.from_dict(found, orient="index")
 
 
-def rule_figures(data: StudyData, task: str, figures: Sequence[Figure]) -> pd.DataFrame:
+def rule_figures(data: StudyData, task: str, figures: Sequence[MetricColumn]) -> pd.DataFrame:
     """A row a rule, the best first: of each metric its mean over days."""
     found = {}
     for rule in data.ranked_rules(task):
@@ -67,7 +67,7 @@ def mean_by_seed(data: StudyData, task: str, controller: str, metric: str) -> "n
     return values.mean(axis="columns").to_numpy() if values.size else np.empty(0)
 
 
-def written(row: "pd.Series[Any]", figures: Sequence[Figure]) -> list[str]:
+def written(row: "pd.Series[Any]", figures: Sequence[MetricColumn]) -> list[str]:
     """A row's figures as they are read: mean ± standard deviation of a learner, the mean of a rule."""
     return [
         with_deviation(float(row[each.metric]), float(row.get(f"{each.metric}_std", np.nan)), each.decimals)

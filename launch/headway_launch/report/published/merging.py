@@ -8,7 +8,7 @@ import pandas as pd
 from headway.stats import difference_of_means
 from headway_launch.report.parts import MISSING, Part, Section, Table
 from headway_launch.report.published.episodes import (
-    Figure,
+    MetricColumn,
     env_of,
     learner_figures,
     mean_by_seed,
@@ -39,11 +39,11 @@ PUBLISHED_ANSWER: Final[dict[str, str]] = {
     "madqn": "does not learn",
 }
 FIGURES = (
-    Figure("reward", "reward", 1),
-    Figure("crash_rate", "crashes", 3),
-    Figure("merge_rate", "merged", 3),
-    Figure("mean_speed_ms", "speed, m/s", 2),
-    Figure("interventions", "interventions", 1),
+    MetricColumn("reward", "reward", 1),
+    MetricColumn("crash_rate", "crashes", 3),
+    MetricColumn("merge_rate", "merged", 3),
+    MetricColumn("mean_speed_ms", "speed, m/s", 2),
+    MetricColumn("interventions", "interventions", 1),
 )
 
 CHANGES = FIGURES[:4]

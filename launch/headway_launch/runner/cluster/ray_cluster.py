@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Self
 from headway.config.experiment import BackendConfig
 from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.ray_cluster import connect, disconnect
-from headway_launch.runner.jobs import PlannedJob, Shares, share_cores
+from headway_launch.runner.jobs import CoreShares, PlannedJob, share_cores
 from headway_launch.runner.scheduler import Training
 from headway_launch.runner.training_process import TrainingProcess
 
@@ -58,7 +58,7 @@ class SessionCluster:
         cpus = 0.0 if asked.worker_cpus is None and self.shared_out else asked.worker_cpus
         return replace(asked, address=self.address, worker_cpus=cpus)
 
-    def share_cores(self, backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> Shares:
+    def share_cores(self, backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> CoreShares:
         """See `headway_launch.runner.jobs.share_cores`; `cores` are this machine's. A run that is placed
         whole takes cores as one on this machine does, and no more than a machine of the cluster has: as
         workers, if it does not say how many it needs, and as a place, if it does."""
@@ -71,10 +71,10 @@ class SessionCluster:
         backend = job.config.backend
         if not self.learners or backend.name != "ray":
             return TrainingProcess(job)
-        from headway_launch.runner.cluster.ray_training import TrainingActor
+        from headway_launch.runner.cluster.ray_training import RayTraining
 
         whole = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
-        return TrainingActor(whole, self.node_cpus)
+        return RayTraining(whole, self.node_cpus)
 
     def close(self) -> None:
         """Disconnect; a cluster that this session started ends."""

@@ -7,7 +7,7 @@ import time
 
 from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.ray_cluster import connect, disconnect, require_ray
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 
 _PATIENCE_S = 300.0
 _POLL_S = 0.5
@@ -52,7 +52,7 @@ def main() -> None:
     try:
         wait_for_nodes(arguments.address, arguments.number)
     except HeadwayError as error:
-        tell(f"headway: {error}")
+        print_line(f"headway: {error}")
         sys.exit(2)
 
 

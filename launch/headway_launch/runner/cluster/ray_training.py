@@ -26,7 +26,7 @@ from headway.events import (
 )
 from headway.rollout.workers.ray_workers import PATIENCE_S, Place, pickled_whole, reason_of
 from headway.training.loop import TrainingJob
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.console.threads import ONE_THREAD
 from headway_launch.runner.jobs import cores_taken, gpus_of
 from headway_launch.runner.training_process import train_and_tell
@@ -66,7 +66,7 @@ class TrainingHost:
     def _tell(self, event: Event) -> None:
         """A failure also to Ray's log on this machine: its session may have lost it, and hear nothing."""
         if isinstance(event, Failed):
-            tell(f"headway: {event.line}")
+            print_line(f"headway: {event.line}")
         self.events.put(event)
 
     def next_events(self) -> list[Event | None]:
@@ -102,7 +102,7 @@ class Placement:
         return cls(float(taken), gpus_of(job.config.device, there))
 
 
-class TrainingActor:
+class RayTraining:
     """See `headway_launch.runner.scheduler.Training`."""
 
     def __init__(self, job: TrainingJob, node_cpus: int | None) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import make_folder, write_text
 from headway.store.run_folder import plans_folder
-from headway_launch.console.output import tell
+from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.sweep import compose_sweep
 
@@ -261,6 +261,6 @@ def _write(
     path = folder / f"{kind}.sbatch"
     script = "\n".join(lines) + _BEGINNING + body
     if path.exists() and path.read_text(encoding="utf-8") != script:
-        tell(f"replaces a script of {config.study} that was not the same: {path}")
+        print_line(f"replaces a script of {config.study} that was not the same: {path}")
     write_text(path, script)
     return path

@@ -12,7 +12,7 @@ from typing import Any
 from headway.contracts import Trajectory
 from headway.contracts.acting import Parameters
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.pool_collector import CrewCollector
+from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
 from headway.rollout.workers.worker import (
     Broken,
@@ -24,19 +24,19 @@ from headway.rollout.workers.worker import (
     parameter_bytes,
     run_worker,
 )
-from headway.rollout.workers.worker_pool import Link, Notify
+from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 GRACE_S = 5.0
 """How long workers that are told to end may finish what they do, and that hung up may take to die."""
 
 
-def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> CrewCollector:
+def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> PoolCollector:
     """Worker processes, one a shard, that write into one shared trajectory and read one shared set of
     parameters."""
-    return CrewCollector(plan, SharedMemory(plan, shards), len(shards), notify)
+    return PoolCollector(plan, SharedMemory(plan, shards), len(shards), notify)
 
 
-class Processes:
+class ProcessLauncher:
     """Worker processes, forked from a light server."""
 
     def __init__(self, setups: Sequence[Setup], preload: Sequence[str], plan: SharedPickle[Any]) -> None:
@@ -45,8 +45,8 @@ class Processes:
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.workers.worker", *preload])
 
-    def start(self, shard: int) -> "ProcessLink":
-        """See `Workplace`."""
+    def start(self, shard: int) -> "ProcessConnection":
+        """See `WorkerLauncher`."""
         ours, theirs = self.context.Pipe()
         process = self.context.Process(
             target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
@@ -54,15 +54,15 @@ class Processes:
         with nullcontext() if self.plan.mentions_main else _main_left_out():
             process.start()
         theirs.close()
-        return ProcessLink(process, ours)
+        return ProcessConnection(process, ours)
 
     def wait(self, waitables: Sequence[Any], timeout_s: float | None) -> list[Any]:
-        """See `Workplace`."""
+        """See `WorkerLauncher`."""
         return connection.wait(waitables, timeout_s)
 
-    def dismiss(self, links: Sequence[Link]) -> None:
-        """See `Workplace`; the seconds of grace are for all together."""
-        ours = [link for link in links if isinstance(link, ProcessLink)]
+    def dismiss(self, links: Sequence[WorkerConnection]) -> None:
+        """See `WorkerLauncher`; the seconds of grace are for all together."""
+        ours = [link for link in links if isinstance(link, ProcessConnection)]
         for link in ours:
             link.pipe.close()
         deadline = time.monotonic() + GRACE_S
@@ -73,7 +73,7 @@ class Processes:
         self.plan.block.close()
 
 
-class SharedMemory(Processes):
+class SharedMemory(ProcessLauncher):
     """Worker processes that sample into, and by the parameters in, memory that they share with this one."""
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
@@ -88,44 +88,44 @@ class SharedMemory(Processes):
         super().__init__(setups, plan.preload, pickled)
 
     def publish(self, parameters: Parameters) -> None:
-        """See `Exchange`."""
+        """See `SamplingTransport`."""
         for name, array in self.parameters.items():
             array[...] = parameters[name]
 
     def close(self) -> None:
-        """See `Exchange`."""
+        """See `SamplingTransport`."""
         for block in self.blocks:
             block.close()
 
 
-class ProcessLink:
+class ProcessConnection:
     """A worker process and the pipe to it."""
 
     lost_with_machine = False
-    """See `Link`: this process would be lost, too."""
+    """See `WorkerConnection`: this process would be lost, too."""
 
     def __init__(self, process: ForkServerProcess, pipe: connection.Connection) -> None:
         self.process, self.pipe = process, pipe
 
     @property
     def process_id(self) -> int | None:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         return self.process.pid
 
     @property
     def waitable(self) -> connection.Connection:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         return self.pipe
 
     def send(self, command: Command) -> None:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         try:
             self.pipe.send(command)
         except OSError:
             return  # it is dead: `receive` says so
 
     def receive(self) -> Done | Broken | str:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         try:
             answer: Done | Broken = self.pipe.recv()
         except (EOFError, OSError):
@@ -137,7 +137,7 @@ class ProcessLink:
         return answer
 
     def kill(self) -> None:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         self.process.kill()
         self.process.join()
         self.pipe.close()

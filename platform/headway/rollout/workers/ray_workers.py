@@ -23,11 +23,11 @@ from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting import Parameters
 from headway.events import Usage
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.pool_collector import CrewCollector
+from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.sampler import part_of
 from headway.rollout.workers.ray_cluster import connect, disconnect
 from headway.rollout.workers.worker import Broken, Collect, Command, Done, Sampling, Serving, Setup
-from headway.rollout.workers.worker_pool import Link, Notify
+from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 PATIENCE_S = 10.0
 """How long a worker may wait for a place in the cluster before the user is told."""
@@ -41,14 +41,14 @@ _REASON_LENGTH = 200
 Experience = Mapping[str, NDArray[Any]]
 
 
-def actor_collector(
+def ray_collector(
     backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
-) -> CrewCollector:
+) -> PoolCollector:
     """Actors, one a shard, that are given the parameters and give back the experience of their copies.
 
     Raises HeadwayError where there is no cluster.
     """
-    return CrewCollector(plan, Broadcast(backend, plan, shards, notify), len(shards), notify)
+    return PoolCollector(plan, Broadcast(backend, plan, shards, notify), len(shards), notify)
 
 
 def pickled_whole(plan: object) -> bytes:
@@ -104,7 +104,7 @@ def _versions() -> list[tuple[str, str]]:
     return list(installed.items())
 
 
-class RolloutActor:
+class RayRolloutWorker:
     """What runs in the cluster: a worker as any other, told by Ray's calls instead of a pipe."""
 
     def __init__(self, setup: bytes) -> None:
@@ -127,7 +127,7 @@ class RolloutActor:
         return answer, None
 
 
-class Actors:
+class RayLauncher:
     """A workplace of actors, spread over the cluster's nodes."""
 
     def __init__(self, backend: BackendConfig, setups: Sequence[Setup], notify: Notify) -> None:
@@ -141,21 +141,21 @@ class Actors:
         """Ray's reference to the parameters of the moment."""
         connect(backend.address)
 
-    def start(self, shard: int) -> "ActorLink":
-        """See `Workplace`. The actor may have to wait for a place."""
+    def start(self, shard: int) -> "RayConnection":
+        """See `WorkerLauncher`. The actor may have to wait for a place."""
         # Neither is restarted nor repeats a call by itself: it would not know where it stood.
         options = {"max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD"}
-        made = ray.remote(RolloutActor).options(num_cpus=self.cpus, **options)
-        return ActorLink(self, shard, made.remote(self.setups[shard]))
+        made = ray.remote(RayRolloutWorker).options(num_cpus=self.cpus, **options)
+        return RayConnection(self, shard, made.remote(self.setups[shard]))
 
     def wait(self, waitables: Sequence[Any], timeout_s: float | None) -> list[Any]:
-        """See `Workplace`."""
+        """See `WorkerLauncher`."""
         ray.wait(waitables, num_returns=1, timeout=timeout_s)
         ready: list[Any] = ray.wait(waitables, num_returns=len(waitables), timeout=0)[0]
         return ready
 
-    def dismiss(self, links: Sequence[Link]) -> None:
-        """See `Workplace`; there is no grace, as an actor leaves nothing behind."""
+    def dismiss(self, links: Sequence[WorkerConnection]) -> None:
+        """See `WorkerLauncher`; there is no grace, as an actor leaves nothing behind."""
         for link in links:
             link.kill()
         self.published = None
@@ -198,7 +198,7 @@ def cpus_of(resources: Mapping[str, float]) -> float:
     return resources.get("CPU", 0.0)
 
 
-class Broadcast(Actors):
+class Broadcast(RayLauncher):
     """Actors that sample: what they are given and bring goes through the object store."""
 
     def __init__(
@@ -210,7 +210,8 @@ class Broadcast(Actors):
         self.parts = [part_of(self.trajectory, plan.replicas, shard) for shard in shards]
 
     def publish(self, parameters: Parameters) -> None:
-        """See `Exchange`. In C order, as in the memory that processes share: products are rounded by it."""
+        """See `SamplingTransport`."""
+        # In C order, as in shared memory: the layout changes how a product is rounded.
         ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
         self.published = ray.put(ordered)
 
@@ -219,38 +220,38 @@ class Broadcast(Actors):
         place_experience(self.parts[shard], experience)
 
     def close(self) -> None:
-        """See `Exchange`: all is gone with the workers."""
+        """See `SamplingTransport`: all is gone with the workers."""
 
 
-class ActorLink:
+class RayConnection:
     """An actor, and what it was last asked."""
 
-    def __init__(self, workplace: Actors, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
+    def __init__(self, workplace: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
         self.workplace, self.shard, self.actor = workplace, shard, actor
         self.arriving = actor.place.remote()
         self.place: Place | None = None
         self.asked: Any = None
         self.lost_with_machine = False
-        """See `Link`."""
+        """See `WorkerConnection`."""
 
     @property
     def process_id(self) -> int | None:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         if self.place is None or self.place.machine != self.workplace.here.machine:
             return None
         return self.place.process_id
 
     @property
     def waitable(self) -> Any:  # noqa: ANN401 - Ray's reference
-        """See `Link`."""
+        """See `WorkerConnection`."""
         return self.asked
 
     def send(self, command: Command) -> None:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         self.asked = self.actor.carry_out.remote(pickle.dumps(command), self.workplace.published)
 
     def receive(self) -> Done | Broken | str:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         try:
             self._arrive()
             content, experience = ray.get(self.asked)
@@ -266,7 +267,7 @@ class ActorLink:
         return answer if self.process_id is not None else replace(answer, usage=Usage())
 
     def kill(self) -> None:
-        """See `Link`."""
+        """See `WorkerConnection`."""
         ray.kill(self.actor, no_restart=True)
 
     def _arrive(self) -> None:

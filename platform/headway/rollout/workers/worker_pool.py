@@ -13,7 +13,7 @@ from headway.rollout.workers.worker import Begin, Broken, Command, Done, Evaluat
 Notify = Callable[[str], None]
 
 
-class Link(Protocol):
+class WorkerConnection(Protocol):
     """A worker as it is reached from here."""
 
     @property
@@ -28,7 +28,7 @@ class Link(Protocol):
 
     @property
     def waitable(self) -> Any:  # noqa: ANN401 - a pipe, or whatever else a workplace waits for
-        """Ready, for `Workplace.wait`, once it has answered or died."""
+        """Ready, for `WorkerLauncher.wait`, once it has answered or died."""
         ...
 
     def send(self, command: Command) -> None:
@@ -44,10 +44,10 @@ class Link(Protocol):
         ...
 
 
-class Workplace(Protocol):
+class WorkerLauncher(Protocol):
     """Where workers are: processes of this machine, or actors of a cluster."""
 
-    def start(self, shard: int) -> Link:
+    def start(self, shard: int) -> WorkerConnection:
         """Start the worker of that number."""
         ...
 
@@ -55,7 +55,7 @@ class Workplace(Protocol):
         """Those that are ready, at least one unless the time is over; None: however long that takes."""
         ...
 
-    def dismiss(self, links: Sequence[Link]) -> None:
+    def dismiss(self, links: Sequence[WorkerConnection]) -> None:
         """End workers, which may have some seconds to finish what they do, and give up all that they
         held."""
         ...
@@ -70,7 +70,7 @@ worker may be sent to the same one."""
 class _Worker:
     """A worker and what is known of it."""
 
-    link: Link
+    link: WorkerConnection
     begun: bool = False
     """Its episodes have started."""
     snapshot: Any = None
@@ -95,10 +95,10 @@ class _Worker:
         self.usage = replace(self.usage, cpu_seconds=max(self.usage.cpu_seconds, cpu_seconds))
 
 
-class Crew:
+class WorkerPool:
     """Workers, each with a part of its own, that carry out commands and are replaced when they die."""
 
-    def __init__(self, workplace: Workplace, number: int, notify: Notify) -> None:
+    def __init__(self, workplace: WorkerLauncher, number: int, notify: Notify) -> None:
         self.workplace, self.notify = workplace, notify
         self.lost_cpu_seconds = 0.0
         self.anew = restart_purpose(0)
@@ -122,7 +122,7 @@ class Crew:
         self.workers[shard].link.send(command)
 
     def answered(self, shards: Sequence[int], timeout_s: float | None) -> list[int]:
-        """Those of some workers that have answered or died, in order; see `Workplace.wait`."""
+        """Those of some workers that have answered or died, in order; see `WorkerLauncher.wait`."""
         waitables = {self.workers[shard].link.waitable: shard for shard in shards}
         return sorted(waitables[ready] for ready in self.workplace.wait(list(waitables), timeout_s))
 

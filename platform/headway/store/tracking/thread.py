@@ -15,7 +15,7 @@ _CONNECT_SECONDS = 120.0
 
 
 @dataclass(frozen=True)
-class Errand:
+class TrackingTask:
     """One thing to tell MLflow."""
 
     do: Callable[[Tracker], object]
@@ -25,14 +25,14 @@ class Errand:
     """Sends all that is missing, once MLflow answers again."""
 
 
-class Courier:
+class TrackingThread:
     """Does errands in order, in a thread of its own. Where MLflow fails, they are put off, a notice says so
     once, and it is tried again now and then and at the end. What fails by itself, as a run that cannot be
     read, is told once and keeps back nothing else. Nothing here ends a session."""
 
     def __init__(self, root: Path, tracking_uri: str | None) -> None:
         self._root, self._uri = root, tracking_uri
-        self._errands: queue.SimpleQueue[Errand | None] = queue.SimpleQueue()
+        self._errands: queue.SimpleQueue[TrackingTask | None] = queue.SimpleQueue()
         self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._tracker: Tracker | None = None
@@ -55,7 +55,7 @@ class Courier:
         if self._problem is not None:
             raise self._problem
 
-    def submit(self, errand: Errand) -> None:
+    def submit(self, errand: TrackingTask) -> None:
         """Let the thread do it, after all given to it before."""
         if not self._abandoned:
             self._start()

@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
-from headway_algos.batches.critic_batch import Scene
+from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
-from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.gae import counterfactual_advantages
@@ -28,7 +28,7 @@ from headway_algos.recipes.mappo import MAPPOConfig
 Array = NDArray[np.float64]
 Fabricate = Callable[..., Trajectory]
 Poison = Callable[[Trajectory], Trajectory]
-Change = Callable[[Scene], None]
+Change = Callable[[CriticBatch], None]
 
 DISCRETE = EnvSpec(
     "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
@@ -292,7 +292,7 @@ def test_estimates_equal_the_loops(
         learner.update(poisoned(made), iteration, 0.0)
 
 
-def _rows_of(learner: OnPolicyLearner, estimate: Estimate, p: int) -> tuple[torch.Tensor, ...]:
+def _rows_of(learner: OnPolicyLearner, estimate: CriticEstimate, p: int) -> tuple[torch.Tensor, ...]:
     """Inputs, actions and returns of the rows that network p learns from."""
     critic = learner.critic
     assert isinstance(critic, CounterfactualCritic)
@@ -353,7 +353,7 @@ def test_advantages_average_to_nothing_over_own_actions(
     """sum_u pi(u) A(u) = 0 whatever the critic says: the baseline leaves the gradient as it is."""
     learner = OnPolicyLearner(replace(COMA, policies=policies), spec, (1,), "cpu")
     made = fabricate(spec, 6, 3, seed=0, absent=0.2)
-    chances = learner.behaviour.probabilities(Scene.of_steps(made))
+    chances = learner.behaviour.probabilities(CriticBatch.of_steps(made))
     mean = np.zeros(made.rewards.shape)
     for u in range(3):
         other = _always(made, 1, u)
@@ -370,7 +370,7 @@ def _always(made: Trajectory, agent: int, action: int) -> Trajectory:
     return other
 
 
-def _estimate(learner: OnPolicyLearner, made: Trajectory) -> Estimate:
+def _estimate(learner: OnPolicyLearner, made: Trajectory) -> CriticEstimate:
     return learner.critic.estimate(made, learner.behaviour, 1)
 
 
@@ -382,7 +382,7 @@ def test_what_is_forbidden_has_no_part_in_the_baseline(fabricate: Fabricate) -> 
     learner = OnPolicyLearner(COMA, STATE, (1,), "cpu")
     before = _estimate(learner, made)
     assert isinstance(learner.critic, CounterfactualCritic)
-    assert (learner.behaviour.probabilities(Scene.of_steps(made))[..., 2] == 0).all()
+    assert (learner.behaviour.probabilities(CriticBatch.of_steps(made))[..., 2] == 0).all()
     with torch.no_grad():
         for networks in (learner.critic.networks, learner.critic.target):
             networks.network.biases[-1][:, 2] += 1e6

@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
-from headway_algos.batches.critic_batch import Scene
+from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
-from headway_algos.on_policy.critics.estimate import Estimate
+from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.recipes.coma import COMAConfig
@@ -35,7 +35,7 @@ OTHERS = MAPPOConfig(**SETTINGS, critic_actions="others")
 STEPS = 9
 
 
-def _estimate(learner: OnPolicyLearner, made: Trajectory) -> Estimate:
+def _estimate(learner: OnPolicyLearner, made: Trajectory) -> CriticEstimate:
     return learner.critic.estimate(made, learner.behaviour, 1)
 
 
@@ -105,13 +105,13 @@ def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvS
     """As often as the policy says, never what is forbidden, and nothing for who is away."""
     learner = OnPolicyLearner(COMA if spec is STATE else OTHERS, spec, (1, 2), "cpu")
     made = fabricate(spec, 1, 4, seed=0, absent=0.3)
-    one = Scene.after_the_last_step(made)
+    one = CriticBatch.after_the_last_step(made)
     many = 4000
 
     def repeated(array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - as it came
         return None if array is None else np.repeat(array, many, axis=0)
 
-    scene = Scene(*(repeated(a) for a in (one.observations, one.states, one.present, one.masks)))
+    scene = CriticBatch(*(repeated(a) for a in (one.observations, one.states, one.present, one.masks)))
     random = [generator(seed, "test") for seed in (1, 2)]
     drawn = learner.behaviour.drawn(scene, random).actions
     assert drawn is not None

@@ -11,7 +11,7 @@ from torch.distributions import Categorical, Independent, Normal
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
@@ -34,7 +34,7 @@ def _selected() -> NDArray[np.bool_]:
     return selected
 
 
-def _rows(spec: EnvSpec, selected: NDArray[np.bool_], seed: int = 1) -> tuple[PolicyRows, Tensor]:
+def _rows(spec: EnvSpec, selected: NDArray[np.bool_], seed: int = 1) -> tuple[PolicyBatch, Tensor]:
     random = torch.Generator().manual_seed(seed)
     masks, actions = None, torch.randn(P, B, A, generator=random, dtype=DOUBLE)
     if spec is DISCRETE:
@@ -44,7 +44,7 @@ def _rows(spec: EnvSpec, selected: NDArray[np.bool_], seed: int = 1) -> tuple[Po
     log_probs = torch.randn(P, B, generator=random, dtype=DOUBLE)
     advantages = torch.randn(P, B, generator=random, dtype=DOUBLE)
     observations = torch.randn(P, B, D, generator=random, dtype=DOUBLE)
-    return PolicyRows(observations, masks, actions, log_probs, selected), advantages
+    return PolicyBatch(observations, masks, actions, log_probs, selected), advantages
 
 
 def _update(spec: EnvSpec, config: AlgoConfig) -> A2C:

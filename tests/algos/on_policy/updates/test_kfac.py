@@ -13,7 +13,7 @@ from torch.distributions import Categorical, Independent, Normal, kl_divergence
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, generator
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
@@ -22,7 +22,7 @@ from headway_algos.networks.mlp import StackedMLP
 from headway_algos.networks.passes import PerceptronPass, forward_pass
 from headway_algos.on_policy.updates.kfac import KFAC
 from headway_algos.optim.fisher import flat, unflat
-from headway_algos.optim.kfac_regression import NaturalRegression
+from headway_algos.optim.kfac_regression import KFACRegression
 
 P, B, D, A = 3, 24, 3, 3
 DOUBLE = torch.float64
@@ -40,7 +40,7 @@ def _update(spec: EnvSpec, config: AlgoConfig = CONFIG, stack: int = P) -> KFAC:
     return KFAC(Actor(config.model, spec, range(stack), 1, DOUBLE), config, layout)
 
 
-def _rows(spec: EnvSpec, seed: int = 1) -> tuple[PolicyRows, Tensor]:
+def _rows(spec: EnvSpec, seed: int = 1) -> tuple[PolicyBatch, Tensor]:
     """Some rows are not selected, and the last policy has but a few."""
     random = torch.Generator().manual_seed(seed)
     selected = (torch.rand(P, B, generator=random) < 0.8).numpy()
@@ -53,7 +53,7 @@ def _rows(spec: EnvSpec, seed: int = 1) -> tuple[PolicyRows, Tensor]:
     observations = torch.randn(P, B, D, generator=random, dtype=DOUBLE)
     advantages = torch.randn(P, B, generator=random, dtype=DOUBLE)
     log_probs = torch.zeros(P, B, dtype=DOUBLE)
-    return PolicyRows(observations, masks, actions, log_probs, selected), advantages
+    return PolicyBatch(observations, masks, actions, log_probs, selected), advantages
 
 
 def _generators(iteration: int) -> list[np.random.Generator]:
@@ -77,7 +77,7 @@ class Chosen(np.random.Generator):
 class Alone:
     """One policy and its rows, for oracles: its parameters are one vector (V,)."""
 
-    def __init__(self, actor: Actor, rows: PolicyRows, advantages: Tensor, p: int) -> None:
+    def __init__(self, actor: Actor, rows: PolicyBatch, advantages: Tensor, p: int) -> None:
         self.actor = actor.narrow(torch.tensor([p]))
         chosen = np.flatnonzero(rows.selected[p])
         self.observations, self.actions = rows.observations[p, chosen], rows.actions[p, chosen]
@@ -114,7 +114,7 @@ class Alone:
 
 
 def _moved(
-    update: KFAC, rows: PolicyRows, advantages: Tensor, generators: Sequence[np.random.Generator]
+    update: KFAC, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """How parameters changed, (P, V), and the info."""
     before = flat(parameter.detach().clone() for parameter in update.actor.learnable)
@@ -198,7 +198,7 @@ class Naive:
         return torch.cat([*([] if own is None else [own]), *layers])
 
     def improve(
-        self, rows: PolicyRows, advantages: Tensor, random: np.random.Generator
+        self, rows: PolicyBatch, advantages: Tensor, random: np.random.Generator
     ) -> tuple[float, float]:
         """Returns eta and the expected divergence."""
         config, chosen = self.config, np.flatnonzero(rows.selected[self.p])
@@ -408,26 +408,26 @@ def test_networks_of_another_form_are_refused_in_one_line() -> None:
         KFAC(update.actor, CONFIG, Layout(Grouping.of("shared", BOX), P, torch.device("cpu"), DOUBLE))
     assert "\n" not in str(caught.value)
     with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons"):
-        NaturalRegression(nn.Linear(2, 2), CONFIG)
+        KFACRegression(nn.Linear(2, 2), CONFIG)
 
 
 def _regression(
     bound: float, hidden: tuple[int, ...] = ()
-) -> tuple[NaturalRegression, StackedMLP, Tensor, Tensor]:
+) -> tuple[KFACRegression, StackedMLP, Tensor, Tensor]:
     """A critic, its inputs (P, B, D) and targets (P, B)."""
     random = torch.Generator().manual_seed(3)
     network = StackedMLP(range(P), 1, "test", (D, hidden, 1), "tanh", 1.0, DOUBLE)
     config = AlgoConfig(critic_update="kfac", critic_lr=1.0, critic_kl_bound=bound, kfac_damping=1e-14)
     rows = torch.randn(P, B, D, generator=random, dtype=DOUBLE)
     return (
-        NaturalRegression(network, config),
+        KFACRegression(network, config),
         network,
         rows,
         torch.randn(P, B, generator=random, dtype=DOUBLE),
     )
 
 
-def _regress(regression: NaturalRegression, rows: Tensor, targets: Tensor) -> None:
+def _regress(regression: KFACRegression, rows: Tensor, targets: Tensor) -> None:
     regression.begin()
     weight = torch.full((P, B), 1 / B, dtype=DOUBLE)
     passed = forward_pass(regression.network, rows, None)

@@ -12,7 +12,7 @@ from torch.distributions import Categorical, kl_divergence
 
 from headway.contracts import Discrete, EnvSpec, generator
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows, standardise
+from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
@@ -58,18 +58,18 @@ def test_advantages_are_standardised_for_each_policy_over_its_selected_rows() ->
         np.testing.assert_allclose(got[p, selected[p]], expected, rtol=0, atol=1e-12)
 
 
-def _rows(stack: int, selected: NDArray[np.bool_], seed: int = 2) -> tuple[PolicyRows, Tensor]:
+def _rows(stack: int, selected: NDArray[np.bool_], seed: int = 2) -> tuple[PolicyBatch, Tensor]:
     random = torch.Generator().manual_seed(seed)
     observations = torch.randn(stack, B, D, generator=random, dtype=DOUBLE)
     actions = torch.randint(A, (stack, B), generator=random)
     log_probs = -np.log(A) + 0.3 * torch.randn(stack, B, generator=random, dtype=DOUBLE)
     advantages = torch.randn(stack, B, generator=random, dtype=DOUBLE)
-    return PolicyRows(observations, None, actions, log_probs, selected), advantages
+    return PolicyBatch(observations, None, actions, log_probs, selected), advantages
 
 
 def _run(
     config: AlgoConfig, kl_coeff: Tensor, selected: NDArray[np.bool_]
-) -> tuple[Actor, Actor, PolicyRows, Tensor, dict[str, Tensor]]:
+) -> tuple[Actor, Actor, PolicyBatch, Tensor, dict[str, Tensor]]:
     """One update: the actor before and after, what it learnt from, the coefficients and the info."""
     before, after = (Actor(config.model, SPEC, range(P), 1, DOUBLE) for _ in range(2))
     rows, advantages = _rows(P, selected)
@@ -80,7 +80,7 @@ def _run(
     return before, after, rows, update.kl_coeff, info
 
 
-def _mean_kl(before: Actor, after: Actor, rows: PolicyRows, p: int) -> float:
+def _mean_kl(before: Actor, after: Actor, rows: PolicyBatch, p: int) -> float:
     with torch.no_grad():
         old, new = (Categorical(logits=actor.network(rows.observations)[p].T) for actor in (before, after))
     kl: Tensor = kl_divergence(old, new)

@@ -14,7 +14,7 @@ from torch.distributions import Categorical, Independent, Normal, kl_divergence
 
 from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyRows
+from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
@@ -37,7 +37,7 @@ def _update(spec: EnvSpec, config: AlgoConfig = CONFIG, stack: int = P) -> TRPO:
     return TRPO(Actor(config.model, spec, range(stack), 1, DOUBLE), config, layout)
 
 
-def _rows(spec: EnvSpec, actor: Actor, seed: int = 1) -> tuple[PolicyRows, Tensor]:
+def _rows(spec: EnvSpec, actor: Actor, seed: int = 1) -> tuple[PolicyBatch, Tensor]:
     """Actions drawn from the policies; some rows are not selected, and the last policy has but a few."""
     random = torch.Generator().manual_seed(seed)
     stack = len(actor.network.weights[0])
@@ -59,7 +59,7 @@ def _rows(spec: EnvSpec, actor: Actor, seed: int = 1) -> tuple[PolicyRows, Tenso
             )
         log_probs = distribution.log_prob(actions)
     advantages = torch.randn(stack, B, generator=random, dtype=DOUBLE)
-    return PolicyRows(observations, masks, actions, log_probs, selected), advantages
+    return PolicyBatch(observations, masks, actions, log_probs, selected), advantages
 
 
 @dataclass
@@ -78,7 +78,7 @@ class Oracle:
     """One policy, with its parameters in one vector."""
 
     def __init__(
-        self, config: AlgoConfig, actor: Actor, rows: PolicyRows, advantages: Tensor, p: int
+        self, config: AlgoConfig, actor: Actor, rows: PolicyBatch, advantages: Tensor, p: int
     ) -> None:
         self.config = config
         self.actor = actor.narrow(torch.tensor([p]))

@@ -21,7 +21,7 @@ from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import TABLES, read_rows
 from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
-from headway_launch.runner.jobs import Shares, gpus_of, share_cores
+from headway_launch.runner.jobs import CoreShares, gpus_of, share_cores
 
 pytestmark = pytest.mark.cluster
 
@@ -230,14 +230,14 @@ def test_training_processes_are_given_the_cluster_of_the_session(
 @pytest.mark.parametrize(
     ("jobs", "cores", "cpus", "expected"),
     [
-        (1, 2, 64, Shares(1, 64)),
-        (50, 4, 64, Shares(4, 16)),
-        (50, 16, 8, Shares(8, 1)),
-        (3, 2, None, Shares(2, 1)),
+        (1, 2, 64, CoreShares(1, 64)),
+        (50, 4, 64, CoreShares(4, 16)),
+        (50, 16, 8, CoreShares(8, 1)),
+        (3, 2, None, CoreShares(2, 1)),
     ],
 )
 def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_here(
-    jobs: int, cores: int, cpus: int | None, expected: Shares
+    jobs: int, cores: int, cpus: int | None, expected: CoreShares
 ) -> None:
     from headway_launch.experiments.compose import compose
     from headway_launch.runner.jobs import plan_jobs
@@ -245,7 +245,7 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
     planned = plan_jobs(compose(["env=trivial", "algo=ippo", f"seed=0..{jobs - 1}", "backend=ray"]))
     assert share_cores(BackendConfig("ray"), planned, cores, cpus) == expected
     whole = SessionCluster("head:1", cpus=64, node_cpus=8, learners=True)
-    assert whole.share_cores(BackendConfig("ray"), planned, cores) == Shares(jobs, min(64 // jobs, 8))
+    assert whole.share_cores(BackendConfig("ray"), planned, cores) == CoreShares(jobs, min(64 // jobs, 8))
 
 
 @needs_ray

@@ -26,7 +26,7 @@ from rehearsal import (
 from headway.contracts import HeadwayError
 from headway.rollout.collector import Collector
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.pool_collector import CrewCollector
+from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers import process_workers
 from headway.rollout.workers.worker_pool import WorkerFailedError
 
@@ -244,7 +244,7 @@ def test_closing_does_not_wait_for_busy_workers_to_finish(
     monkeypatch.setattr(process_workers, "GRACE_S", 2.0)
     plan = _never(tmp_path)
     with collector_of(plan, workers=2) as collector:
-        assert isinstance(collector, CrewCollector)
+        assert isinstance(collector, PoolCollector)
         collector.begin()
         children = [psutil.Process(process_id) for process_id in collector.process_ids()]
         for process in children:

@@ -14,7 +14,7 @@ import psutil
 import pytest
 from rehearsal import collector_of, parameters_of, plan_of_toy
 
-from headway.rollout.pool_collector import CrewCollector
+from headway.rollout.pool_collector import PoolCollector
 
 pytestmark = pytest.mark.slow
 
@@ -30,12 +30,12 @@ sys.path.insert(0, sys.argv[1])
 from spying import SpyConfig, make_spy
 from headway.rollout.workers.process_workers import process_collector
 from headway.rollout.plan import RolloutPlan
-from headway_algos.acting.mlp import StackedActingPolicy
+from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.recipes.ippo import IPPOConfig
 
 config = SpyConfig(sys.argv[2])
 spec = make_spy(config, 1).spec
-policy = StackedActingPolicy.of(IPPOConfig(), spec)
+policy = MLPActingPolicy.of(IPPOConfig(), spec)
 plan = RolloutPlan(make_spy, (), config, spec, policy, (0,), 8, 512, 4)
 parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
 for attempt in ("cold", "warm"):
@@ -186,7 +186,7 @@ def test_a_hundred_iterations_use_no_more_than_ten() -> None:
     plan = plan_of_toy("trivial", seeds=(5, 6), copies=8, steps=50)
     parameters = parameters_of(plan)
     with collector_of(plan, workers=2) as collector:
-        assert isinstance(collector, CrewCollector)
+        assert isinstance(collector, PoolCollector)
         processes = [psutil.Process(), *map(psutil.Process, collector.process_ids())]
 
         def used() -> tuple[list[int], int]:

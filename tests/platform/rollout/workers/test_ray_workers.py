@@ -263,9 +263,9 @@ if __name__ == "__main__":
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_a_worker_with_other_versions_is_refused() -> None:
-    from headway.rollout.workers.ray_workers import Actors, Place
+    from headway.rollout.workers.ray_workers import Place, RayLauncher
 
-    actors = Actors(backend_of("ray"), [], print)
+    actors = RayLauncher(backend_of("ray"), [], print)
     try:
         here = Place.here()
         actors.welcome(0, here)

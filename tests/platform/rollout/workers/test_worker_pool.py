@@ -7,7 +7,7 @@ import pytest
 
 from headway.events import Usage
 from headway.rollout.workers.worker import Begin, Collect, Command, Done
-from headway.rollout.workers.worker_pool import Crew, WorkerFailedError
+from headway.rollout.workers.worker_pool import WorkerFailedError, WorkerPool
 
 DONE = Done([], [], None, Usage())
 LOST, DEATH = "its machine cannot be reached", "killed by signal 9"
@@ -47,7 +47,7 @@ class _Scripted:
 def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episodes"),)) -> list[str]:
     """The notices of a crew of one that is given commands and so answers."""
     notices: list[str] = []
-    crew = Crew(_Scripted(iter(answers)), 1, notices.append)
+    crew = WorkerPool(_Scripted(iter(answers)), 1, notices.append)
     for command in commands:
         crew.send(0, command)
         crew.answer(0, command)
