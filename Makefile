@@ -65,7 +65,7 @@ types: $(STAMP) ## check the types
 	@$(BIN)/mypy
 
 benchmarks: $(STAMP) ## measure the speed of this machine's installation
-	@$(BIN)/python -m headway_launch.benchmarks $(ARGS)
+	@$(BIN)/python -m benchmarks $(ARGS)
 
 notebooks: $(STAMP) ## open the notebooks in JupyterLab; the first one trains a small study
 	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)

@@ -1,6 +1,7 @@
-"""Modules that several tests share lie in `tests/support`: worker processes inherit the path to them."""
+"""Put `tests/support` and the root on the path, which worker processes inherit: tests share modules there."""
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "support"))
+TESTS = Path(__file__).parent
+sys.path[:0] = [str(TESTS / "support"), str(TESTS.parent)]

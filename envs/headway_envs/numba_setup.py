@@ -12,7 +12,7 @@ from headway.contracts.numba_setup import compiled_with
 P = ParamSpec("P")
 R = TypeVar("R")
 
-SHARED = ("numba_setup.py", "keyed_draws.py")
+SHARED = ("numba_setup.py", "keyed_random.py")
 """Source files of this folder that every kernel is compiled with."""
 
 

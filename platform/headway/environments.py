@@ -43,7 +43,7 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
     if not config.wrappers:
         return ChosenEnv(entry, training, said)
     from headway.wrappers.listed import listed_wrappers
-    from headway.wrappers.wrapping import wrapped_entry
+    from headway.wrappers.wrapped_env import wrapped_entry
 
     wrappers = listed_wrappers(config.wrappers)
     listed = {"wrappers": [wrapper.mapping for wrapper in wrappers]}

@@ -12,7 +12,7 @@ from headway.config.schema import suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.errors import HeadwayError
 from headway.contracts.random_rule import RANDOM
-from headway.contracts.wrapping import WrapperEntry
+from headway.contracts.wrapper import WrapperEntry
 
 Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
 

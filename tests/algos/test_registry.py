@@ -38,13 +38,13 @@ def test_making_an_acting_policy_and_using_it_imports_no_torch() -> None:
     code = """
 import pickle, sys
 import numpy as np
-from headway.contracts import Discrete, EnvSpec, Observed
+from headway.contracts import Discrete, EnvSpec, Observations
 from headway_algos.registry import ENTRIES
 spec = EnvSpec("made", ("a", "b"), 3, Discrete(2))
 entry = ENTRIES["mappo"]
 policy = pickle.loads(pickle.dumps(entry.acting_policy(entry.config(), spec)))
 parameters = {name: np.ones(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
-observed = Observed(np.zeros((4, 2, 3), np.float32), np.zeros((4, 0), np.float32), np.ones((4, 2), bool))
+observed = Observations(np.zeros((4, 2, 3), np.float32), np.zeros((4, 0), np.float32), np.ones((4, 2), bool))
 actions, log_probs = policy.act(parameters, observed, policy.noise(np.random.default_rng(0), 4))
 print(actions.shape, 'torch' in sys.modules)
 """

@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from headway_launch.benchmarks.crossing import BANDS, LIGHT, SCENARIOS, outside, play, speeds
+from benchmarks.crossing import BANDS, LIGHT, SCENARIOS, outside, play, speeds
 
 pytestmark = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO (headway[sumo]) is not installed")
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}

@@ -26,7 +26,7 @@ from headway.rollout.collector import Backend
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway.rollout.workers.async_worker import AsynchronousPlan
-from headway.training.modes import Asynchronous, Mode, SynchronousMode
+from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 
 pytestmark = pytest.mark.slow
 
@@ -139,7 +139,7 @@ def opened(plan: RolloutPlan, entry: AlgoEntry, config: object) -> tuple[Learner
         return learner, collector, SynchronousMode(learner, collector)
     assert isinstance(learner, AsynchronousLearner)
     contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
-    return learner, contributors, Asynchronous(learner, contributors)
+    return learner, contributors, AsynchronousMode(learner, contributors)
 
 
 def trajectories(backend: Backend) -> list[Trajectory]:
@@ -167,7 +167,7 @@ def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
 
 
 def seeds_of(task: str, entry: AlgoEntry) -> tuple[int, ...]:
-    """Asynchronous algorithms train one seed a process."""
+    """AsynchronousMode algorithms train one seed a process."""
     return TASKS[task].seeds if entry.contributor is None else TASKS[task].seeds[:1]
 
 

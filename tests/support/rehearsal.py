@@ -29,7 +29,7 @@ from headway.contracts import (
     Trajectory,
     generator,
 )
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.rollout.backends import open_collector
 from headway.rollout.collector import Collector
 from headway.rollout.plan import RolloutPlan

@@ -13,7 +13,7 @@ from headway.adapters.recording import Recording
 from headway.contracts import BatchedEnv, EnvEntry
 from headway.wrappers.listed import listed_wrappers
 from headway.wrappers.parallel import WrappedParallelEnv
-from headway.wrappers.wrapping import Wrapped, wrapped_entry
+from headway.wrappers.wrapped_env import Wrapped, wrapped_entry
 
 SEED = 5
 """That of the first copy in `play`."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Box, EnvSpec, Observations
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.live_agents import Answer, FeedforwardActing, RecurrentActing
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.replay_config import ReplayConfig

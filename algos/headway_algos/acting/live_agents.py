@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Observations
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 
 FEWEST_SLOTS = 32
 """Slots in a copy from which on any are left out. With fewer, calls cost more than their arithmetic."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Observations
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.live_agents import FEWEST_SLOTS, Answer, FeedforwardActing
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Contribution, EnvSpec, HeadwayError, Trajectory
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
@@ -70,7 +70,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 def _give_back_large_blocks() -> None:
     """Have this process's larger tensors in memory of their own, where glibc says what is where. Else what an
     environment allocates between a contribution's tensors (SUMO does) keeps the next ones from taking their
-    places: a worker grew by some 20 MB (`headway_launch.benchmarks crossing`)."""
+    places: a worker grew by some 20 MB (`benchmarks crossing`)."""
     mallopt = getattr(CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, 400_000)

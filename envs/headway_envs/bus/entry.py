@@ -39,7 +39,7 @@ def _parallel_env(config: BusConfig) -> Any:  # noqa: ANN401 - PettingZoo comes 
 
 
 def _renderer(prepared: "Prepared") -> Renderer:
-    from headway_envs.bus.picture import BusRenderer
+    from headway_envs.bus.renderer import BusRenderer
 
     return BusRenderer(prepared)
 

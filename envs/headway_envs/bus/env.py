@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
+from headway_envs.array_env import ArrayEnv, Snapshot, copied
 from headway_envs.bus.kernel import tick
+from headway_envs.bus.kernel.allocation import allocate_outputs, allocate_trace, allocate_world, state_size
 from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
-from headway_envs.bus.kernel.memory import allocate_outputs, allocate_trace, allocate_world, state_size
 from headway_envs.bus.prepared import Prepared
-from headway_envs.kept_arrays import ArrayEnv, Snapshot, copied
 
 _WAITING = ("arrived_at", "leaves_at")
 """Arrays of the world that are read only at positions occupied by waiting passengers."""

@@ -3,7 +3,7 @@
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.prepared import Prepared, prepare
-from headway_envs.parallel_face import ParallelEnvBase
+from headway_envs.parallel_env import ParallelEnvBase
 
 _BOUND = 5.0
 """Bound on every component of the observation `control`; those of `paper` and `published` lie in [0, 1]."""

@@ -27,7 +27,7 @@ def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
 
 def _parallel_env(config: "BusPublishedConfig | Prepared") -> Any:  # noqa: ANN401 - EnvEntry's type
     from headway_envs.bus_published.env import BusPublishedBatchedEnv
-    from headway_envs.parallel_face import ParallelEnvBase
+    from headway_envs.parallel_env import ParallelEnvBase
 
     prepared = _prepare(config) if isinstance(config, BusPublishedConfig) else config
     scaled = prepared.config.observation == "scaled"

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
+from headway_envs.array_env import ArrayEnv
 from headway_envs.bus_published.kernel import steps
 from headway_envs.bus_published.kernel.layout import (
     ACTIONS,
@@ -18,7 +19,6 @@ from headway_envs.bus_published.kernel.layout import (
     World,
 )
 from headway_envs.bus_published.prepared import Prepared
-from headway_envs.kept_arrays import ArrayEnv
 
 
 class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):

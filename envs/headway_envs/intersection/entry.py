@@ -70,7 +70,7 @@ def _virtual_signal(prepared: "Prepared", share: float = 1.0) -> Rule:
 
 
 def _renderer(prepared: "Prepared") -> Renderer:
-    from headway_envs.intersection.picture import IntersectionRenderer
+    from headway_envs.intersection.renderer import IntersectionRenderer
 
     return IntersectionRenderer()
 

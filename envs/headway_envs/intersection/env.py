@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from headway.contracts import Box, EnvSpec, HeadwayError, Observations, StepResult, generator
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
+from headway_envs.intersection.episode_metrics import METRICS, EpisodeMetrics
 from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.prepared import Prepared
-from headway_envs.intersection.reporting import METRICS, EpisodeMetrics
+from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
 from headway_envs.intersection.sumo.simulation import Simulation
-from headway_envs.intersection.sumo.street import Changes, SumoBridge
 
 
 def paid_share(config: IntersectionConfig) -> bool:

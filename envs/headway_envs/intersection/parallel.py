@@ -9,7 +9,7 @@ from headway.contracts import HeadwayError, Observations
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.prepared import Prepared, prepare
-from headway_envs.parallel_face import AgentObservations, Infos, ParallelEnvBase, Stepped
+from headway_envs.parallel_env import AgentObservations, Infos, ParallelEnvBase, Stepped
 
 BOUND = 5.0
 """Of every component of an observation."""
@@ -33,7 +33,7 @@ class _Face(ParallelEnvBase):
 
     def render(self) -> NDArray[np.uint8]:
         """A picture of the crossing as it is now, (height, width, 3)."""
-        from headway_envs.intersection.picture import frame_of, render
+        from headway_envs.intersection.renderer import frame_of, render
 
         return render(frame_of(self._env))
 

@@ -25,14 +25,14 @@ def _make(prepared: "Prepared", copies: int) -> BatchedEnv:
 
 def _parallel_env(config: "MergeConfig | Prepared", ramp_lanes: int) -> Any:  # noqa: ANN401 - EnvEntry's type
     from headway_envs.merge.env import MergeBatchedEnv
-    from headway_envs.parallel_face import ParallelEnvBase
+    from headway_envs.parallel_env import ParallelEnvBase
 
     prepared = _prepare(config, ramp_lanes) if isinstance(config, MergeConfig) else config
     return ParallelEnvBase(lambda copies: MergeBatchedEnv(prepared, copies))
 
 
 def _renderer(prepared: "Prepared") -> Renderer:
-    from headway_envs.merge.picture import MergeRenderer
+    from headway_envs.merge.renderer import MergeRenderer
 
     return MergeRenderer(prepared)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
-from headway_envs.kept_arrays import ArrayEnv
+from headway_envs.array_env import ArrayEnv
 from headway_envs.merge.kernel import steps
 from headway_envs.merge.kernel.layout import (
     ACTIONS,

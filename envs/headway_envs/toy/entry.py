@@ -19,25 +19,25 @@ def _trivial_parallel(config: TrivialConfig) -> Any:  # noqa: ANN401 - EnvEntry'
 
 
 def _matrix_parallel(config: MatrixConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_face import ParallelEnvBase
+    from headway_envs.parallel_env import ParallelEnvBase
 
     return ParallelEnvBase(lambda copies: Matrix(config, copies))
 
 
 def _tracking_parallel(config: TrackingConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_face import ParallelEnvBase
+    from headway_envs.parallel_env import ParallelEnvBase
 
     return ParallelEnvBase(lambda copies: Tracking(config, copies))
 
 
 def _recall_parallel(config: RecallConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_face import ParallelEnvBase
+    from headway_envs.parallel_env import ParallelEnvBase
 
     return ParallelEnvBase(lambda copies: Recall(config, copies))
 
 
 def _visitors_parallel(config: VisitorsConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_face import ParallelEnvBase
+    from headway_envs.parallel_env import ParallelEnvBase
 
     return ParallelEnvBase(lambda copies: Visitors(config, copies))
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.console.figures import write_figure
+from headway_launch.console.output_files import write_figure
 from headway_launch.studies.run_filter import parse_conditions, require_known
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.console.figures import unwritten
+from headway_launch.console.output_files import unwritten
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
     import numpy as np
 
     from headway.rollout.episodes import evaluation_seeds
-    from headway.wrappers.wrapping import behind_wrappers
+    from headway.wrappers.wrapped_env import behind_wrappers
     from headway_launch.console.video import caption_strip
 
     found = player.environment

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_launch.console.figures import unwritten
+from headway_launch.console.output_files import unwritten
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:

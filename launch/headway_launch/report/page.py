@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from headway_launch.console.figures import unwritten
 from headway_launch.console.output import print_line
+from headway_launch.console.output_files import unwritten
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
 
 PAGE = "report.html"

@@ -10,7 +10,7 @@ from headway.contracts.errors import HeadwayError
 from headway.stats import FEWEST_POINTS
 from headway.store import RunRow
 from headway_launch.report.parts import MISSING, Listing, Part, Section, Table, figure, scale_of
-from headway_launch.report.reproducing import reproducing_line
+from headway_launch.report.reproduction_line import reproducing_line
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.recorder import TRACEBACK
 from headway_launch.studies.runs import configuration

@@ -8,11 +8,11 @@ one policy, W viewpoints of a critic, A actions, D observation size, S state siz
 policy, numbers that an agent remembers.
 """
 
-from headway.contracts.acting import ActingPolicy, RecurrentPolicy
+from headway.contracts.acting_policy import ActingPolicy, RecurrentPolicy
 from headway.contracts.entries import AlgoEntry, EnvEntry, Renderer, Rule, RuleEntry
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observations, StepResult
 from headway.contracts.errors import HeadwayError
-from headway.contracts.learning import (
+from headway.contracts.learner import (
     AsynchronousLearner,
     Contribution,
     Contributor,
@@ -20,10 +20,10 @@ from headway.contracts.learning import (
     LearnerWithReplay,
 )
 from headway.contracts.random_rule import RANDOM, RandomRule
+from headway.contracts.random_streams import child_seeds, generator
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
-from headway.contracts.streams import child_seeds, generator
 from headway.contracts.trajectory import Trajectory, TrajectoryLayout
-from headway.contracts.wrapping import BatchedWrapper, ObservationBounds, WrapperEntry
+from headway.contracts.wrapper import BatchedWrapper, ObservationBounds, WrapperEntry
 
 __all__ = [
     "RANDOM",

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.acting import ActingPolicy
+from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observations
-from headway.contracts.learning import Contributor, Learner
+from headway.contracts.learner import Contributor, Learner
 
 
 def _itself(config: Any) -> Any:  # noqa: ANN401 - any record

@@ -71,7 +71,7 @@ class StepResult:
     a new agent, with a new stream, later in the episode.
 
     A copy whose episode ended has every agent marked, those that are away too, and what `step` returns as
-    Observed is already the next episode's start. Where `truncated` is set, `final_observations` are finite:
+    `observed` is already the next episode's start. Where `truncated` is set, `final_observations` are finite:
     for an agent that is away, the last it observed.
     """
 

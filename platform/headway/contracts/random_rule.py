@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from headway.contracts.entries import RuleEntry
 from headway.contracts.environment import BatchedEnv, Observations
+from headway.contracts.random_streams import generator
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
-from headway.contracts.streams import generator
 
 WIDTH = 10.0
 """Where a Box has no bound, actions are drawn up to so far from the other bound, or from 0."""

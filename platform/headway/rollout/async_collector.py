@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from headway.contracts import HeadwayError
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collector import Collector, evaluation_requests, joined, restart_purpose
 from headway.rollout.episodes import evaluate_policy

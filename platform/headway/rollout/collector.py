@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from headway.contracts import HeadwayError, Trajectory
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest
 from headway.rollout.plan import RolloutPlan, evaluation_block

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, HeadwayError, Observations, Rule, StepResult, child_seeds, generator
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Row
 from headway.rollout.nan_check import NameCopy, check_finite
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block

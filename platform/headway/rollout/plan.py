@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from headway.config.experiment import RolloutConfig
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
-from headway.contracts.acting import ActingPolicy, Parameters, hidden_size
+from headway.contracts.acting_policy import ActingPolicy, Parameters, hidden_size
 
 EVALUATION_BLOCK = 10
 """Evaluation episodes run at once, the same on every backend."""

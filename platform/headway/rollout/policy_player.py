@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Observations, RecurrentPolicy, StepResult
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.rollout.plan import RolloutPlan
 
 _Acted = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]

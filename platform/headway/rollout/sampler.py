@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Observations, StepResult, Trajectory, child_seeds, generator
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Row
 from headway.rollout.nan_check import check_finite
 from headway.rollout.plan import RolloutPlan, Shard

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collector import Collector
 from headway.rollout.sampler import Episode

@@ -3,7 +3,7 @@
 from typing import Any
 
 from headway.contracts import Trajectory
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collector import evaluation_requests, joined, require_shards, restart_purpose
 from headway.rollout.episodes import evaluate_policy

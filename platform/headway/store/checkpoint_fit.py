@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from headway.contracts.acting import ActingPolicy, Parameters
+from headway.contracts.acting_policy import ActingPolicy, Parameters
 from headway.contracts.errors import HeadwayError
 
 

@@ -19,7 +19,7 @@ from headway.contracts import (
     Learner,
     LearnerWithReplay,
 )
-from headway.contracts.acting import ActingPolicy
+from headway.contracts.acting_policy import ActingPolicy
 from headway.events import (
     LABELS,
     CheckpointSaved,

@@ -16,7 +16,7 @@ from headway.rollout.async_collector import SerialContributors
 from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.workers.async_worker import AsynchronousPlan
-from headway.training.modes import Asynchronous
+from headway.training.modes import AsynchronousMode
 from headway_algos.config import ModelConfig
 from headway_algos.on_policy.a3c_learner import A2CContributor, AsynchronousA2CLearner
 from headway_algos.recipes.a3c import A3CConfig
@@ -263,7 +263,7 @@ def _learned(
     assert isinstance(learner, AsynchronousA2CLearner)
     assert entry.contributor is not None
     contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
-    mode = Asynchronous(learner, contributors)
+    mode = AsynchronousMode(learner, contributors)
     contributors.begin()
     for iteration in range(1, iterations + 1):
         done = mode.iterate(iteration, (iteration - 1) / iterations)

@@ -257,7 +257,7 @@ def test_without_sumo_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatc
 
 
 def test_resets_do_not_grow(crossing: Callable[..., Any]) -> None:
-    """A small part of the thousand resets of `python -m headway_launch.benchmarks crossing`."""
+    """A small part of the thousand resets of `python -m benchmarks crossing`."""
 
     def resident_kb() -> int:
         with open("/proc/self/status") as status:  # noqa: PTH123 - read while nothing else is allocated

@@ -8,7 +8,8 @@ import pytest
 
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import TERMS, IntersectionConfig
-from headway_envs.intersection.humans import acceleration
+from headway_envs.intersection.episode_metrics import METRICS, EpisodeMetrics, jain
+from headway_envs.intersection.human_drivers import acceleration
 from headway_envs.intersection.layout import (
     ACCOUNT,
     CROSSING,
@@ -22,7 +23,6 @@ from headway_envs.intersection.layout import (
     StepEvents,
     Traffic,
 )
-from headway_envs.intersection.reporting import METRICS, EpisodeMetrics, jain
 from headway_envs.intersection.sumo.simulation import libsumo
 
 SEED = np.array([3], np.uint64)

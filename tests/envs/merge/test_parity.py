@@ -1,4 +1,4 @@
-"""Against highway-env. Hundreds of seeds: `python -m headway_launch.trials.merge_parity`."""
+"""Against highway-env. Hundreds of seeds: `python -m tests.trials.merge_parity`."""
 
 import sys
 
@@ -9,7 +9,7 @@ pytest.importorskip(
 )
 
 from headway.contracts import HeadwayError
-from headway_launch.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare, run
+from tests.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare, run
 
 DRIVERS = {"highway-env": False, "study": True}
 
@@ -34,7 +34,7 @@ def test_crashes_and_pushes_are_among_them() -> None:
 
 def test_a_difference_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The comparison itself can fail: drivers of another desired gap are told apart."""
-    from headway_launch.trials import merge_oracle
+    from tests.trials import merge_oracle
 
     monkeypatch.setattr(merge_oracle.Driver, "TIME_WANTED", 1.4)
     assert compare(Trial(1, density=3, play="idle", seed=4, steps=60)).faults
@@ -47,6 +47,6 @@ def test_a_number_of_seeds_that_is_none_is_named(words: list[str]) -> None:
 
 
 def test_a_missing_oracle_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "headway_launch.trials.merge_oracle", None)
+    monkeypatch.setitem(sys.modules, "tests.trials.merge_oracle", None)
     with pytest.raises(HeadwayError, match=r"highway-env is missing: pip install 'headway\[dev\]'"):
         run(["1"])

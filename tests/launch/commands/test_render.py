@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from headway_envs.merge.picture import MergeRenderer
+from headway_envs.merge.renderer import MergeRenderer
 from headway_launch.commands.main import run
 from headway_launch.console.video import caption_strip
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import headway_envs.bus.scenario.synthetic as synthetic
-from headway.wrappers.wrapping import Wrapped
+from headway.wrappers.wrapped_env import Wrapped
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import Prepared, prepare
 from headway_envs.bus.scenario.tables import Tables

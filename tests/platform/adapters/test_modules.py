@@ -20,7 +20,7 @@ from headway.contracts import Box, Discrete, HeadwayError
 from headway.registry import env_entry
 from headway.rollout.episodes import evaluate_rule
 from headway.wrappers.listed import listed_wrappers
-from headway.wrappers.wrapping import wrapped_entry
+from headway.wrappers.wrapped_env import wrapped_entry
 from headway_envs.toy.matrix import MatrixConfig
 
 SPREAD = "mpe2.simple_spread_v3"

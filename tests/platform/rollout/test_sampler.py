@@ -21,7 +21,7 @@ from headway.contracts import (
     child_seeds,
     generator,
 )
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.rollout import episodes
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluate_rule
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, Shard

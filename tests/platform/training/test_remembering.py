@@ -20,7 +20,7 @@ from rehearsal import (
 from runs import Log, job_of, logs_of, trained
 
 from headway.contracts import StepResult, Trajectory
-from headway.contracts.acting import hidden_size
+from headway.contracts.acting_policy import hidden_size
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.policy_player import PolicyPlayer
 from headway_algos.acting.gru import GRUActingPolicy

@@ -25,7 +25,7 @@ from headway.wrappers.black_death import BlackDeath
 from headway.wrappers.listed import ListedWrapper, listed_wrappers
 from headway.wrappers.observations import NoArguments
 from headway.wrappers.supersuit import supersuit_entries
-from headway.wrappers.wrapping import make_wrapped, wrapped_entry
+from headway.wrappers.wrapped_env import make_wrapped, wrapped_entry
 from headway_envs.registry import ENTRIES
 
 STACK = {"name": "frame_stack_v1", "stack_size": 2}

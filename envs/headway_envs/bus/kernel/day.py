@@ -17,7 +17,7 @@ from headway_envs.bus.kernel.draws import (
 from headway_envs.bus.kernel.layout import BIN_S, Network, Record, World
 from headway_envs.bus.kernel.motion import await_trip, renew
 from headway_envs.bus.kernel.passengers import catch_up, count_wait, draw_next
-from headway_envs.keyed_draws import episode_key, uniform
+from headway_envs.keyed_random import episode_key, uniform
 
 
 @compiled

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.keyed_draws import uniform
+from headway_envs.keyed_random import uniform
 
 DAY, EVENING, NETWORK, TRIP, LINK, INCIDENT, INCIDENT_SIZE, DISPATCH = 1, 2, 3, 4, 5, 6, 7, 8
 ARRIVAL, PATIENCE, DEMAND_DAY, DEMAND_HOUR, ALIGHTING, BREAKDOWN = 9, 10, 11, 12, 13, 14

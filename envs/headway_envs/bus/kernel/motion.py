@@ -38,7 +38,7 @@ from headway_envs.bus.kernel.layout import (
 )
 from headway_envs.bus.kernel.passengers import board, change_load, put_off
 from headway_envs.bus.kernel.upkeep import is_serviceable
-from headway_envs.keyed_draws import uniform
+from headway_envs.keyed_random import uniform
 
 
 @compiled

@@ -14,7 +14,7 @@ from headway_envs.bus.kernel.draws import (
     unit_gamma,
 )
 from headway_envs.bus.kernel.layout import BIN_S, WAIT_BINS, Network, Record, World
-from headway_envs.keyed_draws import uniform
+from headway_envs.keyed_random import uniform
 
 
 @compiled

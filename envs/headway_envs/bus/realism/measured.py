@@ -9,7 +9,7 @@ city) on 2024-06-04 and 05, and of Sundays.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from headway_envs.bus.realism.figures import (
+from headway_envs.bus.realism.trip_statistics import (
     BOARDINGS,
     FIFTHS,
     FIRST_CV,

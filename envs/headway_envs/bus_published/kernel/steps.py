@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from headway_envs.bus_published.kernel.compiled import compiled, compiled_apart
 from headway_envs.bus_published.kernel.layout import FUEL_CAPACITY, Network, Outputs, Record, World
-from headway_envs.bus_published.kernel.moving import act
+from headway_envs.bus_published.kernel.motion import act
 from headway_envs.bus_published.kernel.observe import look
 from headway_envs.bus_published.kernel.rewards import close_books
-from headway_envs.keyed_draws import episode_key, uniform
+from headway_envs.keyed_random import episode_key, uniform
 
 _CENTRE = 1
 """Purpose of the draw."""

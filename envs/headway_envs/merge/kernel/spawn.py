@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from headway_envs.keyed_draws import episode_key, uniform
+from headway_envs.keyed_random import episode_key, uniform
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
 from headway_envs.merge.kernel.control import speed_index
 from headway_envs.merge.kernel.lanes import closest

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.keyed_draws import uniform
+from headway_envs.keyed_random import uniform
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
 from headway_envs.merge.kernel.contact import touch
 from headway_envs.merge.kernel.control import control, decide

@@ -38,7 +38,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Read and print."""
     if arguments.lines < 0 or arguments.seed < 0:
         raise HeadwayError("--lines and --seed must be at least 0")
-    from headway_envs.bus.scenario.describing import by_day_type, by_line, meta_rows
+    from headway_envs.bus.scenario.description import by_day_type, by_line, meta_rows
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus.scenario.tables import DAY_TYPES
     from headway_launch.console.tables import print_table

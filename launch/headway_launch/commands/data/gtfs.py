@@ -53,7 +53,7 @@ def execute(arguments: argparse.Namespace) -> int:
         )
     weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
     out = check_output(arguments)
-    from headway_envs.bus.scenario.gtfs.importing import BUS_TYPES, GtfsOptions, import_gtfs
+    from headway_envs.bus.scenario.gtfs.importer import BUS_TYPES, GtfsOptions, import_gtfs
 
     options = GtfsOptions(
         weekday=weekday,

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.figures import write_figure
+from headway_launch.console.output_files import write_figure
 
 EXAMPLES = """\
 examples:
@@ -32,7 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Draw the picture and say where it is."""
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
-    from headway_envs.bus.scenario.drawing import draw_scenario
+    from headway_envs.bus.scenario.plots import draw_scenario
     from headway_envs.bus.scenario.source import scenario_tables
 
     name = Path(arguments.scenario).name

@@ -13,7 +13,7 @@ from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from headway_envs.bus.config import BusConfig
-    from headway_envs.bus.realism.comparing import Row
+    from headway_envs.bus.realism.comparison import Row
 
 EXAMPLES = """\
 examples:
@@ -55,7 +55,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError("--days must be at least 1")
     config = _config(arguments)
     from headway_envs.bus.config import SCENARIOS
-    from headway_envs.bus.realism.comparing import compare_replay, lines_of
+    from headway_envs.bus.realism.comparison import compare_replay, lines_of
     from headway_envs.bus.realism.measured import CITY_LINES
     from headway_envs.bus.scenario.source import scenario_tables
 

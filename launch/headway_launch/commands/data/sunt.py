@@ -44,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
     weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
     out = check_output(arguments)
-    from headway_envs.bus.scenario.sunt.importing import SuntOptions, import_sunt
+    from headway_envs.bus.scenario.sunt.importer import SuntOptions, import_sunt
 
     options = SuntOptions(weekday, sunday, names_of(arguments.lines), arguments.seed)
     tables = import_sunt(Path(arguments.raw), options)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.figures import unwritten
+from headway_launch.console.output_files import unwritten
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def write_scenario(tables: "Tables", out: Path) -> None:
 
 def tell_written(tables: "Tables", out: Path) -> None:
     """What was written, in a line each, and what to do with it."""
-    from headway_envs.bus.scenario.describing import by_day_type
+    from headway_envs.bus.scenario.description import by_day_type
     from headway_envs.bus.scenario.tables import DAY_TYPES
 
     print(

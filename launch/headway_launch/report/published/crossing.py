@@ -156,7 +156,7 @@ def _not_comparable(data: StudyData, tasks: list[str]) -> list[Part]:
         "stated: half, here. Its baseline of 50 runs of human drivers is mentioned and not printed: ours is "
         "the rule in the table.",
         "What it shows. A policy that was never trained and draws accelerations by chance comes close to the "
-        "paper's row of PPO (`python -m headway_launch.benchmarks crossing`), so that row is no evidence of "
+        "paper's row of PPO (`python -m benchmarks crossing`), so that row is no evidence of "
         "learning.",
     ]
     if any(env_of(data, task)["args"]["reward"]["kind"] != "paper" for task in tasks):

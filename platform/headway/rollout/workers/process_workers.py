@@ -10,7 +10,7 @@ from multiprocessing.context import ForkServerProcess
 from typing import Any
 
 from headway.contracts import Trajectory
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle

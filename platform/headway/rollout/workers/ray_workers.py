@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from headway.config.experiment import BackendConfig
 from headway.contracts import HeadwayError, Trajectory
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.events import Usage
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Contribution, HeadwayError, Trajectory
-from headway.contracts.acting import Parameters
+from headway.contracts.acting_policy import Parameters
 from headway.contracts.trajectory import aligned
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy

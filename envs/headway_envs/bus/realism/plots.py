@@ -1,0 +1,86 @@
+"""Pictures of days: buses in time and space, loads along a pattern, headways along the route."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from headway_envs.bus.realism.trip_statistics import FIFTHS, cv_name
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+
+
+def draw_time_space(
+    axes: "Axes",
+    calls: pd.DataFrame,
+    pattern: int,
+    km: "pd.Series[float]",
+    hours: tuple[float, float],
+    fullest: float = 75.0,
+) -> "LineCollection":
+    """One line a bus of the pattern, by time and km from its first call, coloured by its load (up to
+    `fullest`); flat where it stands. `calls` is a day's; `km` by pattern and seq0. Returns what a colour bar
+    needs."""
+    from matplotlib.collections import LineCollection
+
+    own = calls[calls["pattern"] == pattern].sort_values(["trip", "seq0"])
+    place = km.reindex(pd.MultiIndex.from_frame(own[["pattern", "seq0"]])).to_numpy()
+    came = own["time"].to_numpy(np.float64) / 3600.0
+    left = own["left"].to_numpy(np.float64) / 3600.0
+    load = own["load"].to_numpy(np.float64)
+    follows = np.append(np.diff(own["trip"].to_numpy()) == 0, False)
+    stand = np.flatnonzero(~np.isnan(left))
+    drive = np.flatnonzero(follows & ~np.isnan(left))
+    at_stop = np.stack([np.stack([came, place], 1)[stand], np.stack([left, place], 1)[stand]], axis=1)
+    on_way = np.stack([np.stack([left, place], 1)[drive], np.stack([came, place], 1)[drive + 1]], axis=1)
+    lines = LineCollection(list(np.concatenate((at_stop, on_way))), cmap="viridis_r", linewidths=1.4)
+    lines.set_array(np.concatenate((load[stand], load[drive])))
+    lines.set_clim(0.0, fullest)
+    axes.add_collection(lines)
+    axes.set_xlim(*hours)
+    axes.set_ylim(0.0, float(np.nanmax(place)) if len(place) else 1.0)
+    axes.set_xlabel("hour of the day")
+    axes.set_ylabel("km from the first stop")
+    axes.label_outer()
+    return lines
+
+
+def draw_load_profile(
+    axes: "Axes", days: Mapping[str, pd.DataFrame], pattern: int, expected: "pd.Series[float] | None" = None
+) -> None:
+    """Passengers aboard on leaving each call of a pattern, of each of `days` (name: calls): the mean, and for
+    the first also the band that holds the middle 80%; `expected`, by seq0, as a dashed line."""
+    for number, (name, calls) in enumerate(days.items()):
+        loads = calls[calls["pattern"] == pattern].groupby("seq0")["load"]
+        mean = loads.mean().dropna()
+        axes.plot(mean.index, mean.to_numpy(), color=f"C{number}", label=name)
+        if number == 0:
+            low, high = loads.quantile(0.1).loc[mean.index], loads.quantile(0.9).loc[mean.index]
+            axes.fill_between(
+                mean.index, low.to_numpy(), high.to_numpy(), color="C0", alpha=0.2, linewidth=0, label="80%"
+            )
+    if expected is not None:
+        axes.plot(expected.index, expected.to_numpy(), color="black", linestyle="--", label="by the tables")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("call")
+    axes.set_ylabel("passengers aboard")
+    axes.legend()
+
+
+def draw_headways_along(axes: "Axes", figures: Mapping[str, Mapping[str, float]]) -> None:
+    """Headway CV by fifth of the route, of each of `figures` (name: figures by name); those that lack some
+    are drawn without them, and those that lack all not at all."""
+    fifths = list(range(1, FIFTHS + 1))
+    for name, values in figures.items():
+        there = [fifth for fifth in fifths if cv_name(fifth - 1) in values]
+        cvs = [values[cv_name(fifth - 1)] for fifth in there]
+        if there:
+            axes.plot(there, cvs, marker="o", label=name, color="black" if name == "measured" else None)
+    axes.set_xticks(fifths)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("fifth of the route")
+    axes.set_ylabel("headway CV, within two hours")
+    axes.legend()

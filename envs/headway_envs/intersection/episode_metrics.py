@@ -1,0 +1,117 @@
+"""The metrics of an episode."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_envs.intersection.config import STEP_S, TERMS, IntersectionConfig
+from headway_envs.intersection.layout import SUMS
+from headway_envs.intersection.sumo.bridge import Changes
+
+GALLONS_PER_ML = 0.000264172
+METRICS = (
+    "team_return", "paper_return", "collisions", "inflow_vph", "outflow_vph", "efficiency",
+    "inflow_warm_vph", "outflow_warm_vph", "vehicles", "pending", "speed", "speed_av", "speed_hdv",
+    "acceleration_av", "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel_gal_s",
+    "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
+    "fairness_jain", "sumo_steps", *(f"reward_{term}" for term in TERMS),
+)  # fmt: skip
+"""In the order of `EpisodeMetrics.metrics`; `meanings` says what they are."""
+
+
+@dataclass
+class EpisodeMetrics:
+    """What is counted in an episode."""
+
+    config: IntersectionConfig
+    steps: int = 0
+    entered: int = 0
+    arrived: int = 0
+    entered_early: int = 0
+    """Within the warm-up; so with the next."""
+    arrived_early: int = 0
+    crashes: int = 0
+    avs: int = 0
+    without_slot: int = 0
+    pending: int = 0
+    travel_s: list[float] = field(default_factory=list)
+    through: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
+    """AVs that went through, by approach."""
+
+    @property
+    def outflow_vph(self) -> float:
+        """Vehicles that left, an hour, since the beginning."""
+        return self.arrived * 3600 / (max(self.steps, 1) * STEP_S)
+
+    def count(self, changes: Changes) -> None:
+        """A step."""
+        self.steps += 1
+        self.pending += changes.pending
+        if not (changes.entered or changes.arrived or changes.crashes):
+            return
+        self.entered += changes.entered
+        self.arrived += changes.arrived
+        if self.steps * STEP_S <= self.config.warm_up_s:
+            self.entered_early += changes.entered
+            self.arrived_early += changes.arrived
+        self.crashes += changes.crashes
+        self.avs += changes.avs
+        self.without_slot += changes.without_slot
+        for approach, seconds in changes.travels:
+            self.through[approach] += 1
+            self.travel_s.append(seconds)
+
+    def metrics(self, account: np.void) -> list[float]:
+        """In the order of METRICS, with what the kernel has added up in an element of ACCOUNT."""
+        total, steps = {name: float(account[name]) for name in SUMS}, max(self.steps, 1)
+        seconds = steps * STEP_S
+        late = seconds - self.config.warm_up_s
+        early_in, early_out = (self.entered_early, self.arrived_early) if late > 0 else (0, 0)
+        per_hour = 3600 / (late if late > 0 else seconds)
+        spent = _spent_for_each(account["present"] * STEP_S, self.through)
+        with_any, with_av, with_hdv = (max(total[f"steps_{kind}"], 1) for kind in ("all", "av", "hdv"))
+        return [
+            total["team_return"],
+            total["paper_return"],
+            self.crashes,
+            self.entered * 3600 / seconds,
+            self.outflow_vph,
+            self.arrived / max(self.entered, 1),
+            (self.entered - early_in) * per_hour,
+            (self.arrived - early_out) * per_hour,
+            total["vehicles"] / steps,
+            self.pending / steps,
+            total["speed"] / with_any,
+            total["speed_av"] / with_av,
+            total["speed_hdv"] / with_hdv,
+            total["acceleration_av"] / with_av,
+            total["acceleration_hdv"] / with_hdv,
+            total["hardest_braking_av"],
+            total["hardest_braking_hdv"],
+            total["fuel"] / with_any * GALLONS_PER_ML,
+            total["standing"] / with_any,
+            self.avs,
+            sum(self.through),
+            self.without_slot,
+            float(np.mean(self.travel_s)) if self.travel_s else seconds,
+            max(spent, default=0.0),
+            jain(spent),
+            self.steps,
+            *(account["terms"] / steps).tolist(),
+        ]
+
+
+def _spent_for_each(seconds: NDArray[np.float64], through: Sequence[int]) -> list[float]:
+    """Seconds spent by AVs for each that went through, of the approaches that AVs came from: one where all
+    are stuck counts."""
+    return [float(spent) / max(count, 1) for spent, count in zip(seconds, through, strict=True) if spent > 0]
+
+
+def jain(values: Sequence[float]) -> float:
+    """Jain's index, (sum x)^2 / (n sum x^2): 1 where all are equal, 1/n where one has all; 1 for none.
+    Source: Jain, Chiu and Hawe 1984."""
+    array = np.asarray(values)
+    squares = float((array**2).sum())
+    return float(array.sum()) ** 2 / (len(array) * squares) if squares > 0 else 1.0

@@ -1,0 +1,198 @@
+"""Training measured in a process of its own, so that nothing else is on its account."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from headway.adapters.pettingzoo import ParallelEnvBatch
+from headway.config.experiment import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
+from headway.config.schema import build, plain
+from headway.events import Event, IterationFinished, Started
+from headway.registry import algo_entry, env_entry
+
+if TYPE_CHECKING:
+    from headway_launch.experiments.compose import Experiment
+
+WARM_UP = 2
+"""Iterations not counted: kernels load, memory is touched for the first time."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One training to measure."""
+
+    env: str
+    algo: str
+    env_args: Mapping[str, Any]
+    algo_args: Mapping[str, Any]
+    copies: int
+    steps: int
+    block: int
+    iterations: int
+    dict_based: bool = False
+    """Step the PettingZoo face through the adapter instead of the native batch."""
+    backend: str = "serial"
+    workers: int = 1
+    seed: int = 0
+    stack: int = 1
+    """Seeds, from `seed` on, that are trained together."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the counted iterations took."""
+
+    env_steps: int
+    """Of all seeds."""
+    wall_s: float
+    cpu_s: float
+    collect_s: float
+    learn_s: float
+    worker_mb: float = 0.0
+    """The most memory that a worker, or the process that evaluates where that is another, has held, resident;
+    0 without both."""
+
+    @property
+    def per_second(self) -> float:
+        """Environment steps a second."""
+        return self.env_steps / self.wall_s
+
+    @property
+    def per_cpu_second(self) -> float:
+        """Environment steps a CPU second, workers included."""
+        return self.env_steps / self.cpu_s
+
+    @property
+    def collected_per_second(self) -> float:
+        """Environment steps a second while collecting only."""
+        return self.env_steps / self.collect_s
+
+
+def first_part(experiment: "Experiment", env_steps: int) -> Task:
+    """Of an experiment's training, by worker processes: so many environment steps that count."""
+    rollout = experiment.config.rollout
+    return Task(
+        env=experiment.config.env.id,
+        algo=experiment.algo_name,
+        env_args=plain(experiment.training_env_config),
+        algo_args=plain(experiment.algo_config),
+        copies=rollout.copies,
+        steps=rollout.steps,
+        block=rollout.block,
+        iterations=-(-env_steps // (rollout.copies * rollout.steps)) + WARM_UP,
+        backend="process",
+    )
+
+
+class DictBased:
+    """An environment's PettingZoo face as a batch, picklable."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, config: Any, copies: int) -> ParallelEnvBatch:  # noqa: ANN401 - as EnvEntry.make
+        make = env_entry(self.name).parallel_env
+        assert make is not None
+        return ParallelEnvBatch(lambda: make(config), copies, self.name, shared_reward=True)
+
+
+def measure(tasks: Sequence[Task]) -> list[Measurement]:
+    """Run the tasks side by side, each in a fresh process with one thread."""
+    threads = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+    command = [sys.executable, "-m", "benchmarks.measurement"]
+    processes = [
+        subprocess.Popen(
+            [*command, json.dumps(asdict(task))],
+            stdout=subprocess.PIPE,
+            env={**os.environ, **threads},
+            text=True,
+        )
+        for task in tasks
+    ]
+    outputs = [process.communicate()[0] for process in processes]
+    if any(process.returncode for process in processes):
+        raise SystemExit("benchmark: a measured process failed; its error stands above")
+    return [Measurement(**json.loads(output.splitlines()[-1])) for output in outputs]
+
+
+def measure_here(task: Task) -> Measurement:
+    """Run one task in this process."""
+    from headway.training.loop import TrainingJob, train
+
+    entry, algo = env_entry(task.env), algo_entry(task.algo)
+    prepared = entry.prepare(build(entry.config, task.env_args))
+    seeds = tuple(range(task.seed, task.seed + task.stack))
+    make = DictBased(task.env) if task.dict_based else entry.make
+    config = ExperimentConfig(
+        env_steps=task.copies * task.steps * task.iterations,
+        rollout=RolloutConfig(task.copies, task.steps, task.block),
+        backend=build(BackendConfig, {"name": task.backend}),
+        evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),
+    )
+    marks: list[tuple[float, float, float, float]] = []
+    others: list[int] = []
+    most = 0.0
+
+    def note(event: Event) -> None:
+        nonlocal others, most
+        if isinstance(event, Started):
+            _, *others = event.process_ids
+        if isinstance(event, IterationFinished):
+            most = max([most, *map(_peak_mb, others)])
+            row = event.curve[0]
+            marks.append(
+                (
+                    time.monotonic(),
+                    event.usage.cpu_seconds,
+                    float(row["time/collect_s"]),
+                    float(row["time/learn_s"]),
+                )
+            )
+
+    with tempfile.TemporaryDirectory() as folder:
+        job = TrainingJob(
+            make_env=make,
+            preload=entry.preload,
+            prepared=prepared,
+            spec=make(prepared, 1).spec,
+            make_policy=algo.acting_policy,
+            make_learner=algo.learner,
+            algo_config=build(algo.config, task.algo_args),
+            seeds=seeds,
+            config=config,
+            workers=task.workers,
+            directories=tuple(str(Path(folder, str(seed))) for seed in seeds),
+            make_contributor=algo.contributor,
+            contributor_preload=algo.preload,
+        )
+        train(job, note, lambda: False)
+    counted = marks[WARM_UP:]
+    return Measurement(
+        env_steps=task.copies * task.steps * len(counted) * task.stack,
+        wall_s=counted[-1][0] - marks[WARM_UP - 1][0],
+        cpu_s=counted[-1][1] - marks[WARM_UP - 1][1],
+        collect_s=sum(mark[2] for mark in counted),
+        learn_s=sum(mark[3] for mark in counted),
+        worker_mb=most,
+    )
+
+
+def _peak_mb(process_id: int) -> float:
+    """Of a process of Linux; 0 where it is gone."""
+    try:
+        status = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8")
+    except OSError:
+        return 0.0
+    peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
+    return int(peaks[0]) / 1024 if peaks else 0.0
+
+
+if __name__ == "__main__":
+    print(json.dumps(asdict(measure_here(Task(**json.loads(sys.argv[1]))))))

@@ -1,0 +1,116 @@
+"""Environment steps a second of whole trainings, beside what peers gave on a machine of the same kind.
+
+The task of the comparison: a trivially cheap environment of ten agents (Box(4), Discrete(3), shared
+reward, 200 steps), MLP 64-64 tanh, PPO with 5 epochs, 4,000 environment steps a batch, one process and
+one thread. The peers step a dict-based PettingZoo environment, so the row to compare them with is `dict`.
+The other algorithms do the same task on the batched environment at their own defaults, with a policy for each
+agent; TRPO's critic goes over a batch as often as PPO's, K-FAC's once, and who replays takes 128 steps on 128
+transitions a policy after each. DDPG, whose actions are Box, tracks a target in the plane instead.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from statistics import median
+
+from benchmarks.measurement import Measurement, Task, measure
+from headway_algos.registry import ENTRIES
+
+PEERS = (
+    ("RLlib 2.60", 1163, 614),
+    ("BenchMARL 1.5", 716, 717),
+    ("EPyMARL", 1051, 846),
+    ("on-policy (MAPPO)", 1060, 991),
+    ("HARL (HAPPO)", 2054, 1598),
+    ("Sample Factory (shared, asynchronous)", 2600, 1353),
+)
+"""Measured once on two cores like those this project is developed on, independent policies, and not
+measured again by this command: (name, environment steps a second, a CPU second)."""
+
+BASE = Task(
+    env="trivial",
+    algo="ippo",
+    env_args={},
+    algo_args={"epochs": 5, "minibatches": 8},
+    copies=20,
+    steps=200,
+    block=20,
+    iterations=12,
+)
+
+ELSEWHERE = {"ddpg": ("tracking", {"agents": 10, "steps": 200})}
+"""Environments of algorithms that do not take Discrete actions."""
+
+ROUNDS = 3
+"""Every row is measured this often, in turn with the others, because machines' speed drifts; the table
+gives medians."""
+
+
+def report() -> None:
+    """Print the table."""
+    print("\n## Training: environment steps a second (10 agents, 4,000 steps a batch)\n")
+    print(f"Headway's rows are medians of {ROUNDS} runs, taken in turn.\n")
+    print("| program | environment | policies | steps/s | steps/CPU s | rollouts alone, steps/s |")
+    print("|---|---|---|---:|---:|---:|")
+    for name, per_second, per_cpu_second in PEERS:
+        print(f"| {name}, measured earlier | dict | independent | {per_second:,} | {per_cpu_second:,} | |")
+    rows = [
+        (dict_based, algo, policies)
+        for dict_based in (True, False)
+        for algo in ("ippo", "mappo")
+        for policies in ("independent", "shared")
+    ]
+    tasks = [
+        replace(BASE, algo=algo, dict_based=dict_based, algo_args={**BASE.algo_args, "policies": policies})
+        for dict_based, algo, policies in rows
+    ]
+    others = sorted(set(ENTRIES) - {"custom", *(algo for _, algo, _ in rows)})
+    rows += [(False, algo, "independent") for algo in others]
+    for algo in others:
+        env, env_args = ELSEWHERE.get(algo, (BASE.env, BASE.env_args))
+        task = replace(BASE, env=env, env_args=env_args, algo=algo, algo_args={"policies": "independent"})
+        tasks.append(task)
+    for (dict_based, algo, policies), results in zip(rows, in_turn(tasks), strict=True):
+        face = "dict" if dict_based else f"batched{', tracking' * (algo in ELSEWHERE)}"
+        print(
+            f"| Headway {algo} | {face} | {policies} | {median(r.per_second for r in results):,.0f} "
+            f"| {median(r.per_cpu_second for r in results):,.0f} "
+            f"| {median(r.collected_per_second for r in results):,.0f} |",
+            flush=True,
+        )
+    _report_two_seeds()
+    _report_workers()
+
+
+def in_turn(tasks: Sequence[Task]) -> list[list[Measurement]]:
+    """`ROUNDS` measurements of each task, A B C A B C ..."""
+    rounds = [[measure([task])[0] for task in tasks] for _ in range(ROUNDS)]
+    return [list(results) for results in zip(*rounds, strict=True)]
+
+
+def _report_two_seeds() -> None:
+    ratios, totals = [], []
+    for _ in range(ROUNDS):
+        alone = measure([BASE])[0]
+        pair = measure([replace(BASE, seed=seed) for seed in (0, 1)])
+        totals.append(sum(result.per_second for result in pair))
+        ratios.append(totals[-1] / alone.per_second)
+    print("\nTwo seeds in two processes (ippo, batched, independent):", end=" ")
+    print(f"{median(totals):,.0f} steps/s, {median(ratios):.2f} times one alone.", flush=True)
+
+
+def _report_workers() -> None:
+    """Rollout workers pay where the environment does: the dict-based one, and the bus line."""
+    for label, task in (
+        ("dict-based trivial, 20 copies", replace(BASE, dict_based=True, block=10)),
+        ("bus line, 8 copies", replace(BASE, env="bus", copies=8, steps=285, block=4, iterations=8)),
+        ("bus line, 32 copies", replace(BASE, env="bus", copies=32, steps=143, block=4, iterations=8)),
+    ):
+        pairs = [replace(task, backend="process", workers=workers) for workers in (1, 2)]
+        one, two = in_turn(pairs)
+        ratio = median(b.collected_per_second / a.collected_per_second for a, b in zip(one, two, strict=True))
+        print(
+            f"Rollouts with two workers against one ({label}): "
+            f"{median(r.collected_per_second for r in one):,.0f} and "
+            f"{median(r.collected_per_second for r in two):,.0f} steps/s, {ratio:.2f} times.",
+            flush=True,
+        )

@@ -1,0 +1,58 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from benchmarks.city import parts_mb
+
+HELD_MB = 60
+_SESSION = """
+import multiprocessing
+
+def work(pipe):
+    held = bytearray(b"x" * {mb} * 2**20)
+    pipe.send("held")
+    pipe.recv()
+
+def learn(pipe):
+    multiprocessing.set_start_method("forkserver", force=True)
+    worker = multiprocessing.Process(target=work, args=(pipe,))
+    worker.start()
+    worker.join()
+
+if __name__ == "__main__":
+    ours, theirs = multiprocessing.Pipe()
+    learner = multiprocessing.get_context("spawn").Process(target=learn, args=(theirs,))
+    learner.start()
+    print(ours.recv(), flush=True)
+    input()
+    ours.send("end")
+    learner.join()
+"""
+
+
+def test_what_children_hold_counts() -> None:
+    before = sum(parts_mb(os.getpid()).values())
+    script = f"held = bytearray(b'x' * {HELD_MB * 2**20}); print('held', flush=True); input()"
+    child = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert child.stdout is not None
+    child.stdout.readline()
+    during = parts_mb(os.getpid())
+    child.communicate(b"\n")
+    assert before > 10
+    assert HELD_MB < sum(during.values()) - before < HELD_MB + 40
+    assert during["others"] > HELD_MB
+    assert sum(parts_mb(child.pid).values()) == 0
+
+
+def test_each_part_of_a_session_is_counted_as_what_it_is(tmp_path: Path) -> None:
+    script = tmp_path / "session.py"
+    script.write_text(_SESSION.replace("{mb}", str(HELD_MB)))
+    session = subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert session.stdout is not None
+    session.stdout.readline()
+    parts = parts_mb(session.pid)
+    session.communicate(b"\n")
+    assert parts["workers"] > HELD_MB
+    for part in ("session", "learner", "fork server", "others"):
+        assert 1 < parts[part] < HELD_MB, part

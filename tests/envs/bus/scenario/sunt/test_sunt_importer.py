@@ -1,0 +1,252 @@
+"""Scenarios from raw files of SUNT: oddities are mended and counted, the real files give known figures."""
+
+import datetime as dt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.sunt.importer import SuntOptions, import_sunt
+from headway_envs.bus.scenario.tables import Tables, check_tables, read_tables, write_tables
+
+SHARED = Path(__file__).parents[6] / "shared" / "data"
+WEEKDAY, SUNDAY = dt.date(2024, 8, 26), dt.date(2024, 9, 15)
+STOPS = 6
+
+
+def records(date: dt.date, trips: int = 20, board: float = 3.0, alight: float = 3.0) -> pd.DataFrame:
+    """Trips of two directions of line 7, every half hour from 06:00, a minute from stop to stop."""
+    rows = []
+    for trip in range(trips):
+        for seq in range(1, STOPS + 1):
+            way = "IV"[trip % 2]
+            stop = seq if way == "I" else STOPS + 1 - seq
+            leaves = pd.Timestamp(date) + pd.Timedelta(hours=6, minutes=30 * trip)
+            rows.append(
+                {
+                    "route_short_name": "0007",
+                    "register_code": 500,
+                    "direction_id": way,
+                    "pt_sequence": seq,
+                    "stop_id": 9000 + stop,
+                    "vehicle": f"{2 + trip % 2}01",
+                    "trip_id": f"201_7_{trip}",
+                    "start_trip": str(leaves),
+                    "stop_time": str(leaves + pd.Timedelta(minutes=seq - 1)),
+                    "n-boardings": board if seq < STOPS else 0.0,
+                    "n-alighting": alight if seq > 1 else 0.0,
+                    "lag_loading": 10.0 if seq > 1 else 0.0,
+                    "loading": 10.0,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def write_raw(folder: Path, days: dict[dt.date, pd.DataFrame], nodes: bool = True) -> Path:
+    (folder / "od").mkdir(parents=True, exist_ok=True)
+    for date, frame in days.items():
+        frame.to_parquet(folder / "od" / f"od-{date}.parquet")
+    stops = [str(9000 + n) for n in range(1, STOPS + 1)]
+    pd.DataFrame({"stop_id": stops, "lat": -12.9 + 0.003 * np.arange(STOPS), "lon": -38.4}).to_parquet(
+        folder / "gtfs_bus_topique_02_2024.parquet"
+    )
+    if nodes:
+        times = pd.date_range("2024-03-04 05:00", "2024-03-05 00:55", freq="5min")
+        pd.concat(
+            pd.DataFrame(
+                {"time": times, "node": stop, "lat": -12.9, "lon": -38.4, "sobe": 2.0, "carregamento": -1.0}
+            )
+            for stop in stops
+        ).to_parquet(folder / "node_temporal_features_04-03-2024.parquet")
+    return folder
+
+
+def imported(raw: Path, **options: Any) -> Tables:  # noqa: ANN401 - any of the options
+    tables = import_sunt(raw, SuntOptions(**options))
+    check_tables(tables)
+    return tables
+
+
+def boards(tables: Tables, kind: str) -> float:
+    return float(tables.demand.loc[tables.demand["daytype"] == kind, "board"].sum())
+
+
+def test_records_become_patterns_trips_and_demand(tmp_path: Path) -> None:
+    tables = imported(write_raw(tmp_path, {SUNDAY: records(SUNDAY)}))
+    assert tables.patterns[["line", "dir", "n_stops"]].to_numpy().tolist() == [
+        ["0007", "I", 6],
+        ["0007", "V", 6],
+    ]
+    assert len(tables.trips) == 20
+    assert sorted(tables.trips["vehicle"].unique()) == [0, 1]  # renumbered
+    assert tables.trips["dep_s"].min() == 6 * 3600
+    assert boards(tables, "sunday") == pytest.approx(20 * 5 * 3.0)
+    assert tables.link_times["mean_s"].median() == pytest.approx(60.0, abs=4.0)
+    middle = tables.alighting[(tables.alighting["seq0"] == 3) & (tables.alighting["period"] == 1)]
+    assert middle["p_alight"].to_numpy() == pytest.approx(0.3, abs=0.1)
+    assert tables.meta["licence"].startswith("CC BY 4.0; changed:")
+    assert "10.17632/85fdtx3kr5.1" in tables.meta["source"]
+
+
+def test_a_day_without_fares_takes_the_counts_by_stop(tmp_path: Path) -> None:
+    raw = write_raw(tmp_path, {WEEKDAY: records(WEEKDAY, board=0.0, alight=0.0), SUNDAY: records(SUNDAY)})
+    tables = imported(raw)
+    counted = tables.meta["counted"]
+    assert counted["days without fares, not used for demand"] == 1
+    # 20 hours a stop at 24 an hour; a stop is called at from 6 to 15 h; nobody boards where all trips end.
+    lost = counted["boardings of a weekday without a call there in that hour, left out"]
+    assert boards(tables, "weekday") + lost == pytest.approx(6 * 20 * 24.0)
+    assert boards(tables, "weekday") == pytest.approx(6 * 10 * 24.0, rel=0.1)
+    assert tables.meta["made_from"]["demand weekday"] == "counts by stop of 1 days, raw counts"
+    assert tables.meta["made_from"]["alighting"] == "trip records of 2024-09-15"
+    without = imported(write_raw(tmp_path / "b", {WEEKDAY: records(WEEKDAY, board=0.0)}, nodes=False))
+    assert without.meta["made_from"]["demand weekday"] == "made up: 47 boardings a trip"
+    assert without.meta["made_from"]["alighting"] == "made up by measured shares"
+    assert boards(without, "weekday") == pytest.approx(20 * 47.0)
+
+
+def odd(frame: pd.DataFrame, oddity: str) -> pd.DataFrame:
+    """The records with one oddity of the real files."""
+    frame = frame.copy()
+    board = frame.columns.get_loc("n-boardings")
+    match oddity:
+        case "twice":
+            frame = pd.concat([frame, frame.iloc[[3]]])
+        case "blank":
+            frame.iloc[0, board] = np.nan
+        case "infinite":
+            frame.iloc[0, board] = np.inf
+        case "negative":
+            frame.iloc[0, board] = -2.0
+        case "fraction":
+            frame.iloc[0, board] = 1.49
+        case "full":
+            frame.iloc[2, frame.columns.get_loc("loading")] = 295.0
+        case "below":
+            frame.iloc[2, frame.columns.get_loc("loading")] = -3.0
+        case "backwards":
+            frame.iloc[2, frame.columns.get_loc("stop_time")] = str(pd.Timestamp(SUNDAY))
+        case "timeless":
+            frame.iloc[2, frame.columns.get_loc("stop_time")] = None
+        case "still":
+            frame.loc[frame["trip_id"] == "201_7_0", "stop_time"] = str(pd.Timestamp(SUNDAY))
+        case "lonely":
+            frame = frame.drop(index=range(1, STOPS))
+        case "placeless":
+            frame.iloc[2, frame.columns.get_loc("stop_id")] = 1
+        case "slow":
+            late = pd.Timestamp(SUNDAY) + pd.Timedelta(hours=8)
+            frame.iloc[5, frame.columns.get_loc("stop_time")] = str(late)
+        case "unexpanded":
+            frame["n-alighting"] *= 0.7
+        case "one operator":
+            frame["vehicle"] = "3" + frame["vehicle"].str[1:]
+        case "skipping":
+            frame = frame.drop(index=7)
+        case "late":
+            shift = pd.Timedelta(hours=12)
+            frame["stop_time"] = (pd.to_datetime(frame["stop_time"]) + shift).astype(str)
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("oddity", "name", "count"),
+    [
+        ("twice", "calls given twice, the second left out", 1),
+        ("blank", "boardings blank, taken as 0", 1),
+        ("infinite", "boardings infinite, taken as 0", 1),
+        ("negative", "boardings below 0, taken as 0", 1),
+        ("fraction", "boardings not whole (expanded), kept", 1),
+        ("full", "loads above 150, not used", 1),
+        ("below", "loads below 0, not used", 1),
+        ("backwards", "times before the call before, set to it", 1),
+        ("backwards", "link times of 0 s, not used", 1),
+        ("timeless", "calls without a time, left out", 1),
+        ("still", "trips that end when they begin, left out", 1),
+        ("lonely", "trips of one call, left out", 1),
+        ("placeless", "calls at stops without a place, left out", 1),
+        ("slow", "link times above 1800 s, not used", 1),
+        ("unexpanded", "days whose alightings were not expanded, not used for them", 1),
+        ("one operator", "days of one operator only", 1),
+        ("skipping", "trips that lack calls of their pattern, kept as whole", 1),
+        ("late", "calls after midnight, kept as past 24 h", 48),
+    ],
+)
+def test_each_oddity_is_counted_once_and_gives_a_whole_scenario(
+    tmp_path: Path, oddity: str, name: str, count: int
+) -> None:
+    plain = imported(write_raw(tmp_path / "plain", {SUNDAY: records(SUNDAY)}, nodes=False))
+    assert plain.meta["counted"] == {}
+    tables = imported(write_raw(tmp_path / "odd", {SUNDAY: odd(records(SUNDAY), oddity)}, nodes=False))
+    assert tables.meta["counted"][name] == count
+    assert np.isfinite(tables.demand["board"]).all()
+
+
+def test_holidays_have_the_timetable_of_a_sunday_and_dates_can_be_given(tmp_path: Path) -> None:
+    holiday, friday = dt.date(2024, 11, 15), dt.date(2024, 11, 22)
+    days = {date: records(date, trips) for date, trips in ((holiday, 24), (friday, 20), (SUNDAY, 10))}
+    raw = write_raw(tmp_path, days)
+    assert imported(raw).meta["dates"] == {"weekday": "2024-11-22", "sunday": "2024-11-15"}
+    assert imported(raw, sunday=SUNDAY).meta["dates"]["sunday"] == "2024-09-15"
+    with pytest.raises(
+        HeadwayError, match="--weekday: 2024-11-15 is no weekday with trips here; there is: 2024"
+    ):
+        imported(raw, weekday=holiday)
+
+
+def test_wrong_folders_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(HeadwayError, match="is no folder"):
+        imported(tmp_path / "none")
+    with pytest.raises(HeadwayError, match=r"there is no file od-YYYY-MM-DD\.parquet"):
+        imported(tmp_path)
+    raw = write_raw(tmp_path / "a", {SUNDAY: records(SUNDAY)})
+    with pytest.raises(HeadwayError, match="--lines: there is no line 12; there is 0007"):
+        imported(raw, lines=("12",))
+    write_tables(imported(raw), tmp_path / "done")
+    with pytest.raises(HeadwayError, match="is a scenario already; use it as it is"):
+        imported(tmp_path / "done")
+    (raw / "gtfs_bus_topique_02_2024.parquet").unlink()
+    (raw / "node_temporal_features_04-03-2024.parquet").unlink()
+    with pytest.raises(HeadwayError, match="says where stops lie"):
+        imported(raw)
+    write_raw(raw, {SUNDAY: records(SUNDAY).drop(columns="stop_time")})
+    with pytest.raises(HeadwayError, match=r"od-2024-09-15\.parquet lacks column stop_time"):
+        imported(raw)
+    (raw / "od" / "od-2024-09-15.parquet").write_text("no")
+    with pytest.raises(HeadwayError, match="is not a readable Parquet file"):
+        imported(raw)
+
+
+@pytest.mark.data
+def test_the_real_files_give_the_figures_of_the_ready_extract() -> None:
+    raw, ready = SHARED / "sunt_raw", SHARED / "sunt" / "line1"
+    if not raw.is_dir() or not ready.is_dir():
+        pytest.skip("SUNT's files ../shared/data/sunt_raw and ../shared/data/sunt/line1 are not there")
+    tables, extract = imported(raw, lines=("1211",)), read_tables(ready)
+    assert len(tables.trips) == len(extract.trips)
+    assert len(tables.stops) == len(extract.stops)
+    assert tables.meta["dates"] == {"weekday": "2024-08-26", "sunday": "2024-09-15"}
+    mine, theirs = [t.trips.groupby("daytype")["dep_s"].mean() for t in (tables, extract)]
+    pd.testing.assert_series_equal(mine, theirs, rtol=1e-6, check_dtype=False)
+    own, other = (_mean_seconds(t) for t in (tables, extract))
+    both = own.index.intersection(other.index)
+    assert len(both) >= 88
+    assert np.corrcoef(np.log(own[both]), np.log(other[both]))[0, 1] > 0.97
+    assert len(build(tables, BusConfig())[0].slot_line) == len(build(extract, BusConfig())[0].slot_line)
+
+
+def _mean_seconds(tables: Tables) -> "pd.Series[float]":
+    """Weekday seconds from 7 to 18 h by the ends' stop_id."""
+    stops = tables.stops.set_index("stop")["stop_id"].astype(str)
+    ends = tables.links.set_index("link")[["from_stop", "to_stop"]]
+    times = tables.link_times[
+        (tables.link_times["daytype"] == "weekday") & tables.link_times["hour"].between(7, 18)
+    ]
+    mean = times.groupby("link")["mean_s"].mean()
+    names = [(stops[a], stops[b]) for a, b in ends.reindex(mean.index).to_numpy()]
+    return pd.Series(mean.to_numpy(), index=pd.MultiIndex.from_tuples(names))

@@ -1,0 +1,131 @@
+"""What `headway render` draws of a service day."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from PIL import ImageColor
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.entry import ENTRY
+from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import AWAY, MOVE, SERVICE_CENTER
+from headway_envs.bus.prepared import Prepared
+from headway_envs.bus.renderer import OUT_OF_SERVICE, QUEUE, BusRenderer, geography
+from headway_envs.bus.scenario.measures import distance_m
+from headway_envs.bus.scenario.source import scenario_tables
+
+
+def began(line: Prepared) -> BusBatchedEnv:
+    env = ENTRY.make(line, 1)
+    assert isinstance(env, BusBatchedEnv)
+    env.reset(np.zeros(1, np.uint64))
+    return env
+
+
+def drive(env: BusBatchedEnv, ticks: int, action: int = MOVE) -> bool:
+    ended = False
+    for _ in range(ticks):
+        ended = bool(env.step(np.full((1, env.spec.num_agents), action))[0].episode_ended[0])
+    return ended
+
+
+def near(picture: np.ndarray, colour: str) -> int:
+    return int((np.abs(picture.astype(int) - ImageColor.getrgb(colour)).max(axis=-1) < 12).sum())
+
+
+def test_calls_lie_where_the_tables_have_their_stops(line: Prepared) -> None:
+    """Turned so that the line lies across the picture, distances are what they were, and so is the length."""
+    tables, net = scenario_tables("line", 0), line.network
+    places = geography(tables, line)
+    stops = tables.stops.set_index("stop")
+    for pattern, (first, last) in enumerate(pairwise(net.pattern_calls)):
+        calls = tables.pattern_stops[tables.pattern_stops["pattern"] == pattern].sort_values("seq0")
+        lat, lon = (stops.loc[calls["stop"], name].to_numpy() for name in ("lat", "lon"))
+        drawn = np.hypot(np.diff(places.right[first:last]), np.diff(places.up[first:last]))
+        np.testing.assert_allclose(drawn, distance_m(lat[:-1], lon[:-1], lat[1:], lon[1:]), rtol=1e-3)
+        np.testing.assert_allclose(np.diff(places.along[first:last]), calls["leg_m"].to_numpy()[1:])
+    assert np.ptp(places.up) < 0.1 * np.ptp(places.right)
+    assert np.hypot(*places.north) == pytest.approx(1.0)
+
+
+def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(line: Prepared) -> None:
+    renderer = BusRenderer(line)
+    left, top, right, bottom = renderer._map
+    assert bottom - top >= (right - left) / 5.0
+    places = np.column_stack((renderer._places.right, -renderer._places.up))
+    metres, pixels = places - places[0], renderer._pixels - renderer._pixels[0]
+    np.testing.assert_allclose(pixels, renderer._scale * metres, atol=1e-6)
+
+
+def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
+    env, renderer = began(line), BusRenderer(line)
+    first = renderer.render(env, at_end=False)
+    assert first.dtype == np.uint8
+    for _ in range(120):
+        drive(env, 1)
+        later = renderer.render(env, at_end=False)
+    assert later.shape == first.shape
+    assert len(renderer._panels) == 2
+    for left, top, right, bottom in renderer._panels:
+        strokes = (later[top:bottom] != first[top:bottom]).any(axis=-1)
+        hours = np.flatnonzero(strokes.any(axis=0))
+        assert strokes.sum() > 1000
+        assert hours.max() <= left + (right - left) * 2 / 19 + 2  # two of nineteen hours
+    above = slice(renderer._map[1], renderer._map[3])
+    assert near(later[above], QUEUE) > near(first[above], QUEUE) + 50
+
+
+def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
+    """As the field draws it: with both directions in one, buses that meet look like buses that overtake."""
+    renderer = BusRenderer(line)
+    assert renderer._directions == sorted(set(renderer._places.directions))
+    for pattern, (first, last) in enumerate(pairwise(line.network.pattern_calls)):
+        up = renderer._heights[first:last]
+        assert (np.diff(up) > 0).all()
+        assert up[0] == 0.0
+        longest = renderer._longest[renderer._directions.index(renderer._places.directions[pattern])]
+        if longest.start == first:
+            assert up[-1] == 1.0
+
+
+def test_a_pattern_that_begins_on_the_way_is_drawn_from_there(line: Prepared) -> None:
+    """The way back, taken for a variant of the way there, begins where that ends."""
+    renderer = BusRenderer(line)
+    renderer._places = replace(renderer._places, directions=("I", "I"))
+    renderer._directions = ["I"]
+    renderer._longest = [renderer._longest_of("I")]
+    heights = renderer._of_diagram()
+    starts = sorted(heights[line.network.pattern_calls[:2]])
+    assert starts[0] == 0.0
+    assert starts[1] > 0.98
+    assert np.nanmax(heights) == 1.0
+
+
+def test_buses_at_a_centre_stand_out(line: Prepared) -> None:
+    env, renderer = began(line), BusRenderer(line)
+    drive(env, 60)
+    assert near(renderer.render(env, at_end=False)[: renderer._map[3]], OUT_OF_SERVICE) == 0
+    while not (env.world.slots["phase"] == AWAY).any():
+        drive(env, 1, SERVICE_CENTER)
+    assert near(renderer.render(env, at_end=False)[: renderer._map[3]], OUT_OF_SERVICE) > 60
+
+
+def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
+    short = ENTRY.prepare(BusConfig(end_hour=6))
+    env, renderer = began(short), BusRenderer(short)
+    renderer.render(env, at_end=False)
+    ended = False
+    while not ended:
+        before = renderer.render(env, at_end=False)
+        ended = drive(env, 1)
+    last, again = renderer.render(env, at_end=True), renderer.render(env, at_end=False)
+    below = slice(renderer._panels[0][1], renderer._panels[-1][3])
+    np.testing.assert_array_equal(last[below], before[below])
+    assert (again[below] != last[below]).any()
+
+
+def test_it_says_what_it_cannot_draw(line: Prepared) -> None:
+    with pytest.raises(TypeError, match="the picture of a bus network needs a BusBatchedEnv, not object"):
+        BusRenderer(line).render(object(), at_end=False)

@@ -1,0 +1,61 @@
+"""What `headway render` draws of a merge."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from PIL import ImageColor
+
+from headway_envs.merge.entry import ENTRIES
+from headway_envs.merge.env import MergeBatchedEnv
+from headway_envs.merge.renderer import CAV, CRASHED, HUMAN, MergeRenderer
+
+CAR_PIXELS = 25 * 10
+"""Of a whole vehicle, edges included."""
+
+
+def count(picture: np.ndarray, colour: str) -> int:
+    near = np.abs(picture.astype(int) - ImageColor.getrgb(colour)).max(axis=-1) < 12
+    return int(near[40:].sum())  # below the legend
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_every_vehicle_is_drawn_and_crashes_stand_out(
+    make: Callable[..., MergeBatchedEnv], name: str
+) -> None:
+    env = make(name, density=1)
+    renderer = MergeRenderer(env.prepared)
+    first = renderer.render(env, at_end=False)
+    episode = env.world.episodes[0]
+    cavs, humans = int(episode["cavs"]), int(episode["cars"] - episode["cavs"])
+    assert first.dtype == np.uint8
+    assert 0.6 < count(first, CAV) / (cavs * CAR_PIXELS) <= 1
+    assert 0.6 < count(first, HUMAN) / (humans * CAR_PIXELS) <= 1
+    assert count(first, CRASHED) == 0
+    ended = False
+    while not ended:
+        outcome, _ = env.step(np.ones((1, 3), np.int64))
+        ended = bool(outcome.episode_ended[0])
+    last = renderer.render(env, at_end=True)
+    assert last.shape == first.shape
+    assert count(last, CRASHED) > 0.6 * CAR_PIXELS
+    assert count(renderer.render(env, at_end=False), CRASHED) == 0
+
+
+def test_the_end_can_be_drawn_after_the_next_episode_has_been_asked_for(
+    make: Callable[..., MergeBatchedEnv],
+) -> None:
+    """As through the adapter of a ParallelEnv, which resets within its step."""
+    env = make(steps=4)
+    renderer = MergeRenderer(env.prepared)
+    for _ in range(4):
+        env.step(np.ones((1, env.spec.num_agents), np.int64))
+    last = renderer.render(env, at_end=True)
+    env.reset(np.ones(1, np.uint64))
+    assert count(last, CAV) > 0.6 * CAR_PIXELS
+    np.testing.assert_array_equal(renderer.render(env, at_end=True), last)
+
+
+def test_it_says_what_it_cannot_draw(make: Callable[..., MergeBatchedEnv]) -> None:
+    with pytest.raises(TypeError, match="the picture of a merge needs a MergeBatchedEnv, not object"):
+        MergeRenderer(make().prepared).render(object(), at_end=False)

@@ -1,0 +1,79 @@
+"""The command line of a stored run composes that run's configuration again, whatever its values look like."""
+
+import shlex
+from collections.abc import Sequence
+
+import pytest
+
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.parameters import full_mapping
+from headway_launch.report.reproduction_line import reproducing_line
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("experiment=bus_mappo",),
+        ("experiment=bus_mappo", "preset=bus_tuned_independent", "algo=happo", "algo.lr=3e-5"),
+        ("experiment=bus_mappo", "preset=paper", "rollout=paper", "algo=coma"),
+        ("experiment=toy_matrix", "energy=off", "evaluation.rules=[]", "algo.grad_clip=null"),
+        (
+            "experiment=toy_trivial",
+            "env.wrappers=[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]",
+            "study=\"with spaces = and 'quotes'\"",
+        ),
+        ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.args.N=3", "backend.stack=2"),
+        ("env=bus", "algo=ippo", "env.training_args={reward: {scope: own}}"),
+    ],
+)
+def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
+    stored = full_mapping(compose([*overrides, "seed=3,4", "store.root=elsewhere"]), [3])
+    program, command, *words = shlex.split(reproducing_line(stored, "3"))
+    assert (program, command) == ("headway", "run")
+    again = full_mapping(compose(words), [3])
+    assert again["seed"] == [3]
+    for key in ("study", "env", "algo", "rollout", "evaluation", "env_steps", "device", "energy"):
+        assert again[key] == stored[key], key
+    assert again["backend"]["stack"] == stored["backend"]["stack"]
+    assert "elsewhere" not in words
+    assert again["preset"] == stored["preset"]
+
+
+def test_a_preset_stands_for_what_it_brings() -> None:
+    stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper", "algo.lr=0.25"]), [3])
+    line = reproducing_line(stored, "3")
+    assert "preset=merge_paper" in line
+    assert "algo.lr=0.25" in line
+    assert "algo.gae_lambda" not in line
+
+
+@pytest.mark.parametrize("preset", ["merge_tuned", "none"])
+def test_a_cell_is_composed_once(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside what all cells of its environment, algorithm and preset share."""
+    words = ["experiment=merge_study", f"preset={preset}", "algo=ippo"]
+    cells = [full_mapping(compose([*words, f"algo.lr={rate}"]), [3, 4]) for rate in (0.1, 0.2, 0.3)]
+    composed: list[Sequence[str]] = []
+
+    def counted(overrides: Sequence[str]) -> Experiment:
+        composed.append(overrides)
+        return compose(overrides)
+
+    monkeypatch.setattr("headway_launch.report.reproduction_line.compose", counted)
+    lines = [reproducing_line(cell, seed) for cell in cells for seed in ("3", "4")]
+    assert len(set(lines)) == 6
+    assert len(composed) <= 1 + len(cells)
+
+
+def test_of_a_preset_that_is_gone_all_it_brought_is_written() -> None:
+    stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper"]), [3])
+    line = reproducing_line({**stored, "preset": "gone"}, "3")
+    assert "preset" not in line
+    assert "algo.gae_lambda=1.0" in line
+
+
+def test_a_preset_of_which_something_cannot_be_taken_back_is_left_out() -> None:
+    stored = full_mapping(compose(["experiment=merge_study", "preset=merge_tuned"]), [3])
+    stored["env"]["training_args"] = {}
+    words = shlex.split(reproducing_line(stored, "3"))[2:]
+    assert not any(word.startswith("preset=") for word in words)
+    assert full_mapping(compose(words), [3])["env"] == stored["env"]

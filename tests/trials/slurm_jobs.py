@@ -1,0 +1,275 @@
+"""A study as Slurm jobs is the study of one machine: `headway sweep --slurm` for a real Slurm of two nodes.
+
+    python -m tests.trials.slurm_jobs --root FOLDER
+
+starts munge, a controller and two nodes, each in a network namespace of its own, with all their files in a
+scratch folder; submits the scripts that the command writes, of a Ray cluster over both nodes and of an array
+of seeds, and waits for their end; one whose trainings fail; and one that it cancels. Prints what differs from
+the same study trained here with worker processes and what is left of Ray on a node, and ends with exit code 1
+if anything is, with 2 where there is no Slurm (Debian: slurmctld slurmd slurm-client munge) or no namespaces.
+"""
+
+import argparse
+import re
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from headway.contracts import HeadwayError
+from headway.rollout.workers.ray_cluster import require_ray
+from headway.store import RunIndex, sync_each
+from tests.trials.hosts import Host, two_hosts
+from tests.trials.same_study import differences
+from tests.trials.two_nodes import SMALL, end_by_signal, headway, to_the_end, until
+
+STUDY = "slurm_jobs"
+_PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
+_CONFIGURATION = """\
+ClusterName=trial
+SlurmctldHost={host}({one.address})
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge/socket
+SlurmUser=root
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool.%n
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.%n.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.%n.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+MpiDefault=none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core
+SlurmdParameters=config_overrides
+KillWait=60
+NodeName=node1 NodeHostname={host} NodeAddr={one.address} CPUs=2
+NodeName=node2 NodeHostname={host} NodeAddr={other.address} CPUs=2
+PartitionName=trial Nodes=ALL Default=YES State=UP
+"""
+_READY_S = 60.0
+_ENDED = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "BOOT_FAIL", "OUT_OF_MEMORY")
+
+
+@dataclass(frozen=True)
+class Slurm:
+    """A Slurm of two nodes, as it is spoken to from the first."""
+
+    hosts: tuple[Host, Host]
+    environment: dict[str, str]
+    folders: tuple[Path, Path]
+    """Where Ray has its temporary files on each node."""
+
+    def ask(self, *command: str) -> str:
+        """What one of its programs answers. Raises HeadwayError where that fails."""
+        with tempfile.TemporaryDirectory() as folder:
+            told, errors = Path(folder, "out"), Path(folder, "err")
+            code = self.hosts[0].start(command, self.environment, told, errors).wait(_READY_S)
+            if code:
+                raise HeadwayError(f"{command[0]} ends with code {code}: {errors.read_text().strip()}")
+            return told.read_text()
+
+    def submit(self, script: Path) -> str:
+        """Submit a script: its job."""
+        return self.ask("sbatch", "--parsable", str(script)).strip()
+
+    def states(self, job: str) -> list[str]:
+        """Of its tasks, or itself."""
+        words = self.ask("scontrol", "--oneliner", "show", "job", job).split()
+        return [word.removeprefix("JobState=") for word in words if word.startswith("JobState=")]
+
+    def end(self, job: str) -> str:
+        """Wait for its end: the states in which it ended."""
+        until(lambda: all(state in _ENDED for state in self.states(job)))
+        return " ".join(sorted(set(self.states(job))))
+
+    def have_ray(self) -> bool:
+        """Whether Ray runs on both nodes now, as far as its files tell."""
+        return all(any(folder.glob("headway-ray-*/session_*")) for folder in self.folders)
+
+    def left(self) -> list[str]:
+        """A line for each file that Ray has left on a node, and each process of it or of Python."""
+        files = [path.name for folder in self.folders for path in folder.iterdir()]
+        running = [_words(process) for host in self.hosts for process in host.processes()]
+        # As a word: a folder's random name may have the letters of ray in it.
+        processes = [words for words in running if re.search(r"\bray\b|python", words)]
+        return [f"left on a node: {thing}" for thing in (*files, *processes)]
+
+
+def main() -> None:
+    """Run the trial; see the module."""
+    parser = argparse.ArgumentParser(description="Train by Slurm's jobs, and compare with one machine.")
+    parser.add_argument("--root", type=Path, required=True, help="an empty folder for the stores")
+    parser.add_argument("--steps", default="2000", help="environment steps of each seed")
+    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="further overrides of the sweep")
+    arguments = parser.parse_args()
+    sweep = [*SMALL, f"study={STUDY}", f"env_steps={arguments.steps}", *arguments.overrides]
+    signal.signal(signal.SIGTERM, end_by_signal)
+    try:
+        found = trial(arguments.root, sweep)
+    except HeadwayError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    print("\n".join(found) or "the study as Slurm jobs is that of one machine: curves, store and MLflow")
+    sys.exit(1 if found else 0)
+
+
+def trial(root: Path, sweep: Sequence[str]) -> list[str]:
+    """What differs between a study trained here and the same as Slurm jobs; empty if nothing does.
+
+    Raises HeadwayError where there can be no Slurm, no namespaces or no Ray, or a job cannot be submitted.
+    """
+    require_ray()
+    with slurm() as jobs:
+        to_the_end(root / "alone", sweep)
+        found: list[str] = []
+        for name, options in (("cluster", ["--nodes=2", "--cpus=2"]), ("array", ["--array", "--cpus=2"])):
+            script = _written(root / name, sweep, options)
+            state = jobs.end(jobs.submit(script))
+            print(f"{name}: {state}", flush=True)
+            found += [f"{name}: {line}" for line in jobs.left()]
+            if state != "COMPLETED":
+                found += [f"{name}: {line}" for line in (state, *_told(script))]
+                continue
+            sync_each(root / name)
+            found += [f"{name}: {line}" for line in differences(root / "alone", root / name)]
+        found += [f"failed: {line}" for line in _fail(jobs, root / "failed", sweep)]
+        found += [f"cancelled: {line}" for line in _cancel(jobs, root / "cancelled", sweep)]
+    return found
+
+
+def _written(root: Path, sweep: Sequence[str], options: Sequence[str]) -> Path:
+    """The script of a sweep."""
+    command = [*headway(sweep, root), "--slurm", *options]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+    return Path(done.stdout.rstrip("\n"))
+
+
+def _told(script: Path) -> list[str]:
+    """The last lines of what jobs of a script have said."""
+    logs = sorted(script.parent.glob("*.out"))
+    return [f"{log.name}: {line}" for log in logs for line in log.read_text().splitlines()[-5:]]
+
+
+def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
+    """A job on both nodes whose trainings diverge; what it leaves on them."""
+    script = _written(root, [*sweep, "algo.lr=1e30"], ["--nodes=2", "--cpus=2"])
+    job = jobs.submit(script)
+    there: list[bool] = []
+
+    def ended() -> bool:
+        there.append(jobs.have_ray())
+        return jobs.states(job)[0] in _ENDED
+
+    until(ended)
+    [state] = jobs.states(job)
+    print(f"failed: {state}", flush=True)
+    if not any(there) or state != "FAILED" or {row.status for row in RunIndex(root).rows()} != {"FAILED"}:
+        return [f"it ended as {state}, not by trainings that failed on both nodes", *_told(script)]
+    return jobs.left()
+
+
+def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
+    """Cancel a job that trains on both nodes; what it leaves on them."""
+    script = _written(root, [*sweep, "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
+    job = jobs.submit(script)
+    until(lambda: bool(RunIndex(root).rows()) or jobs.states(job)[0] in _ENDED)
+    there = jobs.have_ray()
+    jobs.ask("scancel", job)
+    state = jobs.end(job)
+    print(f"cancelled: {state}", flush=True)
+    if not there or state != "CANCELLED":
+        return [f"it ended as {state} before both nodes had files of Ray's", *_told(script)]
+    return jobs.left()
+
+
+@contextmanager
+def slurm() -> Iterator[Slurm]:
+    """A Slurm of two nodes of two CPUs, which ends with all that it runs. Raises HeadwayError where there can
+    be none."""
+    missing = [program for program in _PROGRAMS if shutil.which(program) is None]
+    if missing:
+        raise HeadwayError(
+            f"{missing[0]} is not here: apt-get install slurmctld slurmd slurm-client munge, to try Slurm"
+        )
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="headway-slurm-")))
+        one, other = stack.enter_context(two_hosts())
+        for name in ("munge", "state"):
+            (folder / name).mkdir(mode=0o700)
+        key = folder / "munge" / "key"
+        key.write_bytes(secrets.token_bytes(128))
+        key.chmod(0o400)
+        places = {"folder": folder, "host": socket.gethostname(), "one": one, "other": other}
+        (folder / "slurm.conf").write_text(_CONFIGURATION.format(**places))
+        # Sockets of Ray's, whose paths have to be short, lie in there.
+        rays = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp")))
+        folders = folder / "ray-of-the-first", folder / "ray-of-the-second"
+        for place in folders:
+            place.mkdir()
+        environment = {"SLURM_CONF": str(folder / "slurm.conf"), "HEADWAY_RAY_TMP": str(rays)}
+        munge = [
+            f"--{name}={folder}/munge/{name}" for name in ("socket", "pid-file", "log-file", "seed-file")
+        ]
+        told = folder / "told.out"
+        for host, command in (
+            (one, ["munged", "--foreground", "--force", f"--key-file={key}", *munge]),
+            (one, ["slurmctld", "-D"]),
+            (one, [*_with(folders[0], rays), "slurmd", "-D", "-N", "node1"]),
+            (other, [*_with(folders[1], rays), "slurmd", "-D", "-N", "node2"]),
+        ):
+            host.start(command, environment, told, told)
+        found = Slurm((one, other), environment, folders)
+        _until_idle(found, told)
+        yield found
+
+
+def _words(process: psutil.Process) -> str:
+    """Its command line, as far as it still runs."""
+    try:
+        return " ".join(process.cmdline())
+    except psutil.Error:
+        return ""
+
+
+def _with(folder: Path, place: Path) -> list[str]:
+    """Before a command: it finds a folder at that place, which to others is another."""
+    return [
+        "unshare",
+        "--mount",
+        "sh",
+        "-c",
+        'mount --bind "$0" "$1" && shift && exec "$@"',
+        str(folder),
+        str(place),
+    ]
+
+
+def _until_idle(found: Slurm, told: Path) -> None:
+    deadline = time.monotonic() + _READY_S
+    while True:
+        try:
+            if found.ask("sinfo", "--noheader", "--format=%T %D").split() == ["idle", "2"]:
+                return
+            reason = "its nodes do not answer"
+        except HeadwayError as error:
+            reason = str(error)
+        if time.monotonic() > deadline:
+            last = told.read_text().splitlines()[-1:]
+            raise HeadwayError(f"Slurm cannot be started here: {reason} {' '.join(last)}".strip())
+        time.sleep(0.5)
+
+
+if __name__ == "__main__":
+    main()

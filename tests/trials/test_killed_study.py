@@ -1,0 +1,71 @@
+"""A study killed at random points ends as one that never was, at a small size; at full size see the trial."""
+
+import json
+import random
+import shutil
+import signal
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from headway.store import RunIndex
+from tests.trials import killed_study
+from tests.trials.killed_study import BASE, Blow, trial
+from tests.trials.same_study import differences
+
+pytestmark = pytest.mark.slow
+
+SMALL = (
+    *BASE,
+    "seed=0",
+    "env_steps=240",
+    "rollout.copies=2",
+    "rollout.block=1",
+    "rollout.steps=10",
+    "store.checkpoint_every=2",
+    "evaluation.every=1000000",
+    "evaluation.rules=[]",
+    "evaluation.episodes=1",
+    "evaluation.final_episodes=1",
+    "evaluation.modes=[greedy]",
+    "energy=off",
+)
+
+
+def test_a_killed_study_is_the_unkilled_one_and_what_differs_would_be_seen(tmp_path: Path) -> None:
+    assert trial(tmp_path, SMALL, kills=3, chance=random.Random(5)) == []
+
+    # The comparison is no rubber stamp: a lost row, a point sent twice and a run too many are seen.
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    first, second, third = RunIndex(killed).rows()
+    segment = next(Path(first.directory).glob("curve-*.parquet"))
+    segment.unlink()
+    with sqlite3.connect(killed / "mlflow.db") as database:
+        database.execute("UPDATE metrics SET step = step + 1 WHERE key LIKE 'policy/%'")
+    shutil.copytree(second.directory, f"{second.directory}-again")
+    summary = Path(third.directory, "summary.json")
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"final_reward": 1.0}))
+    found = "\n".join(differences(whole, killed))
+    assert "curve differ" in found
+    assert "MLflow's curves differs" in found
+    assert "has 2 runs" in found
+    assert "figures differ" in found
+
+
+def test_sessions_that_no_blow_meets_are_no_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(killed_study, "_headway", lambda command: ["true"])
+    monkeypatch.setattr(killed_study, "_iterations", lambda root: 10)
+    with pytest.raises(SystemExit, match="ended before its blow fell"):
+        trial(tmp_path, SMALL, kills=2, chance=random.Random(5))
+    assert capsys.readouterr().out.count("the session had ended by itself at 10 of 10 iterations") == 2
+
+
+def test_a_blow_that_falls_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(killed_study, "_headway", list)
+    monkeypatch.setattr(killed_study, "_iterations", lambda root: 10)
+    blow = Blow("session", signal.SIGKILL)
+    assert killed_study._strike(["sleep", "60"], tmp_path, 5, blow, random.Random(5))
+    assert not killed_study._strike(["true"], tmp_path, 5, blow, random.Random(5))

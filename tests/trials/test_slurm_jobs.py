@@ -1,0 +1,30 @@
+"""What `headway sweep --slurm` writes does its work in a real Slurm, at a small size; see the trial."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from headway.contracts import HeadwayError
+from tests.trials.slurm_jobs import STUDY, slurm, trial
+from tests.trials.two_nodes import SMALL
+
+pytestmark = pytest.mark.cluster
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
+def test_slurm_jobs_train_what_one_machine_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        with slurm():
+            pass
+    except HeadwayError as error:
+        pytest.skip(str(error))
+    settings = ("env_steps=1024", "evaluation.rules=[]", "evaluation.modes=[greedy]", "energy=off")
+    root = tmp_path / "a store, 50% #1"
+    assert trial(root, (*SMALL, f"study={STUDY}", *settings)) == []
+    told = capsys.readouterr().out
+    assert "cluster: COMPLETED" in told
+    assert "array: COMPLETED" in told
+    assert "failed: FAILED" in told
+    assert "cancelled: CANCELLED" in told
+    assert (root / "array" / STUDY / "slurm" / "array.sbatch").exists()

@@ -1,0 +1,97 @@
+"""A study on two nodes is that of one machine, whatever happens to one, at a small size; see the trial."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import psutil
+import pytest
+from ray_processes import assert_gone, ray_processes
+
+from headway.contracts import HeadwayError
+from tests.trials import hosts, two_nodes
+from tests.trials.hosts import two_hosts
+from tests.trials.two_nodes import SMALL, STUDY, TURNS, trial
+
+pytestmark = pytest.mark.cluster
+
+SWEEP = (
+    *SMALL,
+    f"study={STUDY}",
+    "env_steps=6144",
+    "backend.workers=2",
+    "store.checkpoint_every=2",
+    "evaluation.rules=[]",
+    "evaluation.modes=[greedy]",
+    "energy=off",
+)
+
+
+def _without_namespaces() -> str:
+    """Why there can be none here; empty where there can."""
+    try:
+        with two_hosts():
+            return ""
+    except HeadwayError as error:
+        return str(error)
+
+
+def _list() -> str:
+    return subprocess.run(["ip", "netns", "list"], capture_output=True, text=True, check=True).stdout
+
+
+@pytest.fixture
+def namespaces() -> None:
+    if reason := _without_namespaces():
+        pytest.skip(reason)
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
+@pytest.mark.usefixtures("namespaces")
+def test_a_study_of_which_a_node_is_killed_or_cut_off_is_that_of_one_machine(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ("runs-killed", "runs-cut-off")
+    before = ray_processes()
+    assert trial(tmp_path, SWEEP, {name: TURNS[name] for name in names}) == []
+    told = capsys.readouterr().out
+    assert told.count("processes of the second node are killed") == 1
+    assert told.count("what was cut off woke") == 1
+    assert_gone(before)
+    assert "headway-" not in _list()
+
+
+@pytest.mark.usefixtures("namespaces")
+def test_what_runs_on_a_host_ends_with_it_and_hosts_of_the_killed_are_removed(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    with two_hosts() as (one, other):
+        sleeping = other.start(["sleep", "600"], {}, told, told)
+        assert one.start(["bash", "-c", f"exec 3<>/dev/tcp/{other.address}/1"], {}, told, told).wait(60)
+        assert "refused" in told.read_text()
+        assert [process.name() for process in other.processes()] == ["sleep"]
+        assert one.processes() == []
+        other.cut_off()
+        assert sleeping.poll() is None
+    assert not psutil.pid_exists(sleeping.pid)
+    left = hosts._NAME.format(process=2**22 + 1, place=1)  # no process has this number
+    subprocess.run(["ip", "netns", "add", left], check=True)
+    with two_hosts():
+        assert left not in _list()
+    assert "headway-" not in _list()
+
+
+def test_where_there_can_be_no_namespaces_one_line_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["two_nodes", "--root", str(tmp_path / "stores")])
+    monkeypatch.setattr(two_nodes, "require_ray", lambda: None)
+    with pytest.raises(SystemExit) as end:
+        two_nodes.main()
+    assert end.value.code == 2
+    assert capsys.readouterr() == (
+        "",
+        "network namespaces are made with ip, which is not here: apt-get install iproute2\n",
+    )
+    assert not (tmp_path / "stores").exists()
