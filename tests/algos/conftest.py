@@ -55,7 +55,9 @@ def _fabricate(
         made.log_probs[:] = density.sum(axis=-1) + 0.2 * draw.standard_normal(by_agent)
     if hidden_size:
         made.begins[:] = draw.random(made.begins.shape) < 0.3
-        made.memory[:] = np.where(made.begins[..., None], 0, draw.uniform(-1, 1, made.memory.shape))
+        made.hidden_states[:] = np.where(
+            made.begins[..., None], 0, draw.uniform(-1, 1, made.hidden_states.shape)
+        )
     return made
 
 

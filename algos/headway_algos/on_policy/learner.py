@@ -92,7 +92,7 @@ class OnPolicyLearner:
         if not isinstance(network, RecurrentNetwork):
             return None
         begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
-        start, alive = trajectory.memory[0], trajectory.alive[:-1]
+        start, alive = trajectory.hidden_states[0], trajectory.alive[:-1]
         samples = self.config.piece_samples
         return HiddenStates.replayed(network, observations, start, begins, alive, self.layout, samples)
 

@@ -1,11 +1,22 @@
-"""What crosses the seams of Headway. Environments and algorithms import nothing else of the engine.
+"""The interfaces between environments, algorithms and the platform.
 
-Axes have one name each, here, in the engine and in the algorithms (an environment's kernel lists its own):
-R replicas (seeds trained together), T steps, C copies of the environment over all replicas
-(replica-major: the copies of replica r are rows r*E to (r+1)*E), E copies of one replica, N agents,
-K policies of one replica, P = R x K stacked policies, G agents of the largest group, B = G x T x E rows of
-one policy, W viewpoints of a critic, A actions, D observation size, S state size, M episode metrics or, of a
-policy, numbers that an agent remembers.
+Environments and algorithms import nothing else of `headway`. Array axes have one letter each, used in every
+docstring of the platform and of the algorithms (an environment's kernel lists its own):
+
+- R: replicas, the seeds trained together
+- T: steps of an iteration
+- E: environment copies per replica
+- C: environment copies of all replicas, C = R x E, replica-major: rows r*E to (r+1)*E - 1 are replica r's
+- N: agents of a copy
+- K: policies per replica
+- P: stacked policies of all replicas, P = R x K, replica-major
+- G: agents of the largest group of agents that share a policy
+- B: rows of one policy, B = G x T x E
+- W: inputs of a critic per copy, N for a critic per agent and 1 for a critic per team
+- A: actions of a Discrete space, or the options of all choices of a MultiDiscrete space
+- D: length of an agent's observation
+- S: length of the global state
+- M: episode metrics or, in a policy, components of an agent's hidden state
 """
 
 from headway.contracts.acting_policy import ActingPolicy, RecurrentPolicy

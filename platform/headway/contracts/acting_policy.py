@@ -1,4 +1,4 @@
-"""How a worker turns observations into actions, without torch."""
+"""Policies as workers run them: from observations to actions, in numpy alone."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
@@ -9,34 +9,47 @@ from numpy.typing import NDArray
 from headway.contracts.environment import Observations
 
 Parameters = Mapping[str, NDArray[Any]]
-"""Arrays by name, each with leading axis P (policies of all replicas, replica-major)."""
+"""Named arrays, each with leading axis P (policies of all replicas, replica-major) where an acting policy
+reads them."""
 
 
 class ActingPolicy(Protocol):
-    """The numpy twin of a learner's policies: picklable, and equal to it within 1e-5 in log-probability."""
+    """Inference on a learner's policies, without torch.
+
+    Must be picklable, since every worker gets a copy. Its log-probabilities must equal those of the learner's
+    network within 1e-5.
+    """
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-        """Shape and type of every array that `act` needs."""
+        """Return the shape and dtype of every array that `act` reads, for R = `replicas`."""
         ...
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
-        """The random numbers that one copy's agents use in `steps` steps: (T, N, ...)."""
+        """Draw the random numbers of one copy's agents for `steps` steps, shape (T, N, ...).
+
+        All draws come from `generator`. The trailing axes are the policy's own.
+        """
         ...
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Actions and their log-probabilities (C, N) for a block of copies, as many of each replica
-        (replica-major). Noise (C, N, ...); None acts greedily (the mode of the distribution)."""
+        """Return actions and their log-probabilities for a block of C copies.
+
+        The block holds equally many copies per replica, replica-major. Actions are shaped as
+        `BatchedEnv.step` takes them, log-probabilities are (C, N). `noise` (C, N, ...) is one step of the
+        method `noise`; None: act greedily, by the mode of the distribution. Rows of agents not alive may hold
+        anything in arguments and results.
+        """
         ...
 
 
 @runtime_checkable
 class RecurrentPolicy(ActingPolicy, Protocol):
-    """An acting policy whose agents remember what they observed before, M numbers each.
+    """An acting policy with a recurrent network: each agent has a hidden state of M components.
 
-    Whoever plays it keeps these numbers from step to step: zeros where an agent's stream begins, and again
-    where it was terminated or truncated.
+    The caller keeps the hidden states between steps. It sets them to 0 where an agent's stream begins and
+    where the agent was terminated or truncated.
     """
 
     @property
@@ -46,21 +59,24 @@ class RecurrentPolicy(ActingPolicy, Protocol):
 
     @property
     def hidden_dtype(self) -> np.dtype[Any]:
-        """Of the numbers remembered."""
+        """Dtype of the hidden states."""
         ...
 
     def act_from(
         self,
         parameters: Parameters,
         observed: Observations,
-        memory: NDArray[Any],
+        hidden_states: NDArray[Any],
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
-        """As `act`, from what is remembered (C, N, M); third, what is remembered then, (C, N, M): where an
-        agent is not alive, what it was."""
+        """Return actions, log-probabilities and the next hidden states.
+
+        Like `ActingPolicy.act`, but starting from `hidden_states` (C, N, M). The third result has the same
+        shape; rows of agents not alive keep their hidden state.
+        """
         ...
 
 
 def hidden_size(policy: ActingPolicy) -> int:
-    """M: numbers that each agent remembers; 0 for a policy without memory."""
+    """Return M, the length of each agent's hidden state; 0 for a policy without recurrence."""
     return policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0

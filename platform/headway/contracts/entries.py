@@ -1,5 +1,8 @@
-"""Registry entries: a name tied to objects. Third parties add theirs by entry point
-(`headway.envs`, `headway.algos`; wrappers stand in `wrapping`), each a mapping from name to entry."""
+"""Registry entries: everything the platform needs to know about a named environment or algorithm.
+
+Third parties register theirs by entry point (`headway.envs`, `headway.algos`), each a mapping from name to
+entry. Wrapper entries are in `headway.contracts.wrapper`.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,82 +16,104 @@ from headway.contracts.environment import BatchedEnv, EnvSpec, Observations
 from headway.contracts.learner import Contributor, Learner
 
 
-def _itself(config: Any) -> Any:  # noqa: ANN401 - any record
+def _identity(config: Any) -> Any:  # noqa: ANN401 - any record
     return config
 
 
-def _refuses_nothing(config: Any, spec: EnvSpec) -> str | None:  # noqa: ANN401 - any record
+def _no_objection(config: Any, spec: EnvSpec) -> str | None:  # noqa: ANN401 - any record
     return None
 
 
-def _takes_any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - any record
+def _any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - any record
     return None
 
 
-def _keeps_nothing(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN401 - any record
+def _no_replay(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN401 - any record
     return 0
 
 
 class Rule(Protocol):
-    """A classical controller. It may look into the environment, not only at the observations."""
+    """A classical controller. It may inspect the environment itself, not only the observations."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
-        """Actions for every copy and agent, shaped as `BatchedEnv.step` takes them."""
+        """Return the actions of every copy and agent, shaped as `BatchedEnv.step` takes them."""
         ...
 
 
 @dataclass(frozen=True)
 class RuleEntry:
-    """A rule of an environment, by its name there."""
+    """A rule of an environment, registered under a name of that environment."""
 
     summary: str
-    """One line for `headway list rules`: what it does, with its source where it has one."""
+    """One line for `headway list rules`: what the rule does, and its source if it has one."""
     make: Callable[[Any], Rule]
-    """(prepared) -> rule."""
+    """(prepared environment) -> rule. `prepared` is the result of `EnvEntry.prepare`."""
 
 
 class Renderer(Protocol):
-    """Draws what happens, for people."""
+    """Renders an environment as pictures."""
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """The first copy now, as an RGB picture (height, width, 3) of always the same size; `at_end`: as its
-        last episode ended, not as its next begins."""
+        """Return the first copy as an RGB picture, shape (height, width, 3), the same size on every call.
+
+        `at_end`: show how the last episode ended, not how the next one begins.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class EnvEntry:
-    """An environment by name."""
+    """A named environment."""
 
     summary: str
     """One line for `headway list envs`."""
     config: type
-    """Frozen dataclass of its arguments (the keys of `env.args`), each field with a docstring; its
-    `__post_init__` raises ValueError for impossible values."""
+    """Frozen dataclass of the environment's arguments, the keys of `env.args`.
+
+    Each field needs a docstring, which `headway list envs NAME` shows. `__post_init__` raises ValueError for
+    impossible values.
+    """
     make: Callable[[Any, int], BatchedEnv]
-    """(prepared, copies) -> batched environment. Runs in light workers: no pandas, no torch."""
-    prepare: Callable[[Any], Any] = _itself
-    """(config) -> what all copies share (tables read, networks built), once in the parent; picklable.
-    Raises HeadwayError for data that cannot be used."""
+    """(prepared, copies) -> batched environment of `copies` copies.
+
+    Runs in light workers: it must import neither pandas nor torch. Workers find it by name, so it must be
+    defined at the top level of a module.
+    """
+    prepare: Callable[[Any], Any] = _identity
+    """(config) -> picklable data that all copies share, such as tables read or networks built.
+
+    Runs once, in the parent process. Raises HeadwayError for data that cannot be used. Default: the config
+    itself.
+    """
     prepare_beside: Callable[[Any, Any], Any] | None = None
-    """(config, what `prepare` gave for another config) -> the same as `prepare(config)`, with what does not
-    differ shared: an environment is often learned from by other rewards than it is reported by, and what it
-    prepares may be large. The other is of the same environment, and wrapped where this is. Raises what
-    `prepare` raises. None: it shares nothing."""
+    """(config, prepared) -> an equal result to `prepare(config)` that shares unchanged parts with `prepared`.
+
+    `prepared` is the result of `prepare` for another config of the same environment, with the same kind of
+    wrapper record around it if the environment is wrapped. This saves memory where training uses other
+    rewards than evaluation (`env.training_args`) and prepared data is large. Raises what `prepare` raises.
+    None: `prepare` is called for each config.
+    """
     parallel_env: Callable[[Any], Any] | None = None
-    """(config, or what `prepare` gave) -> the same as a PettingZoo ParallelEnv: `reset(seed=s)` begins what
-    `reset([s])` of the batch does; metrics travel in info `episode_metrics`, their names in
-    `metadata["episode_metrics"]`. Its attribute `native`, where it has one, is the batch of one copy behind
-    it and what that observed last: the environment's rules look there."""
+    """(config, or the result of `prepare`) -> the same environment as a PettingZoo ParallelEnv.
+
+    `reset(seed=s)` must begin the same episode as `reset([s])` of the batch. Episode metrics travel in info
+    `episode_metrics`, their names in `metadata["episode_metrics"]`. The optional attribute `native` holds the
+    batch of one copy behind it and that batch's last observations; the environment's rules inspect them.
+    None: no PettingZoo wrapper can be used.
+    """
     rules: Mapping[str, RuleEntry] = field(default_factory=dict)
-    """By name; `random` is added where it is not among them."""
+    """Rules by name. The rule `random` is added unless one is registered under this name."""
     metrics: Mapping[str, str] = field(default_factory=dict)
-    """What each episode metric is, with its unit, in the order of `EnvSpec.metrics`: for `headway list`."""
+    """Description of each episode metric, with its unit, in the order of `EnvSpec.metrics`, for `headway
+    list`."""
     renderer: Callable[[Any], Renderer] | None = None
-    """(prepared) -> what draws it, for `headway render`."""
+    """(prepared) -> renderer, for `headway render`; None: the environment cannot be rendered."""
     preload: tuple[str, ...] = ()
-    """Modules that worker processes import once, before forking (compiled kernels). A module's `warm()`, if
-    it has one, is called before training starts, so that what it compiles is compiled once, not by each."""
+    """Modules that the forkserver imports once for all worker processes (compiled kernels).
+
+    If a module has a function `warm()`, it is called once before training starts, so that its kernels are
+    compiled once and not by every worker.
+    """
 
     def __post_init__(self) -> None:
         for name, rule in self.rules.items():
@@ -98,28 +123,31 @@ class EnvEntry:
 
 @dataclass(frozen=True)
 class AlgoEntry:
-    """An algorithm by name. Neither the entry nor `acting_policy` imports torch; `learner` does."""
+    """A named algorithm. Neither this entry nor its `acting_policy` may import torch; `learner` does."""
 
     summary: str
+    """One line for `headway list algos`."""
     source: str
     """Paper, with its arXiv number."""
     config: type
-    """Frozen dataclass of its hyper-parameters, as for environments."""
+    """Frozen dataclass of the hyper-parameters, the keys of `algo`. Same rules as for `EnvEntry.config`."""
     acting_policy: Callable[[Any, EnvSpec], ActingPolicy]
+    """(config, spec) -> the policy that workers run."""
     learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
-    """(config, spec, seeds of the replicas, device) -> learner."""
-    refuses: Callable[[Any, EnvSpec], str | None] = _refuses_nothing
-    """One line why it cannot run on that environment, or None."""
-    kept_bytes: Callable[[Any, EnvSpec, int], int] = _keeps_nothing
-    """(config, spec, environment steps of a seed) -> about how many bytes of a seed's experience stand beside
-    a checkpoint, at most."""
-    refuses_budget: Callable[[Any, int], str | None] = _takes_any_budget
-    """(config, iterations) -> one line why training of so many would not be what the config asks for, or
-    None."""
+    """(config, spec, seeds of the R replicas, device) -> learner. The device is `cpu`, `cuda` or
+    `cuda:NUMBER`."""
+    refuses: Callable[[Any, EnvSpec], str | None] = _no_objection
+    """(config, spec) -> one line saying why the algorithm cannot run on the environment; None if it can."""
+    kept_bytes: Callable[[Any, EnvSpec, int], int] = _no_replay
+    """(config, spec, environment steps per seed) -> upper bound on the bytes of one seed's replay data that
+    are stored beside a checkpoint; 0 for algorithms without replay."""
+    refuses_budget: Callable[[Any, int], str | None] = _any_budget
+    """(config, iterations) -> one line saying why so few iterations do not allow what the config asks for;
+    None if they do."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
-    """(config, spec, seeds of the replicas) -> the part of an `AsynchronousLearner` that workers run; it may
-    import torch. None: the learner learns by itself."""
+    """(config, spec, seeds of the replicas) -> the worker's part of an `AsynchronousLearner`; it may import
+    torch. None: the learner is synchronous."""
     preload: tuple[str, ...] = ()
-    """Modules that processes with contributors import once, before forking."""
+    """Modules that the forkserver imports once for all processes that run contributors."""
     kernels: tuple[str, ...] = ()
-    """Modules of compiled code that its learner calls: their `warm()` is called before training starts."""
+    """Modules of compiled code that the learner calls. Their `warm()` is called before training starts."""

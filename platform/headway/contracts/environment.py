@@ -1,4 +1,4 @@
-"""The batched environment: C copies stepped at once with arrays."""
+"""The batched environment: C copies, stepped at once with arrays."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,31 +11,38 @@ from headway.contracts.spaces import ActionSpace
 
 @dataclass(frozen=True)
 class EnvSpec:
-    """What an environment is: all that an algorithm may know before the first step."""
+    """Static description of an environment: everything an algorithm may know before the first step."""
 
     name: str
+    """Name in messages, normally the registry name."""
     agents: tuple[str, ...]
-    """Names of the N agents (slots, where vehicles come and go), in array order."""
+    """Names of the N agents in array order, all different. Where agents come and go, these are slots."""
     observation_size: int
-    """D: every agent's observation is a float32 vector of this length."""
+    """D, at least 1: every agent's observation is a float32 vector of this length."""
     action_space: ActionSpace
+    """Action space, the same for every agent."""
     state_size: int = 0
-    """S: length of the global state for central critics; 0 if the environment gives none."""
+    """S: length of the global state that central critics read; 0: the environment has none."""
     groups: tuple[str, ...] = ()
-    """The group of each agent (a bus line, say) for `policies: groups`; empty: all in one group."""
+    """Group of each agent (a bus line, for instance), used by `policies: groups`. Length N, or empty: all
+    agents are in one group."""
     shared_reward: bool = False
-    """The team's reward stands in every agent's slot, absent agents' too: a team's critic reads one."""
+    """All agents get the team's reward: every slot of `StepResult.rewards` holds it, also slots without a
+    live agent. A team's critic then reads one slot."""
     shared_in_groups: bool = False
-    """A group's reward stands in the slot of each of its agents, absent agents' too."""
+    """All agents of a group get the group's reward: every slot of the group holds it, also slots without a
+    live agent."""
     has_action_mask: bool = False
+    """`Observations.action_masks` is given. Not possible for Box actions."""
     agents_come_and_go: bool = False
     """`alive` can be false before the episode ends."""
     metrics: tuple[str, ...] = ()
-    """Names of the M episode metrics."""
+    """Names of the M episode metrics, all different."""
     max_copies_per_process: int | None = None
-    """Copies that a process can hold, over all batches in it; None: any number."""
+    """Maximum number of copies in one process, over all its batches; None: no limit."""
     snapshots: bool = False
-    """`snapshot` and `restore` work, so that resuming and re-collection are exact."""
+    """`snapshot` and `restore` work, so that resuming and collecting again are exact. False: both raise
+    HeadwayError."""
 
     @property
     def num_agents(self) -> int:
@@ -45,60 +52,70 @@ class EnvSpec:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """What the agents of C copies face now. The arrays belong to the environment, which overwrites them
-    at its next step: whoever keeps them copies them. Rows of agents not alive may hold anything."""
+    """Inputs of the agents of C copies before a step.
+
+    The arrays belong to the environment, which overwrites them at its next step: copy what must last. Rows of
+    agents not alive may hold anything, NaN included.
+    """
 
     observations: NDArray[np.float32]
-    """(C, N, D)"""
+    """(C, N, D): finite where `alive`."""
     states: NDArray[np.float32]
-    """(C, S), finite; S is 0 where the environment gives no state."""
+    """(C, S): global states, finite. S is 0 if the environment has none."""
     alive: NDArray[np.bool_]
-    """(C, N): the agent exists now."""
+    """(C, N): alive mask, true where the agent exists now."""
     action_masks: NDArray[np.bool_] | None = None
-    """(C, N, A): which actions are allowed; every row of a live agent allows at least one. None: all are."""
+    """(C, N, A): true where an action is allowed; A counts the options of all choices of a MultiDiscrete
+    space. Every row of a live agent allows at least one. None: every action is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """What the step just taken led to. Arrays are overwritten at the next step.
+    """Result of one step of C copies. The arrays are overwritten at the next step.
 
-    `terminated` and `truncated` are per agent: an agent's stream of experience ends where either is set.
-    After a terminated step the return is over; after a truncated one it goes on from
-    `final_observations`, which hold the last observation before any reset and are valid exactly where
-    `truncated` or `terminated` is set. An agent that is merely not alive for a while (a bus at the
-    depot) sets neither: its stream goes on when it returns. The two are never both set; where an
-    environment says both, the agent is terminated. A slot whose agent was terminated or truncated may hold
-    a new agent, with a new stream, later in the episode.
+    `terminated` and `truncated` are per agent and never both set: an environment that says both means
+    terminated. An agent's stream of experience ends where either is set. After termination its return is
+    complete; after truncation it continues, estimated from `final_observations`. An agent that is only away
+    for a while (a bus at the depot) is not alive and neither is set: its stream continues when it comes back.
+    A slot whose agent ended may hold a new agent, with a new stream, later in the episode.
 
-    A copy whose episode ended has every agent marked, those that are away too, and what `step` returns as
-    `observed` is already the next episode's start. Where `truncated` is set, `final_observations` are finite:
-    for an agent that is away, the last it observed.
+    When a copy's episode ends, every agent of it must be marked, agents that are away included. The copy
+    resets itself: the observations that `step` returns with this result are already the first ones of the
+    next episode.
     """
 
     rewards: NDArray[np.float32]
-    """(C, N): finite for every slot; where no agent is, the team's if the reward is shared, else 0. What an
-    agent is paid while away belongs to its stream."""
+    """(C, N): finite in every slot. Slots without an agent hold the team's or group's reward if it is shared,
+    else 0. A reward paid while an agent is away belongs to its stream."""
     terminated: NDArray[np.bool_]
-    """(C, N)"""
+    """(C, N): the agent's stream ended in a terminal state."""
     truncated: NDArray[np.bool_]
-    """(C, N)"""
+    """(C, N): the agent's stream was cut off, by a time limit for instance."""
     acting: NDArray[np.bool_]
-    """(C, N): the action just given was used; implies that the agent was alive before the step."""
+    """(C, N): the environment used the action just given. Implies that the agent was alive before the
+    step."""
     episode_ended: NDArray[np.bool_]
-    """(C,)"""
+    """(C,): the copy's episode ended with this step."""
     final_observations: NDArray[np.float32]
-    """(C, N, D)"""
+    """(C, N, D): the last observation before any reset. Valid, and finite, exactly where `terminated` or
+    `truncated` is set; for an agent that is away, the last one it made."""
     final_states: NDArray[np.float32]
-    """(C, S): valid where episode_ended."""
+    """(C, S): the last state before the reset. Valid, and finite, where `episode_ended`."""
     metrics: NDArray[np.float64]
-    """(C, M): valid where episode_ended."""
+    """(C, M): metrics of the finished episode, in the order of `EnvSpec.metrics`. Valid, and finite, where
+    `episode_ended`."""
 
 
 class BatchedEnv(Protocol):
-    """C independent copies of an environment, stepped together; copies reset themselves (autoreset)."""
+    """C independent copies of an environment, stepped together; each resets itself when its episode ends.
+
+    `headway.adapters.conformance` checks an implementation against this contract.
+    """
 
     @property
-    def spec(self) -> EnvSpec: ...
+    def spec(self) -> EnvSpec:
+        """Static description, the same for every number of copies."""
+        ...
 
     @property
     def num_copies(self) -> int:
@@ -106,23 +123,38 @@ class BatchedEnv(Protocol):
         ...
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        """Begin episode 0 of every copy; seeds (C,). All randomness of copy c's episode i follows from
-        (seeds[c], i) alone, whatever the other copies are."""
+        """Begin episode 0 of every copy, `seeds` of shape (C,).
+
+        All randomness in episode i of copy c must follow from (seeds[c], i) alone, whatever the other copies
+        are.
+        """
         ...
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """Apply actions, (C, N) int64 or (C, N, size) float32. Actions of agents not alive are ignored."""
+        """Apply actions; return the result and the next observations.
+
+        `actions` is (C, N) int64 for Discrete, (C, N, choices) int64 for MultiDiscrete and (C, N, size)
+        float32 for Box spaces, and must not be written to. Actions of agents not alive are ignored.
+        """
         ...
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the engine
-        """A value from which `restore` continues bit for bit (only if spec.snapshots), such as a checkpoint
-        holds: numpy arrays and scalars, numbers, strings, bytes, None, and lists, tuples and dicts of these,
-        with strings or numbers as keys; no other object, not even one that can be pickled."""
+        """Return a value from which `restore` continues bit for bit.
+
+        A checkpoint must be able to hold it: numpy arrays and scalars, numbers, strings, bytes, None, and
+        lists, tuples and dicts of these with strings or numbers as keys. No other object is allowed, even if
+        it can be pickled. Raises HeadwayError if `spec.snapshots` is false.
+        """
         ...
 
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401
-        """Continue from a snapshot; returns what was observed when it was taken. Works on a new environment
-        with as many copies, without a reset before."""
+        """Continue from a snapshot and return the observations at which it was taken.
+
+        Must work on a new environment with the same number of copies, without a reset before. Raises
+        HeadwayError if `spec.snapshots` is false.
+        """
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Free the environment's resources. Nothing else is called afterwards."""
+        ...

@@ -1,11 +1,11 @@
-"""The one error a user is meant to see."""
+"""The error type that users see."""
 
 
 class HeadwayError(Exception):
-    """Something the user can mend. The message is one line that says what is wrong and what to do.
+    """An error that the user can fix. Its message is one line: what is wrong and what to do.
 
-    The command line prints it without a traceback (unless `--debug`) and exits with code 2. `details` are
-    for who looks further: the traceback of another process, say.
+    The command line prints the line without a traceback (unless `--debug`) and exits with code 2. `details`
+    holds longer text for debugging, such as the traceback of another process.
     """
 
     def __init__(self, line: str, details: str = "") -> None:

@@ -1,4 +1,4 @@
-"""What the training loop asks of an algorithm."""
+"""Learners: what the training loop requires of an algorithm."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,90 +12,110 @@ from headway.contracts.trajectory import Trajectory
 
 
 class Learner(Protocol):
-    """All learnable tensors of R replicas x K policies, and how experience changes them."""
+    """Parameters of R replicas x K policies, with their critics and optimisers, and the update rule."""
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """What the acting policy needs, each with leading axis P and in C order, so that products of them are
-        rounded alike wherever they go. The caller copies them."""
+        """Return the arrays that the acting policy reads, each with leading axis P and in C order.
+
+        C order keeps the rounding of matrix products the same wherever the arrays are sent. The caller copies
+        them.
+        """
         ...
 
     def update(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
-        """Learn from one iteration's experience; `progress` is the share of the budget already used, for
-        schedules. Returns metrics by `group/name`, each of shape (R,).
+        """Learn from one iteration's trajectory and return metrics by `group/name`, each of shape (R,).
 
-        Raises HeadwayError, naming seed and iteration, where learning diverged: where what acts is no
-        longer finite.
+        `iteration` counts from 1. `progress`, in [0, 1), is the share of the step budget used before this
+        iteration, for schedules. Raises HeadwayError, naming seed and iteration, if learning diverged: a
+        parameter of the acting policy is no longer finite.
         """
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on exactly: tensors, numbers, strings, lists and dicts of these."""
+        """Return everything needed to continue exactly: tensors, numbers, strings, and lists and dicts of
+        these."""
         ...
 
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from the result of `state_dict`."""
+        ...
 
 
 @runtime_checkable
 class LearnerWithReplay(Learner, Protocol):
-    """A learner that keeps its experience and learns from it again.
+    """A learner that stores experience and replays it.
 
-    Experience can be a thousand times as large as all else, and is of no use once training is over: it is
-    kept in a file of its own, only as long as a run may go on.
+    Replay data can be a thousand times larger than all other state and is useless once training is over. It
+    is therefore stored in a file of its own, which is deleted when the run is finished.
     """
 
     def experience(self) -> dict[str, Any]:
-        """What is needed to go on exactly besides `state_dict`, of the same kinds of value."""
+        """Return the replay data needed, besides `state_dict`, to continue exactly. Same types of value."""
         ...
 
-    def load_experience(self, experience: dict[str, Any]) -> None: ...
+    def load_experience(self, experience: dict[str, Any]) -> None:
+        """Continue from the result of `experience`."""
+        ...
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a worker's rollout is to change: gradients, and whatever else it tells the learner."""
+    """A worker's result in asynchronous training: gradients and other inputs of the shared update."""
 
     arrays: Parameters
+    """Named arrays, whose meaning is agreed between contributor and learner."""
     metrics: Mapping[str, NDArray[np.float64]]
-    """By `group/name`, each (R,)."""
+    """Metrics by `group/name`, each of shape (R,)."""
 
 
 class Contributor(Protocol):
-    """The part of an asynchronous learner that is at work in each worker, for some copies of one seed."""
+    """The part of an asynchronous algorithm that runs in each worker, on some copies of one seed."""
 
     def adopt(self, published: Parameters) -> Parameters:
-        """Go on from what the learner published; what the acting policy needs, as it is until
-        `contribute`."""
+        """Take over the parameters that the learner published and return those that the acting policy reads.
+
+        The worker samples with the returned arrays; they must not change before `contribute` returns.
+        """
         ...
 
     def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
-        """What this experience is to change. `number` is of the contribution: from 1, in the order in which
-        workers were given them to do, so that no two of a run have the same, also of several workers; draws
-        are named by it. Raises HeadwayError, naming seed and number, as `Learner.update` does."""
+        """Return what the learner needs from this trajectory.
+
+        `number` identifies the contribution: it counts from 1 over all workers of the run, in the order in
+        which they were assigned, and is never used twice. Random draws use it as an index. Raises
+        HeadwayError, naming seed and number, if learning diverged.
+        """
         ...
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
-        """Whatever it carries from one trajectory to the next besides what is published."""
+        """Return the state carried from one trajectory to the next, besides the published parameters.
+
+        Same types of value as `BatchedEnv.snapshot`.
+        """
         ...
 
-    def restore(self, snapshot: Any) -> None: ...  # noqa: ANN401 - opaque, plain
+    def restore(self, snapshot: Any) -> None:  # noqa: ANN401 - opaque, plain
+        """Continue from the result of `snapshot`."""
+        ...
 
 
 @runtime_checkable
 class AsynchronousLearner(Learner, Protocol):
-    """A learner that applies what workers contribute, each from parameters that others may have changed
-    meanwhile."""
+    """A learner that applies workers' contributions, each computed from possibly outdated parameters."""
 
     @property
     def in_turns(self) -> bool:
-        """Workers contribute in a fixed order, so that the same again is the same; else as they come."""
+        """True: contributions are applied in a fixed order of workers, so that a rerun reproduces the run
+        exactly. False: in order of arrival."""
         ...
 
     def published(self) -> dict[str, NDArray[Any]]:
-        """A copy of all that learning changes and contributors need."""
+        """Return a copy of every parameter and statistic that contributors need."""
         ...
 
     def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
-        """Make one update; `iteration`, `progress` and what is raised as for `update`."""
+        """Make one update from a contribution. `iteration`, `progress` and errors are those of
+        `Learner.update`."""
         ...

@@ -1,4 +1,4 @@
-"""How numba comes in, and functions compiled by it are kept, for environments and algorithms alike."""
+"""How numba is imported, and how its compiled functions are cached, in every package of the project."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -11,8 +11,8 @@ R = TypeVar("R")
 
 
 @contextmanager
-def _out_of_reach(*names: str) -> Iterator[None]:
-    """Modules that were not imported yet cannot be, meanwhile."""
+def _import_blocked(*names: str) -> Iterator[None]:
+    """Make modules that are not imported yet impossible to import inside the `with` block."""
     hidden: dict[str, Any] = {name: None for name in names if name not in sys.modules}
     sys.modules.update(hidden)
     try:
@@ -22,22 +22,22 @@ def _out_of_reach(*names: str) -> Iterator[None]:
             del sys.modules[name]
 
 
-# When it is loaded numba tries whether there is scipy's linear algebra, which no kernel here calls: 16 MB of
-# every worker, and half the time that it takes to load its kernels. Other compiled code that calls `dot` or
-# `numpy.linalg` finds scipy later. But numba decides here for good (`_HAVE_BLAS`), for this process, that
-# compiled `numpy.convolve` and `correlate` do without BLAS: more slowly, and with other last bits.
-with _out_of_reach("scipy", "scipy.linalg.cython_blas"):
+# Importing numba probes scipy's linear algebra, which no kernel here calls: 16 MB per worker and half its
+# import time. Compiled code that calls `dot` or `numpy.linalg` still finds scipy later. The price: numba fixes
+# `_HAVE_BLAS` here for the whole process, so compiled `numpy.convolve` and `correlate` run without BLAS: more
+# slowly, and with other last bits.
+with _import_blocked("scipy", "scipy.linalg.cython_blas"):
     import numba
 
     import_module("numba.np.arraymath")
 
 
 def compiled_with(function: Callable[P, R], **options: object) -> Callable[P, R]:
-    """`function` compiled by numba, without the interpreter's lock, at its first call, and kept in the cache
-    beside its file. Floating-point division follows IEEE rules, as in numpy.
+    """Compile `function` with numba at its first call, without the GIL, cached on disk beside its file.
 
-    Where neither that folder nor numba's own (`NUMBA_CACHE_DIR`) can be written to, nothing is kept: each
-    process compiles anew."""
+    Floating-point division follows IEEE rules, as in numpy. If neither that folder nor numba's own
+    (`NUMBA_CACHE_DIR`) is writable, there is no cache and every process compiles anew.
+    """
     options = {"nogil": True, "error_model": "numpy", **options}
     try:
         jit = numba.njit(cache=True, **options)(function)

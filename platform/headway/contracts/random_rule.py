@@ -1,4 +1,4 @@
-"""Uniformly random play: the zero of a normalised score, and a rule of every environment."""
+"""The rule `random`: uniformly random play, the zero point of normalised scores."""
 
 from typing import Any
 
@@ -10,21 +10,21 @@ from headway.contracts.environment import BatchedEnv, Observations
 from headway.contracts.random_streams import generator
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 
-WIDTH = 10.0
-"""Where a Box has no bound, actions are drawn up to so far from the other bound, or from 0."""
+_UNBOUNDED_WIDTH = 10.0
+"""Largest distance of a draw from a Box component's one finite bound, or from 0 if it has none."""
 
 
 class RandomRule:
-    """Uniform over the allowed actions of a Discrete space, over all of a MultiDiscrete or Box one.
+    """Draws each action uniformly: allowed actions of a Discrete space, all of a MultiDiscrete or Box space.
 
-    Each rule of the same `seed` makes the same draws, in the order in which it is asked.
+    Two rules of the same `seed` that are called alike make the same draws.
     """
 
     def __init__(self, seed: int = 0) -> None:
         self._generator = generator(seed, "random rule")
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
-        """As `BatchedEnv.step` takes them; agents with no allowed action get action 0."""
+        """Return actions as `BatchedEnv.step` takes them. Agents without an allowed action get action 0."""
         shape, draw = observed.alive.shape, self._generator
         match env.spec.action_space:
             case Discrete(n=n):
@@ -36,8 +36,8 @@ class RandomRule:
             case MultiDiscrete(nvec=nvec):
                 return draw.integers(0, nvec, (*shape, len(nvec)))
             case Box(low=low, high=high):
-                floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - WIDTH, low)
-                ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + WIDTH, high)
+                floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - _UNBOUNDED_WIDTH, low)
+                ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + _UNBOUNDED_WIDTH, high)
                 return draw.uniform(floor, ceiling, (*shape, len(low))).astype(np.float32)
 
 
@@ -45,4 +45,4 @@ RANDOM = RuleEntry(
     "plays uniformly at random, of discrete actions those allowed: the zero of normalised scores",
     lambda prepared: RandomRule(),
 )
-"""The rule `random`, of every environment."""
+"""The rule `random`, registered for every environment."""

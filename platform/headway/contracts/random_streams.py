@@ -1,6 +1,7 @@
-"""Random streams: every draw comes from (seed, purpose, indices), never from a global generator.
+"""Random streams: every draw comes from a stream named by (seed, purpose, indices), never a global generator.
 
-So neither the number of workers, nor the seeds trained beside a run, nor a restart changes a draw.
+A draw therefore depends neither on the number of workers, nor on the seeds trained beside a run, nor on a
+restart.
 """
 
 import zlib
@@ -14,17 +15,18 @@ def _entropy(seed: int, purpose: str, indices: tuple[int, ...]) -> np.random.See
 
 
 def generator(seed: int, purpose: str, *indices: int) -> np.random.Generator:
-    """A generator for `purpose` and `indices` (a global copy index, an iteration, ...), independent of those
-    for others.
+    """Return the random generator of (seed, purpose, indices), statistically independent of all others.
 
-    Seeds and indices are integers of at least 0. A zero at the end of the indices makes no other stream
-    (numpy fills entropy up with zeros to four words of 32 bits): always give a purpose as many indices.
+    Indices name a global copy, an iteration and so on. Seed and indices must be at least 0. Give a purpose
+    the same number of indices everywhere: a trailing index 0 names the same stream as no index, since numpy
+    pads entropy with zeros to four 32-bit words.
     """
     return np.random.Generator(np.random.Philox(_entropy(seed, purpose, indices)))
 
 
 def child_seeds(seed: int, purpose: str, first: int, count: int) -> NDArray[np.uint64]:
-    """Seeds of the copies first to first + count - 1: shape (count,). Copy i's depends on i alone."""
+    """Return the seeds of copies first to first + count - 1, shape (count,). The seed of copy i depends on i
+    alone."""
     seeds = [
         _entropy(seed, purpose, (index,)).generate_state(1, np.uint64)[0]
         for index in range(first, first + count)

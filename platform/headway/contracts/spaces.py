@@ -1,28 +1,36 @@
-"""The kinds of action an agent can take; every agent of an environment has the same."""
+"""Action spaces. All agents of an environment have the same one."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Discrete:
-    """One of `n` actions, 0 to n - 1. Arrays of actions are int64 of shape (..., N)."""
+    """One of `n` actions, numbered 0 to n - 1. Action arrays are int64 (..., N)."""
 
     n: int
+    """Number of actions, at least 1."""
 
 
 @dataclass(frozen=True)
 class MultiDiscrete:
-    """One choice from each of several lists, of lengths `nvec`. Actions are int64 (..., N, len(nvec))."""
+    """Several choices at once, choice i one of `nvec[i]` options. Action arrays are int64 (..., N,
+    len(nvec))."""
 
     nvec: tuple[int, ...]
+    """Number of options per choice."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A vector within bounds. Actions are float32 of shape (..., N, size); the environment clips them."""
+    """A real vector within bounds. Action arrays are float32 (..., N, size).
+
+    Sampled actions may lie outside the bounds: the environment clips them.
+    """
 
     low: tuple[float, ...]
+    """Lower bound per component; -inf: none."""
     high: tuple[float, ...]
+    """Upper bound per component; inf: none."""
 
     @property
     def size(self) -> int:

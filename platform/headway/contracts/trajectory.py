@@ -1,4 +1,4 @@
-"""The one record that rollout workers write and learners read."""
+"""The trajectory: the one record that rollout workers write and learners read."""
 
 from dataclasses import dataclass, fields
 from math import prod
@@ -15,22 +15,23 @@ _ALIGNMENT = 64
 
 @dataclass(frozen=True)
 class TrajectoryLayout:
-    """Shapes and types of a trajectory's arrays, and their places in one block of memory."""
+    """Shapes and dtypes of a trajectory's arrays, and their offsets in one block of memory."""
 
     spec: EnvSpec
+    """Environment that the trajectory is sampled from."""
     steps: int
-    """T"""
+    """T."""
     copies: int
-    """C, over all replicas."""
+    """C, copies of all replicas."""
     hidden_size: int = 0
-    """M: numbers that each agent remembers; 0: none."""
+    """M, components of an agent's hidden state; 0: the policy has no recurrence."""
 
     @property
     def arrays(self) -> dict[str, tuple[tuple[int, ...], DTypeLike]]:
-        """Shape and type of every field of `Trajectory`, in order."""
+        """Shape and dtype of every field of `Trajectory`, in field order."""
         spec, t, c, n = self.spec, self.steps, self.copies, self.spec.num_agents
         d, s, m = spec.observation_size, spec.state_size, self.hidden_size
-        remembered = 1 if m else 0
+        recurrent = 1 if m else 0
         match spec.action_space:
             case Discrete(n=num_actions):
                 actions: tuple[tuple[int, ...], DTypeLike] = (t, c, n), np.int64
@@ -51,79 +52,85 @@ class TrajectoryLayout:
             "acting": ((t, c, n), np.bool_),
             "final_observations": ((t, c, n, d), np.float32),
             "final_states": ((t, c, s), np.float32),
-            "memory": ((remembered, c, n, m), np.float64),
-            "begins": ((remembered, c, n), np.bool_),
+            "hidden_states": ((recurrent, c, n, m), np.float64),
+            "begins": ((recurrent, c, n), np.bool_),
         }
 
     @property
     def nbytes(self) -> int:
-        """Size in bytes of one block that holds every array."""
-        return sum(_padded(shape, dtype) for shape, dtype in self.arrays.values())
+        """Size in bytes of a block that holds every array."""
+        return sum(_padded_nbytes(shape, dtype) for shape, dtype in self.arrays.values())
 
 
-def _padded(shape: tuple[int, ...], dtype: DTypeLike) -> int:
+def _padded_nbytes(shape: tuple[int, ...], dtype: DTypeLike) -> int:
     return aligned(prod(shape) * np.dtype(dtype).itemsize)
 
 
 def aligned(nbytes: int) -> int:
-    """That many bytes, rounded up so that an array of any type may lie behind them."""
+    """Round a number of bytes up, so that an array of any dtype may start after them."""
     return -(-nbytes // _ALIGNMENT) * _ALIGNMENT
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """T steps of C copies, a struct of arrays. Row t of `observations`, `states`, `alive` and
-    `action_masks` is what was faced before action t; row T is what comes after the last step."""
+    """T steps of C copies as a struct of arrays.
+
+    Row t of `observations`, `states`, `alive` and `action_masks` is what agents observed before action t; row
+    T follows the last step. Row t of all other arrays is the action at step t and its result. Fields named as
+    in `Observations` and `StepResult` have the same meaning, with a leading time axis.
+    """
 
     observations: NDArray[np.float32]
-    """(T + 1, C, N, D)"""
+    """(T + 1, C, N, D): rows of agents not alive may hold anything."""
     states: NDArray[np.float32]
-    """(T + 1, C, S)"""
+    """(T + 1, C, S): global states."""
     alive: NDArray[np.bool_]
-    """(T + 1, C, N)"""
+    """(T + 1, C, N): alive mask."""
     action_masks: NDArray[np.bool_]
-    """(T + 1, C, N, A); first axis 0 where the environment has no masks."""
+    """(T + 1, C, N, A): action masks; first axis 0 if the environment has none."""
     actions: NDArray[Any]
-    """(T, C, N) int64, or (T, C, N, size)"""
+    """Shape (T, C, N), int64, for Discrete; (T, C, N, choices), int64, for MultiDiscrete; (T, C, N, size),
+    float32, for Box."""
     log_probs: NDArray[np.float64]
-    """(T, C, N): the worker's, at the parameters that acted."""
+    """(T, C, N): log-probability of the action under the parameters that the worker sampled with."""
     rewards: NDArray[np.float32]
-    """(T, C, N)"""
+    """(T, C, N): rewards."""
     terminated: NDArray[np.bool_]
-    """(T, C, N)"""
+    """(T, C, N): the stream ended in a terminal state."""
     truncated: NDArray[np.bool_]
-    """(T, C, N)"""
+    """(T, C, N): the stream was cut off."""
     acting: NDArray[np.bool_]
-    """(T, C, N)"""
+    """(T, C, N): the environment used the action."""
     final_observations: NDArray[np.float32]
-    """(T, C, N, D): valid where terminated or truncated."""
+    """(T, C, N, D): last observation of a stream; valid where terminated or truncated."""
     final_states: NDArray[np.float32]
-    """(T, C, S): valid where the copy's episode ended."""
-    memory: NDArray[np.float64]
-    """(1, C, N, M): what agents remembered before row 0; first axis 0 for policies without memory."""
+    """(T, C, S): last state of an episode; valid where the copy's episode ended."""
+    hidden_states: NDArray[np.float64]
+    """(1, C, N, M): hidden states before row 0; first axis 0 for policies without recurrence."""
     begins: NDArray[np.bool_]
-    """(1, C, N): the agent's stream begins with row 0, whatever was before; first axis as `memory`'s."""
+    """(1, C, N): the agent's stream begins at row 0, so that nothing before it counts. First axis as in
+    `hidden_states`."""
 
     @classmethod
-    def over(cls, buffer: Any, layout: TrajectoryLayout) -> Self:  # noqa: ANN401 - anything with a buffer
-        """A trajectory whose arrays lie in `buffer`, which holds at least `layout.nbytes` bytes."""
+    def from_buffer(cls, buffer: Any, layout: TrajectoryLayout) -> Self:  # noqa: ANN401 - anything with a buffer
+        """Return a trajectory whose arrays lie in `buffer`, which holds at least `layout.nbytes` bytes."""
         arrays, offset = {}, 0
         for name, (shape, dtype) in layout.arrays.items():
             arrays[name] = np.frombuffer(buffer, dtype, prod(shape), offset).reshape(shape)
-            offset += _padded(shape, dtype)
+            offset += _padded_nbytes(shape, dtype)
         return cls(**arrays)
 
     @classmethod
     def allocate(cls, layout: TrajectoryLayout) -> Self:
-        """A trajectory of its own memory, filled with zeros."""
-        return cls.over(bytearray(layout.nbytes), layout)
+        """Return a trajectory with memory of its own, filled with zeros."""
+        return cls.from_buffer(bytearray(layout.nbytes), layout)
 
     def of_copies(self, first: int, count: int) -> Self:
-        """A view of the copies first to first + count - 1."""
+        """Return a view of copies first to first + count - 1."""
         return type(self)(*(getattr(self, field.name)[:, first : first + count] for field in fields(self)))
 
     def of_first_agents(self, count: int) -> Self:
-        """A view of the first agents."""
+        """Return a view of the first `count` agents."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
         of_copies = {"states", "final_states"}
         return type(self)(**{n: a if n in of_copies else a[:, :, :count] for n, a in arrays.items()})

@@ -1,5 +1,7 @@
-"""Wrappers by name. Third parties add theirs by entry point (`headway.wrappers`), a mapping from name to
-entry."""
+"""Wrapper entries: everything the platform needs to know about a named wrapper.
+
+Third parties register theirs by entry point (`headway.wrappers`), a mapping from name to entry.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,47 +15,57 @@ from headway.contracts.environment import BatchedEnv
 
 @dataclass(frozen=True)
 class ObservationBounds:
-    """What every agent observes: a float32 vector of D components, each between `low` and `high`."""
+    """Bounds of what every agent observes: a float32 vector of D components."""
 
     agents: tuple[str, ...]
     """Names of the N agents, in array order."""
     low: NDArray[np.float32]
-    """(D,); -inf where there is no bound."""
+    """(D,): lower bounds; -inf where there is none."""
     high: NDArray[np.float32]
-    """(D,)"""
+    """(D,): upper bounds; inf where there is none."""
 
 
 @dataclass(frozen=True)
 class BatchedWrapper:
-    """The twin of a wrapper for batches of copies: what it gives is equal to the last bit."""
+    """The batched form of a wrapper. Its results must equal those of the PettingZoo form to the last bit."""
 
     wrap: Callable[[BatchedEnv], BatchedEnv]
-    """Picklable. In what it is given, rows of absent agents are what a ParallelEnv shows them: zeros, where
-    the environment is native. The result has attributes `inner`, the environment given, and `faced`, what
-    that one observed last: rules look there."""
+    """(batched environment) -> wrapped environment. Must be picklable.
+
+    Input rows of agents not alive hold what a ParallelEnv shows such agents, zeros for a native environment.
+    The result has two attributes that rules use: `inner`, the environment given, and `inner_observed`, its
+    last observations.
+    """
     bounds: ObservationBounds
-    """Of the wrapped environment's observations."""
+    """Bounds of the wrapped environment's observations."""
 
 
 @dataclass(frozen=True)
 class WrapperEntry:
-    """A wrapper by name."""
+    """A named wrapper."""
 
     summary: str
     """One line for `headway list wrappers`."""
     config: type
-    """Frozen dataclass of its arguments, each field with a docstring; its `__post_init__` raises ValueError
-    for impossible values."""
+    """Frozen dataclass of the wrapper's arguments, each field with a docstring. `__post_init__` raises
+    ValueError for impossible values."""
     wrap: Callable[[Any, Any], Any]
-    """(ParallelEnv, arguments) -> the wrapped ParallelEnv. Infos `alive`, `acting`, `action_mask` and
-    `episode_metrics` pass through it."""
+    """(ParallelEnv, arguments) -> wrapped ParallelEnv.
+
+    The infos `alive`, `acting`, `action_mask`, `slot_ended` and `episode_metrics` must pass through
+    unchanged.
+    """
     batched: Callable[[Any, ObservationBounds], BatchedWrapper | None] | None = None
-    """(arguments, bounds of what it is to wrap) -> its twin; None where it has none for those.
-    Raises HeadwayError where those cannot be wrapped."""
+    """(arguments, bounds of the environment to wrap) -> batched form, or None if there is none for these.
+
+    Raises HeadwayError if an environment with these bounds cannot be wrapped. The field itself is None if the
+    wrapper has no batched form.
+    """
     only_rewards: bool = False
-    """It changes nothing but rewards, to make learning easier: it is there while learning only, and what is
-    evaluated and reported is paid by the environment's own."""
+    """The wrapper changes nothing but rewards. It is then used in training only; evaluation and reports use
+    the environment's own reward."""
     skips_steps: bool = False
-    """Several steps pass in one of its own, and infos keep `acting` of the last of them only."""
+    """One step of the wrapped environment is several steps of the inner one, and infos keep `acting` of the
+    last of these only."""
     changes_actions: bool = False
-    """An action means something else after it: an environment's own rules cannot play behind it."""
+    """Actions have another meaning after wrapping, so that the environment's own rules cannot be played."""

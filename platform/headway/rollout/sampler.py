@@ -108,7 +108,7 @@ class Sampler:
         episodes = []
         check_finite(spec, None, observed, 0, self._name_copy)
         if self.acting.memory is not None:
-            views["memory"][0] = self._by_replica(self.acting.memory)
+            views["hidden_states"][0] = self._by_replica(self.acting.memory)
             views["begins"][0] = self._by_replica(self.acting.begins)
         for t in range(self.plan.steps):
             self._store_observed(t, observed)

@@ -18,7 +18,7 @@ class BatchWrapper:
     def __init__(self, inner: BatchedEnv, spec: EnvSpec | None = None) -> None:
         """`spec`: the wrapped environment's; None: that of the inner one."""
         self.inner = inner
-        self.faced: Observations | None = None
+        self.inner_observed: Observations | None = None
         """What the inner environment observed last; rules look there."""
         self._spec = spec or inner.spec
 
@@ -31,19 +31,19 @@ class BatchWrapper:
         return self.inner.num_copies
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        self.faced = self.inner.reset(seeds)
-        return self._begin(self.faced)
+        self.inner_observed = self.inner.reset(seeds)
+        return self._begin(self.inner_observed)
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        outcome, self.faced = self.inner.step(actions)
-        return self._advance(outcome, self.faced)
+        outcome, self.inner_observed = self.inner.step(actions)
+        return self._advance(outcome, self.inner_observed)
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         return self.inner.snapshot()
 
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
-        self.faced = self.inner.restore(snapshot)
-        return self._begin(self.faced)
+        self.inner_observed = self.inner.restore(snapshot)
+        return self._begin(self.inner_observed)
 
     def close(self) -> None:
         self.inner.close()

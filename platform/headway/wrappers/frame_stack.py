@@ -47,9 +47,9 @@ class FrameStackBatch(BatchWrapper):
         return {"inner": self.inner.snapshot(), "frames": self._frames.copy()}
 
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
-        self.faced = self.inner.restore(snapshot["inner"])
+        self.inner_observed = self.inner.restore(snapshot["inner"])
         self._frames[:] = snapshot["frames"]
-        return self._shown(self.faced)
+        return self._shown(self.inner_observed)
 
     def _begin(self, observed: Observations) -> Observations:
         self._push(observed, np.ones(observed.alive.shape, dtype=np.bool_))

@@ -114,7 +114,7 @@ def _innermost(env: BatchedEnv, observed: Observations | None) -> tuple[BatchedE
     """What the batched wrappers are around, and what that observed last, where `env` observed `observed`."""
     inner: Any = env
     while hasattr(inner, "inner"):
-        observed, inner = inner.faced, inner.inner
+        observed, inner = inner.inner_observed, inner.inner
     return cast(BatchedEnv, inner), observed
 
 

@@ -146,7 +146,7 @@ def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, 
     for iteration in (1, 2):
         collector.collect(iteration, learner.acting_parameters())
         track = collector.trajectory
-        np.testing.assert_allclose(track.memory[0], memory, atol=tolerance)
+        np.testing.assert_allclose(track.hidden_states[0], memory, atol=tolerance)
         assert not memory[torch.from_numpy(track.begins[0])].any()
         assert track.begins.all() == (iteration == 1)
         for t, c, n in np.argwhere(np.ones_like(track.terminated)):
@@ -179,7 +179,7 @@ def naive_memories(
     before, after = np.zeros((steps + 1, copies, agents, UNITS)), np.zeros((steps, copies, agents, UNITS))
     for c in range(copies):
         for n in range(agents):
-            alone, memory = Alone(network, follows(n)), torch.tensor(track.memory[0, c, n])
+            alone, memory = Alone(network, follows(n)), torch.tensor(track.hidden_states[0, c, n])
             for t in range(steps):
                 before[t, c, n] = memory
                 if track.alive[t, c, n]:
@@ -215,7 +215,7 @@ def naive_surrogate(actor: Actor, track: Trajectory, advantages: NDArray[Any], c
     for n in range(agents):
         alone, total, rows = Alone(network, n), torch.zeros((), dtype=torch.float64), 0
         for c in range(copies):
-            memory = torch.tensor(track.memory[0, c, n])
+            memory = torch.tensor(track.hidden_states[0, c, n])
             for t in range(steps):
                 memory = memory.detach() if t % LENGTH == 0 else memory
                 if track.alive[t, c, n]:
@@ -315,7 +315,7 @@ def test_critics_remember_from_iteration_to_iteration(fabricate: Fabricate) -> N
     for iteration in (1, 2):
         track = made(fabricate, DISCRETE, 5 + iteration, absent=0.2)
         track.begins[:] = np.random.default_rng(iteration).random(track.begins.shape) < 0.5
-        track.memory[0] = np.where(track.begins[0][..., None], 0, carried)
+        track.hidden_states[0] = np.where(track.begins[0][..., None], 0, carried)
         before, after = naive_memories(network, track.observations, track, lambda n: n)
         estimate = critic.estimate(track, learner.behaviour, iteration)
         for t, c, n in np.argwhere(track.alive[:-1]):

@@ -78,10 +78,10 @@ def test_memory_goes_on_between_iterations_and_ends_with_a_stream() -> None:
     ended = (long.terminated | long.truncated)[[19, 39]]
     for row, part in zip(ended, short[1:], strict=True):
         np.testing.assert_array_equal(part.begins[0], row)
-        assert not part.memory[0][row].any()
-        assert part.memory[0].any()
+        assert not part.hidden_states[0][row].any()
+        assert part.hidden_states[0].any()
     assert short[0].begins.all()
-    assert not short[0].memory.any()
+    assert not short[0].hidden_states.any()
     assert ended.any()
 
 
@@ -116,8 +116,8 @@ def test_blocks_remember_each_its_own_copies(block: int) -> None:
 def test_a_trajectory_has_no_room_for_memory_where_there_is_none() -> None:
     plain, remembering = (plan_of_toy("visitors", core=core) for core in ("none", "gru"))
     assert (hidden_size(plain.policy), hidden_size(remembering.policy)) == (0, 4)
-    assert Trajectory.allocate(plain.layout).memory.size == 0
-    assert Trajectory.allocate(remembering.layout).memory.shape == (1, 4, 3, 4)
+    assert Trajectory.allocate(plain.layout).hidden_states.size == 0
+    assert Trajectory.allocate(remembering.layout).hidden_states.shape == (1, 4, 3, 4)
     plain_acting, acting = (PolicyPlayer(plan, 4, 4) for plan in (plain, remembering))
     assert plain_acting.snapshot() == {}
     assert acting.snapshot().keys() == {"memory", "begins"}
@@ -130,7 +130,7 @@ def test_without_snapshots_all_is_forgotten_with_the_episodes(tmp_path: Path) ->
     with collector_of(plan, workers=2) as collector:
         collector.begin()
         taken = iterations_of(collector, parameters_of(plan), 1, 2)
-    begins, memory = taken[1].arrays["begins"][0], taken[1].arrays["memory"][0]
+    begins, memory = taken[1].arrays["begins"][0], taken[1].arrays["hidden_states"][0]
     anew = begins.all(axis=1)
     assert 0 < anew.sum() <= 3
     assert not memory[begins].any()

@@ -82,7 +82,7 @@ class SharedMemory(ProcessLauncher):
             SharedBlock.create(plan.layout.nbytes),
             SharedBlock.create(parameter_bytes(shapes), "parameters"),
         )
-        self.trajectory = Trajectory.over(self.blocks[0].buffer, plan.layout)
+        self.trajectory = Trajectory.from_buffer(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]
         super().__init__(setups, plan.preload, pickled)

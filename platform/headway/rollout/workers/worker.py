@@ -41,7 +41,7 @@ class WorkerSetup:
         return Sampling(
             plan,
             self.shard,
-            Trajectory.over(self.trajectory.buffer, plan.layout),
+            Trajectory.from_buffer(self.trajectory.buffer, plan.layout),
             parameter_arrays(shapes, self.parameters.buffer),
         )
 
