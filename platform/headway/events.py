@@ -1,25 +1,27 @@
-"""What a training process tells its session, over a pipe; every record is picklable.
+"""Events that a training process sends to its session over a pipe. Every record is picklable.
 
-A training process trains one stack of seeds: `seeds` of its job, in order; tuples "one a seed" follow it.
+A training process trains one stack of seeds. Tuples described as "one per seed" are in the order of the job's
+`seeds`.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 Row = Mapping[str, float | int | str]
+"""One row of a table: values by column."""
 
 LABELS = frozenset({"copy", "episode_seed", "evaluation_seed", "iteration", "env_steps", "mode", "final"})
-"""Columns of tables of episodes that say which one it was; the others are its figures."""
+"""Columns that identify an episode in tables of episodes. All other columns are metrics."""
 
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What processes have used."""
+    """CPU time and memory of a group of processes."""
 
     cpu_seconds: float = 0.0
-    """Since they started, dead ones included."""
+    """CPU seconds since the processes started, dead processes included."""
     memory_bytes: int = 0
-    """Proportional memory, of those alive."""
+    """Proportional set size in bytes, over the processes alive."""
 
     def __add__(self, other: "Usage") -> "Usage":
         return Usage(self.cpu_seconds + other.cpu_seconds, self.memory_bytes + other.memory_bytes)
@@ -27,41 +29,46 @@ class Usage:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """Training has begun (or goes on, from `iteration`)."""
+    """Training has started, or resumed after iteration `iteration`."""
 
     iteration: int
+    """Iterations finished so far; 0 for a new run."""
     process_ids: tuple[int, ...]
     """The training process and its workers."""
     episodes_restarted: bool = False
-    """It goes on with episodes begun anew: the environment keeps no snapshots."""
+    """The run resumed with new episodes, because the environment has no snapshots."""
 
 
 @dataclass(frozen=True, slots=True)
 class IterationFinished:
-    """One iteration of collecting and learning."""
+    """One iteration of sampling and learning is finished."""
 
     iteration: int
-    """Counted from 1."""
+    """Counts from 1."""
     env_steps: int
-    """Environment steps of each seed so far."""
+    """Environment steps per seed so far."""
     usage: Usage
-    """Of the training process and its workers."""
+    """Usage of the training process and its workers."""
     curve: tuple[Row, ...]
-    """One a seed: `iteration`, `env_steps`, `wall_s` and metrics by `group/name`."""
+    """One row per seed: `iteration`, `env_steps`, `wall_s` and metrics by `group/name`."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluationFinished:
-    """Evaluation episodes of every seed at one point of training."""
+    """The evaluation episodes of every seed at one point of training are finished."""
 
     iteration: int
+    """Iterations finished before the evaluation."""
     env_steps: int
+    """Environment steps per seed so far."""
     mode: str
+    """`greedy` or `sampled`."""
     final: bool
+    """This is the last evaluation, after training."""
     usage: Usage
-    """Of the training process and its workers."""
+    """Usage of the training process and its workers."""
     curve: tuple[Row, ...]
-    """One a seed: `iteration`, `env_steps`, `wall_s` and means by `evaluation_MODE/name`."""
+    """One row per seed: `iteration`, `env_steps`, `wall_s` and means by `evaluation_MODE/name`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,28 +80,31 @@ class CheckpointSaved:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """One line for the user: a worker replaced, a checkpoint skipped."""
+    """One line for the user, about a replaced worker or a skipped checkpoint for instance."""
 
     line: str
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The last event of a job that ended as meant; `stopped` when it was asked to stop before its budget."""
+    """Last event of a job that ended normally."""
 
     iteration: int
     stopped: bool
+    """The job was asked to stop before its budget was used."""
     usage: Usage | None = None
-    """Of the training process and its workers; None where it was killed and could not tell."""
+    """Usage of the training process and its workers; None if the process was killed before it could
+    report."""
     store_s: float = 0.0
-    """Seconds that it spent on its log and checkpoints."""
+    """Seconds spent writing logs and checkpoints."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The last event of a job that could not go on."""
+    """Last event of a job that could not continue."""
 
     line: str
+    """One line: what is wrong and what to do."""
     traceback: str
 
 

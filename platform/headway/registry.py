@@ -1,5 +1,7 @@
-"""Environments, algorithms and wrappers by name: the project's own and those that other packages add by
-entry point."""
+"""Environments, algorithms and wrappers by name, the project's own and those of other packages.
+
+Other packages add theirs by entry point (`headway.envs`, `headway.algos`, `headway.wrappers`).
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,8 +21,10 @@ Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
 
 @cache
 def env_entries() -> Mapping[str, EnvEntry]:
-    """Every environment by name, each with the rule `random`. Raises HeadwayError where a package's entry
-    point cannot be loaded."""
+    """Return every environment by name, each with the rule `random`.
+
+    Raises HeadwayError if a package's entry point cannot be loaded or two packages use one name.
+    """
     return {
         name: entry if "random" in entry.rules else replace(entry, rules={"random": RANDOM, **entry.rules})
         for name, entry in _load("headway.envs", EnvEntry).items()
@@ -29,23 +33,28 @@ def env_entries() -> Mapping[str, EnvEntry]:
 
 @cache
 def algo_entries() -> Mapping[str, AlgoEntry]:
-    """Every algorithm by name. Raises HeadwayError where a package's entry point cannot be loaded."""
+    """Return every algorithm by name.
+
+    Raises HeadwayError if a package's entry point cannot be loaded or two packages use one name.
+    """
     return _load("headway.algos", AlgoEntry)
 
 
 @cache
 def wrapper_entries() -> Mapping[str, WrapperEntry]:
-    """Every wrapper by name: SuperSuit's, and those of other packages. Raises HeadwayError where a package's
-    entry point cannot be loaded or takes a name that there is."""
+    """Return every wrapper by name: SuperSuit's and those of other packages.
+
+    Raises HeadwayError if a package's entry point cannot be loaded or uses a name that is taken.
+    """
     from headway.wrappers.supersuit import supersuit_entries
 
     return _load("headway.wrappers", WrapperEntry, supersuit_entries())
 
 
 def env_entry(name: str) -> EnvEntry:
-    """The environment of that name, or of that module path (`mpe2.simple_spread_v3`).
+    """Return the environment with this name or module path, such as `mpe2.simple_spread_v3`.
 
-    Raises HeadwayError with the nearest name if there is none.
+    Raises HeadwayError, suggesting the nearest name, if there is none.
     """
     if is_module_path(name):
         from headway.adapters.modules import module_entry
@@ -55,20 +64,21 @@ def env_entry(name: str) -> EnvEntry:
 
 
 def is_module_path(name: str) -> bool:
-    """Whether it names an environment by its module: it has a dot and is registered by no package."""
+    """Return whether `name` is a module path: it has a dot and no package registers it."""
     return "." in name and name not in env_entries()
 
 
 def algo_entry(name: str) -> AlgoEntry:
-    """The algorithm of that name. Raises HeadwayError with the nearest name if there is none."""
+    """Return the algorithm with this name. Raises HeadwayError, suggesting the nearest name, if there is
+    none."""
     return _named(algo_entries(), name, "algorithm")
 
 
 def wrapper_entry(name: str, path: str = "") -> WrapperEntry:
-    """The wrapper of that name; `path` is the key that names it.
+    """Return the wrapper with this name; `path` is the configuration key that names it, for messages.
 
-    Raises HeadwayError with the nearest name if there is none, and says why YAML cannot use it if there is
-    one that takes Python functions.
+    Raises HeadwayError, suggesting the nearest name, if there is none, and with the reason if the wrapper
+    cannot be used from YAML (it takes Python functions, for instance).
     """
     from headway.wrappers.supersuit import supersuit_names, why_not
 
@@ -100,7 +110,7 @@ def _load(
         except Exception as error:
             raise HeadwayError(
                 f"{point.value} of package {origin} cannot be loaded ({type(error).__name__}: {error}); "
-                "mend or uninstall that package"
+                "fix or uninstall that package"
             ) from error
         if not isinstance(added, Mapping) or not all(isinstance(entry, kind) for entry in added.values()):
             raise HeadwayError(

@@ -227,7 +227,7 @@ def test_kronecker_factors_are_of_networks_without_memory() -> None:
 
 @pytest.mark.parametrize("algorithm", REPLAYING)
 def test_a_memory_is_no_setting_of_who_replays(algorithm: str) -> None:
-    with pytest.raises(HeadwayError, match=r"core is not a key of .*; there is: activation, hidden"):
+    with pytest.raises(HeadwayError, match=r"core is not a key of .*; available: activation, hidden"):
         configured(algorithm, "shared", **REMEMBERING)
 
 

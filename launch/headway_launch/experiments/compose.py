@@ -303,7 +303,7 @@ def _require_a_key(key: str, value: str, overrides: Sequence[str]) -> None:
             f"{key} is not a key of the experiment; did you mean {' or '.join(whole)}={value}?"
         )
     if not rest and nearest(head, names) in ("experiment", "preset"):
-        near = f"did you mean {nearest(head, names)}={value}? There is: {', '.join(sorted(names))}"
+        near = f"did you mean {nearest(head, names)}={value}? Available: {', '.join(sorted(names))}"
         raise HeadwayError(f"{head} is not a key of the experiment; {near}")
     raise HeadwayError(f"{head} is not a key of the experiment; {suggestion(head, names)}")
 

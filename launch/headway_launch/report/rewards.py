@@ -113,7 +113,7 @@ def _paid_by_several_rules(data: StudyData) -> list[str]:
 
 
 def _curves(data: StudyData) -> dict[str, pd.DataFrame]:
-    """By what a curve is called, `curve_figures` of those that the runs have."""
+    """By what a curve is called, `curve_metrics` of those that the runs have."""
     training = {} if data.training_figures is None else {"training": data.training_figures}
     return {**training, data.mode: data.figures}
 
@@ -226,7 +226,7 @@ def improvement_section(data: StudyData) -> Section:
         )
         scores = data.scores_on(task)
         by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
-        if off := plots.far_off(by_name, data.sign):
+        if off := plots.outliers(by_name, data.sign):
             caption += f" Beyond the axis: {', '.join(f'{name} (at {figure(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
         profiles = frames.profiles(scores, thresholds)

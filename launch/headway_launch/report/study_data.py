@@ -125,18 +125,18 @@ class StudyData:
 
     @cached_property
     def figures(self) -> pd.DataFrame:
-        """`curve_figures` of the metric."""
-        return frames.curve_figures(self.curves)
+        """`curve_metrics` of the metric."""
+        return frames.curve_metrics(self.curves)
 
     @cached_property
     def training_figures(self) -> pd.DataFrame | None:
-        """`curve_figures` of the training curve, in which the papers report, a row a run: NaN where no
+        """`curve_metrics` of the training curve, in which the papers report, a row a run: NaN where no
         episode ended in it; None where none ended in any. Runs need no step in common: where workers are
         asynchronous, episodes end at other updates in each."""
         points = curve_points(self.runs, "training/return")
         if points.empty:
             return None
-        return frames.curve_figures(points).reindex([row.run_id for row in self.runs.rows])
+        return frames.curve_metrics(points).reindex([row.run_id for row in self.runs.rows])
 
     @cached_property
     def learned_from_another_reward(self) -> bool:

@@ -102,7 +102,7 @@ def seed_result(
     energy_modes: Mapping[str, str],
 ) -> SeedResult:
     """Return the metrics of a run whose training has ended, from its log and its last energy sample."""
-    final, area = curve_figures(run, mode)
+    final, area = curve_metrics(run, mode)
     return SeedResult(
         seed=run.record.seed,
         status=recording.status,
@@ -139,7 +139,7 @@ def stored_result(directory: Path) -> SeedResult:
     )
 
 
-def curve_figures(run: "Run", mode: str) -> tuple[float | None, float | None]:
+def curve_metrics(run: "Run", mode: str) -> tuple[float | None, float | None]:
     """Return (final reward, AUC) of the evaluation curve up to the last checkpoint.
 
     Each is None if the curve has no point yet (for the AUC: fewer than three), and both are if nothing was

@@ -16,7 +16,7 @@ from typing import Any
 
 from headway.adapters.installed import require_environment_module
 from headway.adapters.parallel_entry import NO_OPTIONS, AdapterOptions
-from headway.config.signatures import argument_record, as_tuples, free_record, takes_anything
+from headway.config.signatures import argument_record, as_tuples, takes_any_arguments, untyped_record
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError
 
 _NUMBERED = re.compile(r"(.+?)_?\d+")
@@ -58,7 +58,9 @@ def module_entry(
     """
     described = _described(_imported(module), module)
     record = (
-        free_record("Arguments", arguments) if described is None else argument_record("Arguments", described)
+        untyped_record("Arguments", arguments)
+        if described is None
+        else argument_record("Arguments", described)
     )
     return EnvEntry(
         summary=f"the PettingZoo environment {module}",
@@ -117,7 +119,7 @@ def _described(module: ModuleType, name: str) -> Callable[..., Any] | None:
     """Whose signature tells the factory's arguments; PettingZoo's own factories pass `**kwargs` to
     `raw_env`. None where nothing tells them."""
     candidates = [_factory(name, module), vars(module).get("raw_env"), vars(module).get("env")]
-    return next((call for call in candidates if callable(call) and not takes_anything(call)), None)
+    return next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
 
 
 def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes without types

@@ -1,1 +1,1 @@
-"""Configuration records and how mappings become them."""
+"""Configuration records, and their construction from mappings."""

@@ -1,4 +1,4 @@
-"""An experiment as frozen records. Every default of the engine stands here and nowhere else."""
+"""An experiment as frozen records. Every default of the platform is written here and nowhere else."""
 
 import re
 from collections.abc import Mapping
@@ -8,13 +8,13 @@ from typing import Any, Literal
 from headway.contracts.checks import require
 
 NO_PRESET = "none"
-"""The preset of experiments that have none."""
+"""Value of `preset` that leaves the defaults unchanged."""
 _STUDY_LENGTH = 100
 _HOST_AND_PORT = re.compile(r"\S+:\d{1,5}")
 
 
 def _require_study(name: str) -> None:
-    """It names a folder of the store and, by default, a picture."""
+    """Raise ValueError for a study name that cannot be the name of a folder and of a picture file."""
     forms = "write letters, digits, spaces and . _ -, such as study=bus_line"
     shown = repr(name) if len(name) <= _STUDY_LENGTH else f"{name[:20]!r}..."
     named = any(letter.isascii() and letter.isalnum() for letter in name)
@@ -28,28 +28,28 @@ def _require_study(name: str) -> None:
 
 @dataclass(frozen=True)
 class EnvConfig:
-    """Which environment, with which arguments."""
+    """The environment and its arguments."""
 
     id: str = "bus"
-    """Name in the registry (see `headway list envs`), or the module of a PettingZoo environment, such as
+    """Registry name (see `headway list envs`), or the module path of a PettingZoo environment, such as
     `mpe2.simple_spread_v3`."""
     args: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of that environment; its own record validates them."""
+    """Arguments of the environment, validated by its own record."""
     training_args: Mapping[str, Any] | None = None
-    """Arguments laid over `args` while learning only: a reward that is easier to learn from, say.
-    null: none, a preset's neither (`{}` leaves those). Evaluation, rules and every figure reported are of
-    `args`; only the columns `training/...` of a curve are of what was learned from."""
+    """Arguments that override `args` in training only, such as a reward that is easier to learn from.
+    Evaluation, rules and all reported metrics use `args`; only the `training/...` columns of a curve use
+    these. null: none, and those of a preset are dropped; `{}` keeps a preset's."""
     wrappers: tuple[Any, ...] = ()
     """Wrappers by name (see `headway list wrappers`), the innermost first: `[{name: frame_stack_v1,
-    stack_size: 4}, clip_reward_v0]`. Those that only change rewards are there while learning only."""
+    stack_size: 4}, clip_reward_v0]`. Wrappers that only change rewards are used in training only."""
     shared_reward: bool | None = None
-    """Of a PettingZoo environment by module: it pays all agents the same at every step, so that a team's
-    critic reads one. Checked against what it pays; null: no."""
+    """For PettingZoo environments by module path: all agents get the same reward at every step, so that a
+    team's critic reads one. Checked against the rewards paid. null: no."""
     agents_come_and_go: bool | None = None
-    """Of a PettingZoo environment by module: agents may leave before the episode ends; null: what its
-    metadata or infos say, else no."""
+    """For PettingZoo environments by module path: agents may leave before the episode ends. null: what the
+    environment's metadata or infos say, else no."""
     max_copies_per_process: int | None = None
-    """Of a PettingZoo environment by module: copies that one process may hold; null: any number."""
+    """For PettingZoo environments by module path: maximum number of copies in one process. null: no limit."""
 
     def __post_init__(self) -> None:
         limit = self.max_copies_per_process
@@ -58,15 +58,16 @@ class EnvConfig:
 
 @dataclass(frozen=True)
 class RolloutConfig:
-    """How experience is collected. These numbers are part of a run's plan: they decide its draws."""
+    """How experience is collected. These values are part of a run's plan: they decide its random draws."""
 
     copies: int = 8
-    """E: environment copies of one seed."""
+    """E: environment copies per seed."""
     steps: int = 512
-    """T: steps of each copy in one iteration; an iteration is copies x steps environment steps."""
+    """T: steps of each copy per iteration. An iteration is copies x steps environment steps."""
     block: int = 4
-    """Copies whose actions are computed in one piece; divides `copies`. Worker processes get whole blocks.
-    Smaller where a process can hold few copies of the environment: a run's `plan.json` has what it was."""
+    """Copies whose actions are computed together; must divide `copies`. Worker processes get whole blocks.
+    Reduced if a process cannot hold that many copies of the environment; a run's `plan.json` has the value
+    used."""
 
     def __post_init__(self) -> None:
         require(self.copies >= 1, "copies must be at least 1")
@@ -77,37 +78,38 @@ class RolloutConfig:
 
 @dataclass(frozen=True)
 class BackendConfig:
-    """Where rollouts run and how many seeds train at once. On a CPU no result depends on it: curves are the
-    same bit for bit, except those of asynchronous algorithms and, in the last bits of some network sizes, of
-    `madqn` and `ddpg` in a `stack`. A GPU rounds differently: the first updates agree in float64, and from
-    there training goes its own way."""
+    """Where rollouts run and how many seeds train at once.
+
+    On a CPU results do not depend on it: curves are equal bit for bit, except for asynchronous algorithms
+    and, in the last bits at some network sizes, for `madqn` and `ddpg` in a `stack`. A GPU rounds
+    differently: the first updates agree in float64, later ones diverge.
+    """
 
     name: Literal["serial", "process", "ray"] = "process"
-    """`serial`: in the training process itself; `process`: in worker processes; `ray`: in actors of a Ray
+    """`serial`: in the training process itself; `process`: in worker processes; `ray`: in workers on a Ray
     cluster."""
     workers: int | None = None
-    """Worker processes of each training process; null: what the machine's cores allow, and more where a
-    process can hold only few copies of the environment, of all seeds of a stack. An asynchronous algorithm
-    has one a block."""
+    """Worker processes per training process. null: as many as the machine's cores allow, and more if a
+    process can hold only few copies of the environment (counting all seeds of a stack). An asynchronous
+    algorithm has one worker per block."""
     parallel: int | None = None
-    """Training processes at once; null: one per core, at most one per seed, and fewer where each has a fixed
-    number of workers."""
+    """Training processes at once. null: one per core, at most one per seed, and fewer if `workers` is set."""
     stack: int = 1
     """Seeds trained in one process. On a GPU they learn together. On a CPU they share workers and, with
-    `madqn` and `ddpg`, torch's calls, which are most of a small batch; with other algorithms each learns by
-    itself, and processes side by side are faster. Where a process can hold fewer copies of the environment
-    than one block of every seed, each worker has copies of a part of the seeds only, and each part is
-    evaluated apart; `serial` refuses such a stack."""
+    `madqn` and `ddpg`, torch calls, which dominate small batches; with other algorithms each seed learns
+    separately, and one process per seed is faster. If a process can hold fewer copies of the environment than
+    one block of every seed, the seeds are divided among the workers and each part is evaluated separately;
+    `serial` refuses such a stack."""
     address: str = "local"
-    """Of `ray`: HOST:PORT of a cluster's head; `auto`: the cluster that this machine is part of, or that
-    RAY_ADDRESS names; `local`: one on this machine, for this session only."""
+    """For `ray`: `local`: a cluster on this machine, for this session only; `auto`: the cluster that this
+    machine belongs to or that RAY_ADDRESS names; HOST:PORT: the head of a cluster."""
     worker_cpus: float | None = None
-    """Of `ray`: CPUs that the cluster is asked for each worker; null: 1, on a `local` one none, as the cores
-    are shared out already."""
+    """For `ray`: CPUs requested from the cluster per worker. null: 1, or 0 for `local`, where the session
+    assigns the cores itself."""
     learners: Literal["here", "cluster"] | None = None
-    """Of `ray`: whether runs train on this machine, with workers on the cluster, or are placed on the cluster
-    whole, each with its workers beside it (`store.root` must be on a file system that all machines share);
-    null: `cluster` where a session trains several on one that is not `local`."""
+    """For `ray`: `here`: runs train on this machine, with workers on the cluster; `cluster`: each run is
+    placed on the cluster as a whole, with its workers beside it (`store.root` must be on a file system that
+    all machines share). null: `cluster` if a session trains several runs on a cluster that is not `local`."""
 
     def __post_init__(self) -> None:
         require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
@@ -119,8 +121,8 @@ class BackendConfig:
         require(cpus is None or cpus >= 0, "worker_cpus must be at least 0, or null")
 
     @property
-    def cpus_of_a_worker(self) -> float:
-        """That the cluster is asked for."""
+    def cpus_per_worker(self) -> float:
+        """CPUs requested from the cluster per worker."""
         if self.worker_cpus is not None:
             return self.worker_cpus
         return 0.0 if self.address == "local" else 1.0
@@ -128,23 +130,23 @@ class BackendConfig:
 
 @dataclass(frozen=True)
 class EvaluationConfig:
-    """Episodes on fixed seeds of their own, the same for every run, algorithm and rule."""
+    """Evaluation episodes. Their seeds are fixed, the same for every run, algorithm and rule."""
 
     episodes: int = 10
-    """Episodes at each evaluation."""
+    """Episodes per evaluation."""
     every: int = 40_000
-    """Environment steps between evaluations, each after the iteration that reaches its multiple; the first is
-    before training, the last after it. In steps, so that curves of algorithms with iterations of any
-    length compare."""
+    """Environment steps between evaluations, each after the iteration that reaches the next multiple. The
+    first evaluation is before training, the last after it. Counted in steps so that curves of algorithms with
+    different iteration lengths can be compared."""
     modes: tuple[Literal["greedy", "sampled"], ...] = ("greedy", "sampled")
-    """`greedy`: the distribution's mode; `sampled`: as in training."""
+    """`greedy`: the mode of the policy's distribution; `sampled`: drawn from it, as in training."""
     final_episodes: int = 30
-    """Episodes of the last evaluation and of the rules, for the paired comparison; `episodes` where that is
-    more, as the last evaluation has the days of every other."""
+    """Episodes of the last evaluation and of the rules, used for the paired comparison. At least `episodes`:
+    the last evaluation includes the episodes of all others."""
     seed: int = 1_000_003
-    """Root of the evaluation seeds, kept apart from every training seed."""
+    """Root of the evaluation seeds, which differ from every training seed."""
     rules: tuple[str, ...] | None = None
-    """Rules of the environment evaluated beside the learner; null: all that it has, [] none."""
+    """Rules of the environment evaluated beside the learner. null: all; []: none."""
 
     def __post_init__(self) -> None:
         require(self.episodes >= 1, "episodes must be at least 1")
@@ -154,22 +156,22 @@ class EvaluationConfig:
 
     @property
     def last_episodes(self) -> int:
-        """Episodes of the last evaluation and of the rules: those of every evaluation are among them."""
+        """Episodes of the last evaluation and of the rules; they include those of every other evaluation."""
         return max(self.final_episodes, self.episodes)
 
 
 @dataclass(frozen=True)
 class StoreConfig:
-    """Where runs are kept."""
+    """Where runs are stored."""
 
     root: str = "runs"
-    """Folder of run folders, the MLflow database and the index."""
+    """Folder of the run folders, the MLflow database and the index."""
     tracking_uri: str | None = None
-    """MLflow tracking URI; null: SQLite in the root."""
+    """MLflow tracking URI. null: a SQLite database in `store.root`."""
     curve_points: int = 200
-    """Points of each metric's curve sent to MLflow; the Parquet log keeps all."""
+    """Points of each metric's curve sent to MLflow. The Parquet log keeps all points."""
     checkpoint_every: int = 20
-    """Iterations between checkpoints; the log is made durable with each."""
+    """Iterations between checkpoints. The log is made durable with each checkpoint."""
 
     def __post_init__(self) -> None:
         require(self.curve_points >= 2, "curve_points must be at least 2")
@@ -178,16 +180,16 @@ class StoreConfig:
 
 @dataclass(frozen=True)
 class EnergyConfig:
-    """Energy and CO2 by CodeCarbon, offline."""
+    """Energy and CO2 measurement by CodeCarbon, offline."""
 
     enabled: bool = True
-    """Measure at all."""
+    """Measure energy."""
     country: str | None = None
-    """ISO 3166 three-letter code of the country whose electricity is used, such as DEU, for its CO2 per kWh;
-    null: energy is measured, and no CO2 given."""
+    """ISO 3166 three-letter code of the country whose electricity is used, such as DEU; it decides the CO2
+    per kWh. null: energy is measured, CO2 is not reported."""
     cpu_power_w: float | None = None
-    """The CPU's power at full load, W, for machines whose counters cannot be read; null: CodeCarbon's guess
-    from the processor's name, which can be far off."""
+    """Power of the CPU at full load, in W, for machines whose energy counters cannot be read. null:
+    CodeCarbon's guess from the processor's name, which can be far off."""
     interval_s: float = 5.0
     """Seconds between measurements."""
 
@@ -198,25 +200,25 @@ class EnergyConfig:
 
 @dataclass(frozen=True)
 class ExperimentConfig:
-    """One experiment: an algorithm on an environment, over seeds."""
+    """One experiment: an algorithm on an environment, over several seeds."""
 
     study: str = "default"
-    """Groups runs in the store (an MLflow experiment)."""
+    """Name of the study that runs are grouped under in the store (an MLflow experiment)."""
     seed: tuple[int, ...] = (0,)
     """Training seeds: `7`, `0,1,2` or `0..49`."""
     env_steps: int = 100_000
-    """Environment steps of each seed (one step moves all agents of one copy), rounded up to whole iterations
-    of `rollout.copies` x `rollout.steps`."""
+    """Environment steps per seed (one step moves all agents of one copy), rounded up to whole iterations of
+    `rollout.copies` x `rollout.steps`."""
     device: str = "auto"
-    """`cpu`, `cuda`, or `auto`: a GPU if there is one."""
+    """`cpu`, `cuda`, `cuda:NUMBER`, or `auto`: a GPU if there is one."""
     env: EnvConfig = field(default_factory=EnvConfig)
     algo: Mapping[str, Any] = field(default_factory=dict)
-    """`name` and hyper-parameters; the algorithm's own record validates them."""
+    """`name` and hyper-parameters, validated by the algorithm's own record."""
     preset: str = ""
-    """The file of configs/preset whose values lie below all others; `none` leaves the defaults. It names the
-    cells of a study that has several; empty: not known."""
+    """File of configs/preset whose values all others override; `none`: no preset. It names the cells of a
+    study that has several presets. Empty: unknown."""
     candidate: str = ""
-    """What it is called among the candidates of a search, whose cells it names; `headway search` sets it."""
+    """Name among the candidates of a search, which names its cells; set by `headway search`."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
@@ -232,5 +234,5 @@ class ExperimentConfig:
 
     @property
     def iterations(self) -> int:
-        """Iterations that reach `env_steps` (rounded up)."""
+        """Iterations needed to reach `env_steps`, rounded up."""
         return -(-self.env_steps // (self.rollout.copies * self.rollout.steps))

@@ -1,4 +1,4 @@
-"""Mappings (from YAML and the command line) become frozen records, or one line that says what is wrong."""
+"""From mappings (YAML, command line) to frozen records, with one-line errors."""
 
 import ast
 import dataclasses
@@ -20,42 +20,51 @@ Record = TypeVar("Record")
 _SPAN = re.compile(r"\s*(\d+)\s*\.\.\s*(\d+)\s*")
 _RANGE = re.compile(r"\s*range\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*")
 _NEGATIVE = re.compile(r"\s*\[?\s*-\d+\s*(\]|\.\.|,|$)")
-_MOST_NAMES, _NEAREST_NAMES = 30, 8
-"""Of more names than that so many are shown: a line must stay one that is read."""
-_BEGINNING = 3
-"""Letters of a name that stand for it."""
+_MAX_NAMES, _NEAREST_NAMES = 30, 8
+"""Longer lists of names are shortened to the `_NEAREST_NAMES` nearest in messages, which must fit on a
+line."""
+_MIN_PREFIX = 3
+"""Length from which the beginning of a name is matched as an abbreviation."""
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """The one of `names` that `name` was probably meant to be, or None."""
+    """Return the one of `names` that `name` probably meant, or None.
+
+    Case is ignored. An abbreviation of at least three letters matches the shortest name that starts with it;
+    otherwise the closest name by edit similarity matches.
+    """
     by_lower = {candidate.lower(): candidate for candidate in names}
-    begun = [known for known in by_lower if known.startswith(name.lower())]
-    if len(name) >= _BEGINNING and begun:
-        return by_lower[min(begun, key=len)]
+    completions = [known for known in by_lower if known.startswith(name.lower())]
+    if len(name) >= _MIN_PREFIX and completions:
+        return by_lower[min(completions, key=len)]
     found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
     return by_lower[found[0]] if found else None
 
 
 def suggestion(name: str, names: Iterable[str], prefix: str = "") -> str:
-    """`did you mean PREFIXname? ` if one is near, and what there is: of many names the nearest."""
+    """Return the end of an error line: the nearest name, if one is near, and the known names.
+
+    `prefix` is put before the nearest name. Of more than 30 names only the nearest are listed.
+    """
     known = sorted(names)
     near = nearest(name, known)
-    start = f"did you mean {prefix}{near}? There" if near else "there"
-    if len(known) > _MOST_NAMES:
+    start = f"did you mean {prefix}{near}? Available" if near else "available"
+    if len(known) > _MAX_NAMES:
         shown = difflib.get_close_matches(name, known, n=_NEAREST_NAMES, cutoff=0.0)
-        return f"{start} is: {', '.join(shown)} and {len(known) - len(shown)} more"
-    return f"{start} is: {', '.join(known) or 'nothing'}"
+        return f"{start}: {', '.join(shown)} and {len(known) - len(shown)} more"
+    return f"{start}: {', '.join(known) or 'none'}"
 
 
 def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = "", of: str = "") -> Record:
-    """A `record_class` from nested mappings, lists and plain values.
+    """Return a `record_class` built from nested mappings, lists and plain values.
 
-    `path` is the full key of the mapping (for messages), `of` what its keys belong to. Records nest;
-    whole floats (1e6) pass as int and ints as float, strings never as numbers, booleans never as ints.
-    A record's `RENAMED`, a class variable, says of keys of earlier versions what they are now.
-    Raises HeadwayError for an unknown or missing key, a value of the wrong type, one that the record's
-    `__post_init__` refuses, and for `_target_` anywhere.
+    `path` is the full key of the mapping, for messages; `of` is what its keys belong to. Records nest. Whole
+    floats (1e6) are accepted as int and ints as float; strings are never accepted as numbers, nor booleans as
+    ints. The class variable `RENAMED` of a record maps keys of earlier versions to a hint at their new names.
+
+    Raises HeadwayError for an unknown or missing key, a value of the wrong type, a value that the record's
+    `__post_init__` rejects, and the key `_target_` anywhere.
     """
     refuse_targets(mapping, path)
     checked = _as_dataclass(record_class)
@@ -74,7 +83,7 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
             raise HeadwayError(f"{_join(path, name)} is missing and has no default; give it a value")
     hints, docs = get_type_hints(record_class), _field_docs(checked)
     for key, value in mapping.items():
-        _refuse_another(hints[key], value, _join(path, key), of, docs.get(key, ""))
+        _check_single_choice(hints[key], value, _join(path, key), of, docs.get(key, ""))
     values = {key: _convert(hints[key], value, _join(path, key)) for key, value in mapping.items()}
     try:
         return record_class(**values)
@@ -86,7 +95,7 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
 
 
 def refuse_targets(value: object, path: str = "") -> None:
-    """Raise HeadwayError if `_target_` is a key anywhere in `value`: YAML names no Python objects."""
+    """Raise HeadwayError if `_target_` is a key anywhere in `value`: YAML must not name Python objects."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if key == "_target_":
@@ -101,9 +110,9 @@ def refuse_targets(value: object, path: str = "") -> None:
 
 
 def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
-    """Seeds from `7`, `0,1,2`, `[0,1]`, `0..49` (inclusive) or `range(0,50)` (without its end).
+    """Return the seeds written as `7`, `0,1,2`, `[0,1]`, `0..49` (inclusive) or `range(0,50)` (end excluded).
 
-    Raises HeadwayError for anything else.
+    Raises HeadwayError for any other form.
     """
     if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
         return (value,)
@@ -131,18 +140,20 @@ def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class FieldDescription:
-    """One key of a configuration record."""
+    """Description of one configuration key."""
 
     key: str
-    """Full key, records within records joined by dots."""
+    """Full key; nested records are joined by dots."""
     type: str
+    """Type in words, as `type_name` returns it."""
     default: str
-    """As YAML would write it; `required` where there is none."""
+    """Default as YAML writes it; `required` if there is none."""
     doc: str
+    """Docstring under the field, on one line; empty if there is none."""
 
 
 def describe(record_class: type, path: str = "") -> tuple[FieldDescription, ...]:
-    """Every key of a record and of the records in it, in order, with the docstring under each field."""
+    """Return a description of every key of a record class, in order, nested records included."""
     hints = get_type_hints(record_class)
     docs = _field_docs(record_class)
     described: list[FieldDescription] = []
@@ -157,7 +168,7 @@ def describe(record_class: type, path: str = "") -> tuple[FieldDescription, ...]
 
 
 def plain(value: object) -> Any:  # noqa: ANN401 - dictionaries, lists and plain values, nested
-    """A record as dictionaries, lists and plain values, ready for YAML or JSON."""
+    """Return a record as dictionaries, lists and plain values, ready for YAML or JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -168,7 +179,7 @@ def plain(value: object) -> Any:  # noqa: ANN401 - dictionaries, lists and plain
 
 
 def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
-    """An annotation as a user would say it: `number or null`, `one of serial, process`."""
+    """Return an annotation in words: `number or null`, `one of serial, process`."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return " or ".join(type_name(argument) for argument in arguments)
@@ -187,9 +198,11 @@ def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
     return names.get(hint, getattr(hint, "__name__", str(hint)))
 
 
-def _refuse_another(hint: Any, value: object, key: str, of: str, doc: str) -> None:  # noqa: ANN401 - any annotation
-    """A key that can have one value only belongs to what the record is: its docstring says what else to
-    use."""
+def _check_single_choice(hint: Any, value: object, key: str, of: str, doc: str) -> None:  # noqa: ANN401 - any annotation
+    """Raise HeadwayError for another value of a key that has only one choice.
+
+    The key's docstring ends the message: it says which record to use instead.
+    """
     allowed = get_args(hint)
     if get_origin(hint) is Literal and len(allowed) == 1 and value != allowed[0]:
         raise HeadwayError(f"{key}={_show(value)} is not possible, {of or 'it'} has {allowed[0]}: {doc}")
@@ -249,7 +262,7 @@ def _convert_union(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - an
             return _convert(option, value, key)
         except HeadwayError as problem:
             problems.append(problem)
-    # With one thing it could have been, that thing's own complaint is the clearer one.
+    # If only one type was possible, its own message is clearer than that of the union.
     raise problems[0] if len(problems) == 1 else _wrong_type(type_name(hint), value, key)
 
 
@@ -271,14 +284,14 @@ def _convert_sequence(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 -
 def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     kinds = {bool: "true or false", int: "a whole number", float: "a number", str: "text", NoneType: "null"}
     kind = kinds.get(type(value), "a mapping" if isinstance(value, Mapping) else "a list")
-    hint = _how_to_write_a_number(value, wanted) if isinstance(value, str) else ""
+    hint = _number_hint(value, wanted) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
         hint = f"; write it in quotes, in a shell in two kinds: \"{key}='{_show(value)}'\""
     article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
     return HeadwayError(f"{key}={_show(value)} is {kind}, where {article}{wanted} is wanted{hint}")
 
 
-def _how_to_write_a_number(text: str, wanted: str) -> str:
+def _number_hint(text: str, wanted: str) -> str:
     if "number" not in wanted or wanted.startswith("list"):
         return ""
     try:
@@ -314,12 +327,12 @@ def _default_text(field: "dataclasses.Field[Any]") -> str:
 
 @cache
 def _field_docs(record_class: type) -> Mapping[str, str]:
-    """The string literal under each annotated field, of the class and its bases."""
+    """Return the string literal under each annotated field of a class and its bases, on one line each."""
     docs: dict[str, str] = {}
     for owner in reversed(record_class.__mro__[:-1]):
         try:
             tree = ast.parse(textwrap.dedent(inspect.getsource(owner)))
-        except (OSError, TypeError):  # made at run time: there is no source to read
+        except (OSError, TypeError):  # classes made at run time have no source
             continue
         body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
         for statement, following in pairwise(body):

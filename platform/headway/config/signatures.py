@@ -1,4 +1,4 @@
-"""The arguments of a Python callable as a configuration record, so that YAML's are checked like any other."""
+"""Arguments of Python callables as configuration records, so that they are checked like all other keys."""
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -11,8 +11,9 @@ _NAMED = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
 _SCALARS = (bool, int, float, str, NoneType)
 
 
-def takes_anything(function: Callable[..., Any]) -> bool:
-    """Whether its signature cannot tell which arguments it takes: it ends with `**kwargs`, or has none."""
+def takes_any_arguments(function: Callable[..., Any]) -> bool:
+    """Return whether the signature of `function` leaves its arguments open: `**kwargs`, or no signature at
+    all."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
@@ -21,10 +22,11 @@ def takes_anything(function: Callable[..., Any]) -> bool:
 
 
 def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> type:
-    """A frozen dataclass of a callable's named arguments from number `first` on, with their defaults.
+    """Return a frozen dataclass of the named arguments of `function`, from number `first` on, with their
+    defaults.
 
-    Annotations made of numbers, texts, truth values, lists and mappings of them are kept; any other, and a
-    missing one, takes what comes. Arguments whose default YAML could not hold are left out.
+    Annotations made of numbers, strings, booleans, None, and sequences and mappings of these are kept; any
+    other annotation, or none, accepts any value. Arguments whose default YAML cannot hold are left out.
     """
     fields: list[Any] = []
     for parameter in list(_signature(function).parameters.values())[first:]:
@@ -38,13 +40,14 @@ def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> 
     return make_dataclass(name, fields, frozen=True)
 
 
-def free_record(name: str, keys: Iterable[str]) -> type:
-    """A frozen dataclass of these keys, none with a default, each of any type."""
+def untyped_record(name: str, keys: Iterable[str]) -> type:
+    """Return a frozen dataclass with these keys, each required and of any type."""
     return make_dataclass(name, [(key, Any) for key in keys], frozen=True)
 
 
 def is_plain(value: object) -> bool:
-    """Whether YAML can hold it: a number, text, truth value or null, or lists and mappings of these."""
+    """Return whether YAML can hold `value`: a number, string, boolean or null, or lists and mappings of
+    these."""
     if isinstance(value, _SCALARS):
         return True
     if isinstance(value, Mapping):
@@ -52,15 +55,15 @@ def is_plain(value: object) -> bool:
     return isinstance(value, tuple | list) and all(is_plain(inner) for inner in value)
 
 
-def as_tuples(value: object) -> Any:  # noqa: ANN401 - whatever was given
-    """`value` with every list, which is how YAML writes a tuple, as a tuple."""
+def as_tuples(value: object) -> Any:  # noqa: ANN401 - any value
+    """Return `value` with every list replaced by a tuple, at all depths: YAML writes tuples as lists."""
     return tuple(as_tuples(inner) for inner in value) if isinstance(value, tuple | list) else value
 
 
 def _signature(function: Callable[..., Any]) -> inspect.Signature:
     try:
         return inspect.signature(function, eval_str=True)
-    except Exception:  # an annotation that names what is not there
+    except Exception:  # an annotation with an undefined name
         return inspect.signature(function)
 
 

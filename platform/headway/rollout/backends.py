@@ -50,7 +50,7 @@ def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify:
     name = "process" if backend.name == "serial" else backend.name
     groups = len(plan.groups)
     apart, number = plan.evaluating_apart, min(groups, max(1, workers // groups))
-    if name == "ray" and backend.cpus_of_a_worker:
+    if name == "ray" and backend.cpus_per_worker:
         number = 1  # each would keep its place in the cluster while training goes on
     # Whoever only evaluates may be told to for any replicas: its shard is never used.
     return _COLLECTORS[name](backend, apart, [apart.whole] * number, notify)

@@ -1,6 +1,7 @@
-"""Figures of a run, over seeds, and of one algorithm against another.
+"""Statistics of a run, over seeds, and of comparisons between algorithms.
 
-Importing this costs neither scipy nor pandas; `headway.stats.frames` takes and gives pandas frames.
+Importing this package imports neither scipy nor pandas. `headway.stats.frames` has the same statistics for
+pandas frames.
 """
 
 from headway.stats.curves import FEWEST_POINTS, FINAL_SHARE, auc, final_reward, value_range

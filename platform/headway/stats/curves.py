@@ -1,22 +1,23 @@
-"""Figures of one run's curve: its final reward and its area."""
+"""Metrics of one run's learning curve: final reward and area under the curve (AUC)."""
 
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import sample_of
+from headway.stats.samples import as_sample
 
 FINAL_SHARE = 0.2
-"""Share of the curve's steps over which the final reward is taken."""
+"""Last share of the curve's steps, over which the final reward is averaged."""
 FEWEST_POINTS = 3
-"""Of a curve of fewer the area normalised by its own range is 0.5, whatever was learnt."""
+"""Minimum number of points for an area normalised by the curve's own range: with two it is always 0.5."""
 
 
 def final_reward(env_steps: ArrayLike, values: ArrayLike) -> float:
-    """Mean of the values over the last 20% of the curve's steps (the last value always counts).
+    """Return the mean of the values over the last 20% of the curve's steps; the last value always counts.
 
-    Both of shape (points,), steps increasing. Raises ValueError for a curve that is empty or not so.
+    `env_steps` and `values` have shape (points,). Raises ValueError for an empty curve and for steps that do
+    not increase.
     """
     steps, curve = _curve(env_steps, values)
     start = steps[-1] - FINAL_SHARE * (steps[-1] - steps[0])
@@ -26,15 +27,17 @@ def final_reward(env_steps: ArrayLike, values: ArrayLike) -> float:
 def auc(
     env_steps: ArrayLike, values: ArrayLike, low: float | None = None, high: float | None = None
 ) -> float:
-    """Area under the min-max-normalised curve over its span of steps, by the trapezoid rule: 0 to 1.
+    """Return the area under the min-max-normalised curve over its span of steps, by the trapezoid rule.
 
-    Without bounds, the curve's own extremes are 0 and 1 (per-run normalisation, as published; it says how
-    early a run learns, not how well; NaN for fewer than `FEWEST_POINTS`). With study-wide bounds `low` and
-    `high` (`value_range`), runs may be ranked, values outside count as they are, and a curve of one point has
-    the area of its normalised value. A flat curve has no shape: with its own extremes its area is 0.5 by
-    definition.
+    Without bounds, the curve's own minimum and maximum become 0 and 1: per-run normalisation, as published.
+    This area, in [0, 1], measures how early a run learns, not how well. It is NaN for fewer than
+    `FEWEST_POINTS` points and 0.5, by definition, for a flat curve.
 
-    Raises ValueError for a curve that is empty or unordered, one bound alone, or `low` not below `high`.
+    With study-wide bounds `low` and `high` (see `value_range`) runs can be ranked. Values outside the bounds
+    are not clipped, and the area of a single point is its normalised value.
+
+    Raises ValueError for an empty curve, steps that do not increase, one bound alone, and `low` not below
+    `high`.
     """
     steps, curve = _curve(env_steps, values)
     if (low is None) != (high is None):
@@ -54,18 +57,22 @@ def auc(
 
 
 def value_range(curves: Iterable[ArrayLike]) -> tuple[float, float]:
-    """The lowest and the highest value of all curves of a study on one environment: the bounds of `auc`'s
-    study-wide normalisation. Raises ValueError if there are none."""
-    samples = [sample_of(curve, "curve") for curve in curves]
+    """Return the lowest and highest value of several curves: the bounds of a study-wide `auc`.
+
+    Raises ValueError if there are no curves.
+    """
+    samples = [as_sample(curve, "curve") for curve in curves]
     if not samples:
-        raise ValueError("curves must hold at least one")
+        raise ValueError("curves must hold at least one curve")
     return min(float(curve.min()) for curve in samples), max(float(curve.max()) for curve in samples)
 
 
 def _curve(env_steps: ArrayLike, values: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    steps, curve = sample_of(env_steps, "env_steps"), sample_of(values, "values")
+    steps, curve = as_sample(env_steps, "env_steps"), as_sample(values, "values")
     if steps.shape != curve.shape:
-        raise ValueError(f"env_steps has {len(steps)} points and values has {len(curve)}: give as many")
+        raise ValueError(
+            f"env_steps has {len(steps)} points and values has {len(curve)}: both need the same number"
+        )
     if np.any(np.diff(steps) <= 0):
         raise ValueError("env_steps must increase from point to point")
     return steps, curve

@@ -1,8 +1,8 @@
-"""The statistics from pandas frames to pandas frames.
+"""The statistics of `headway.stats` for pandas frames.
 
-A frame of scores has a row a run: `controller` (what is compared: an algorithm with its settings), `task`
-(the environment) and `score`. A frame of curves has a row a point: `controller`, `task`, `run_id`,
-`env_steps` and `value`. Controllers stay in the order in which they first come.
+A frame of scores has one row per run: `controller` (what is compared: an algorithm with its settings), `task`
+(the environment) and `score`. A frame of curves has one row per point: `controller`, `task`, `run_id`,
+`env_steps` and `value`. Controllers keep the order of their first row.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,11 +28,14 @@ _PROFILE_POINTS = 101
 _COSTS = ("kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "kg_co2", "cpu_seconds")
 
 
-def curve_figures(curves: pd.DataFrame) -> pd.DataFrame:
-    """Of each run, by `run_id`: `controller`, `task`, `final_reward`, `auc_own` (normalised by the run's own
-    range, as published; NaN of fewer points than `FEWEST_POINTS`) and `auc_study` (by the range of all curves
-    of the task, for ranking; 0.5 where that is a single value). Raises ValueError for a curve whose
-    steps do not increase."""
+def curve_metrics(curves: pd.DataFrame) -> pd.DataFrame:
+    """Return the metrics of each run's curve, indexed by `run_id`.
+
+    Columns: `controller`, `task`, `final_reward`, `auc_own` (normalised by the run's own range, as published;
+    NaN for fewer than `FEWEST_POINTS` points) and `auc_study` (normalised by the range of all curves of the
+    task, for ranking; 0.5 if that range is a single value). Raises ValueError for a curve whose steps do not
+    increase.
+    """
     rows = []
     for task, of_task in curves.groupby("task", sort=False):
         low, high = value_range([of_task["value"].to_numpy()])
@@ -53,11 +56,14 @@ def curve_figures(curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def mean_curves(curves: pd.DataFrame) -> pd.DataFrame:
-    """The learning curves: at the steps that all runs of a controller on a task have, their `mean`, the ends
-    `low` and `high` of its 95% interval by Student's t (NaN for one run), and how many `runs`."""
+    """Return the mean learning curve of each controller on each task, at the steps that all its runs share.
+
+    Columns: `task`, `controller`, `runs` (their number), `env_steps`, `mean`, and `low` and `high`, the ends
+    of the 95% interval by Student's t (NaN for one run).
+    """
     frames = []
     for (task, controller), of_cell in curves.groupby(["task", "controller"], sort=False):
-        table = _table(of_cell)
+        table = _common_table(of_cell)
         values = table.to_numpy().T
         mean, half = values.mean(axis=0), np.full(len(table), np.nan)
         if len(values) > 1:
@@ -70,9 +76,11 @@ def mean_curves(curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def on_common_steps(curves: pd.DataFrame) -> pd.DataFrame:
-    """Curves for `mean_curves` of runs whose points lie at different steps, as where episodes end at other
-    updates in each: within the span of all runs of a controller on a task, each has a point at every step of
-    any of them, on the straight line between its own. Runs without a common span stay as they are."""
+    """Return curves interpolated to common steps, for `mean_curves` of runs with points at different steps.
+
+    The runs of a controller on a task get a point at every step that any of them has, within the span that
+    all of them cover, by linear interpolation. Runs without a common span are returned unchanged.
+    """
     frames = [curves.iloc[:0]]
     for _, of_cell in curves.groupby(["task", "controller"], sort=False):
         runs = [run.sort_values("env_steps") for _, run in of_cell.groupby("run_id", sort=False)]
@@ -89,10 +97,12 @@ def on_common_steps(curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def summary(scores: pd.DataFrame) -> pd.DataFrame:
-    """Of each controller, over its runs on all tasks: `runs`, `mean`, `std` (ddof = 1; NaN for one run) and
-    the interquartile mean `iqm` with its 95% interval `iqm_low`, `iqm_high` by the stratified bootstrap.
+    """Return statistics of each controller's scores over its runs on all tasks, indexed by `controller`.
 
-    The interval is NaN where a task has but one run: drawn again and again it would look certain."""
+    Columns: `runs`, `mean`, `std` (ddof = 1; NaN for one run), the interquartile mean `iqm`, and `iqm_low`
+    and `iqm_high`, the ends of its 95% interval by the stratified bootstrap. The interval is NaN if any task
+    has only one run: resampling a single run would look like certainty.
+    """
     rows = []
     for controller, of_controller in scores.groupby("controller", sort=False):
         figures = mean_std(of_controller["score"].to_numpy())
@@ -114,9 +124,12 @@ def summary(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def improvements(scores: pd.DataFrame) -> pd.DataFrame:
-    """Of each ordered pair of controllers, over the tasks that both have: the `probability` that a run of `a`
-    scores above a run of `b`, with the ends `low` and `high` of its 95% interval (NaN where a task has but
-    one run of each); pairs without a common task are left out."""
+    """Return the probability of improvement of each ordered pair of controllers, over their common tasks.
+
+    Columns: `a`, `b`, `probability` that a run of `a` scores above a run of `b`, and `low` and `high`, the
+    ends of its 95% interval (NaN if on any task both have only one run). Pairs without a common task are left
+    out.
+    """
     by_controller = {
         str(controller): _by_task(of_controller)
         for controller, of_controller in scores.groupby("controller", sort=False)
@@ -135,49 +148,57 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.DataFrame:
-    """The performance profile of each controller: at each `threshold` (default: evenly over all scores) the
-    `share` of runs above it, with the ends `low` and `high` of its 95% interval (NaN where a task has but
-    one run)."""
+    """Return the performance profile of each controller: the share of its runs above each threshold.
+
+    Columns: `controller`, `threshold`, `share`, and `low` and `high`, the ends of the 95% interval (NaN if
+    any task has only one run). Default `thresholds`: `even_thresholds(scores)`.
+    """
     points = np.asarray(even_thresholds(scores) if thresholds is None else thresholds, np.float64)
     frames = []
     for controller, of_controller in scores.groupby("controller", sort=False):
         tasks = list(_by_task(of_controller).values())
-        band = _honest(performance_profile(tasks, points), tasks)
-        frames.append(_banded(str(controller), "threshold", points, band, "share"))
+        band = _known_band(performance_profile(tasks, points), tasks)
+        frames.append(_band_frame(str(controller), "threshold", points, band, "share"))
     columns = ["controller", "threshold", "share", "low", "high"]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
 
 def even_thresholds(scores: pd.DataFrame) -> NDArray[np.float64]:
-    """Thresholds for `profiles`: even steps over the range of some scores, and a little beyond."""
+    """Return evenly spaced thresholds over the range of all scores and 2% beyond, for `profiles`."""
     least, most = scores["score"].min(), scores["score"].max()
     margin = 0.02 * (most - least) or 1.0
     return np.linspace(least - margin, most + margin, _PROFILE_POINTS)
 
 
 def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
-    """The sample-efficiency curve of each controller: at the `env_steps` that all its runs on all its tasks
-    have, the interquartile mean `iqm` with the ends `low` and `high` of its 95% interval (NaN where a task
-    has but one run). A controller whose runs share no steps is left out."""
+    """Return the sample-efficiency curve of each controller, at the steps that all its runs on all tasks
+    share.
+
+    Columns: `controller`, `env_steps`, the interquartile mean `iqm`, and `low` and `high`, the ends of its
+    95% interval (NaN if any task has only one run). A controller whose runs share no steps is left out.
+    """
     frames = []
     for controller, of_controller in curves.groupby("controller", sort=False):
-        tables = [_table(of_task) for _, of_task in of_controller.groupby("task", sort=False)]
+        tables = [_common_table(of_task) for _, of_task in of_controller.groupby("task", sort=False)]
         steps = tables[0].index
         for table in tables[1:]:
             steps = steps.intersection(table.index)
         if len(steps):
             values = [table.loc[steps].to_numpy().T for table in tables]
-            band = _honest(sample_efficiency(values), values)
-            frames.append(_banded(str(controller), "env_steps", steps.to_numpy(), band, "iqm"))
+            band = _known_band(sample_efficiency(values), values)
+            frames.append(_band_frame(str(controller), "env_steps", steps.to_numpy(), band, "iqm"))
     columns = ["controller", "env_steps", "iqm", "low", "high"]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
 
 def costs(summaries: pd.DataFrame) -> pd.DataFrame:
-    """What a run cost, of each task and controller (the index), from `RunSelection.summaries`: of `kwh`, its
-    parts, `kg_co2` and `cpu_seconds` the mean and, `..._std`, the deviation over runs (ddof = 1; NaN for
-    one), and how many `runs`. Only of runs whose energy was measured; what is not known is NaN, never 0, and
-    the CO2 is known where that of every such run is."""
+    """Return mean costs per run of each task and controller (the index), from `RunSelection.summaries`.
+
+    Columns: the means of `kwh`, its parts `cpu_kwh`, `gpu_kwh` and `ram_kwh`, `kg_co2` and `cpu_seconds`;
+    their standard deviations over runs, `..._std` (ddof = 1; NaN for one run); and the number of `runs`. Runs
+    without an energy measurement are left out. Unknown values are NaN, never 0; CO2 is NaN unless it is known
+    for every such run.
+    """
     whole = summaries.reindex(columns=["task", "controller", *_COSTS])
     measured = whole[whole["kwh"].notna()].astype(dict.fromkeys(_COSTS, np.float64))
     grouped = measured.groupby(["task", "controller"], sort=False)
@@ -190,11 +211,14 @@ def costs(summaries: pd.DataFrame) -> pd.DataFrame:
 def normalised_by_rules(
     frame: pd.DataFrame, column: str, rules: Mapping[str, tuple[float, float]]
 ) -> pd.DataFrame:
-    """`frame`, which has `task`, with its `column` on the scale of the task's rules (random play, best rule):
-    0 = random, 1 = best rule. Raises ValueError for a task without them, or whose best is no better."""
+    """Return `frame` with its `column` normalised per task: 0 for random play, 1 for the best rule.
+
+    `rules` gives (random play, best rule) by task; `frame` has a column `task`. Raises ValueError for a task
+    without rules, or whose best rule does not score above random play.
+    """
     missing = sorted(set(frame["task"]) - set(rules))
     if missing:
-        raise ValueError(f"no random play and best rule are known of {', '.join(missing)}")
+        raise ValueError(f"random play and best rule are unknown for {', '.join(missing)}")
     scaled = [
         of_task.assign(**{column: normalised(of_task[column].to_numpy(), *rules[str(task)])})
         for task, of_task in frame.groupby("task", sort=False)
@@ -209,24 +233,24 @@ def _by_task(scores: pd.DataFrame) -> dict[str, NDArray[np.float64]]:
     }
 
 
-def _table(curves: pd.DataFrame) -> pd.DataFrame:
-    """The steps that all runs have (index, in order) by runs."""
+def _common_table(curves: pd.DataFrame) -> pd.DataFrame:
+    """Return values by step (index, increasing) and run (columns), at the steps that all runs have."""
     return curves.pivot_table(index="env_steps", columns="run_id", values="value").dropna().sort_index()
 
 
 def _several_runs(tasks: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether every task, with runs along its first axis, has more than one."""
+    """Return whether every task, with runs along its first axis, has more than one run."""
     return all(len(task) > 1 for task in tasks)
 
 
-def _honest(band: Band, tasks: Sequence[NDArray[np.float64]]) -> Band:
-    """A band without ends where they would be those of single runs drawn again and again."""
+def _known_band(band: Band, tasks: Sequence[NDArray[np.float64]]) -> Band:
+    """Return the band with NaN ends if any task has one run only: resampling it would give no width."""
     if _several_runs(tasks):
         return band
     return Band(band.estimate, np.full_like(band.low, np.nan), np.full_like(band.high, np.nan))
 
 
-def _banded(
+def _band_frame(
     controller: str, axis: str, points: Sequence[float] | NDArray[np.float64], band: Band, name: str
 ) -> pd.DataFrame:
     columns = {axis: points, name: band.estimate, "low": band.low, "high": band.high}

@@ -1,21 +1,21 @@
-"""Intervals of means and of paired differences, by Student's t.
+"""Confidence intervals of means and of differences, by Student's t.
 
-"A beats B" means a paired difference on common evaluation seeds whose 95% interval excludes 0.
-Source: Banerjee 1961, "On confidence interval for two-means problem based on separate estimates of variances
-and tabulated values of t-table", Sankhya A 23 (adding intervals of several variances).
+"A beats B" means a paired difference on common evaluation seeds whose 95% interval excludes 0. Source for the
+sum of several variances: Banerjee 1961, "On confidence interval for two-means problem based on separate
+estimates of variances and tabulated values of t-table", Sankhya A 23.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, check_confidence, sample_of
+from headway.stats.samples import CONFIDENCE, Interval, check_confidence, as_sample
 
 
 def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Mean of a - b with its interval by Student's t over days; both of shape (days,), entry j made on
-    evaluation day j.
+    """Return the mean of a - b with its interval by Student's t over evaluation days.
 
-    Raises ValueError for fewer than two days, shapes that differ, or a confidence not within 0 and 1.
+    `a` and `b` have shape (days,), entry j from evaluation day j. Raises ValueError for fewer than two days,
+    different shapes, values that are not finite, or a confidence outside (0, 1).
     """
     mean, half = mean_and_half_width(_differences(a, b, 1), confidence)
     return Interval(float(mean), float(mean - half), float(mean + half), confidence, "t over days")
@@ -24,11 +24,11 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE
 def mean_and_half_width(
     values: NDArray[np.float64], confidence: float = CONFIDENCE
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean over axis 0, of at least two, and the half width of its interval by Student's t.
+    """Return the mean over axis 0, of length at least 2, and the half width of its interval by Student's t.
 
-    Raises ValueError for a confidence not within 0 and 1.
+    Raises ValueError for a confidence outside (0, 1).
     """
-    from scipy import stats  # a third of a second: paid only by who compares
+    from scipy import stats  # takes a third of a second: imported only where an interval is computed
 
     check_confidence(confidence)
     count = len(values)
@@ -37,20 +37,25 @@ def mean_and_half_width(
 
 
 def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Mean of a - b with an interval over training seeds and days both: each of shape (seeds, days), entry
-    (i, j) made by training seed i on evaluation day j.
+    """Return the mean of a - b with an interval that covers both training seeds and evaluation days.
 
-    The days are common to all seeds, so entries are not independent: with seeds, days and what is left of
-    variance s2, d2 and e2, the mean of S seeds and D days has variance s2/S + d2/D + e2/(S D). The sample
-    variances of the seeds' means and of the days' means estimate s2 + e2/D and d2 + e2/S, independently of
-    each other. The squared half widths of Student's t over seeds and over days are added (Banerjee 1961):
-    for normal effects that covers at least as often as it says whatever share of the variance each has, where
-    one t of pooled degrees of freedom (Satterthwaite) covers too rarely with two seeds, and the bootstrap of
-    both axes with few of either. It is somewhat too wide: e2/(S D) counts twice, and two seeds alone give
-    12.7 standard errors. It cannot know what it has not seen: where one seed in four fails, five seeds are
-    often all good, and in simulation three intervals in four held the truth.
+    `a` and `b` have shape (seeds, days), entry (i, j) from training seed i on evaluation day j. The
+    interval's half width is the root of the sum of the squared half widths of Student's t over seeds and over
+    days (Banerjee 1961).
 
-    Raises ValueError as `paired_difference`, and for fewer than two seeds.
+    Why: all seeds are evaluated on the same days, so entries are not independent. With variances s2 of seeds,
+    d2 of days and e2 of the rest, the mean over S seeds and D days has variance s2/S + d2/D + e2/(S D). The
+    sample variances of the seeds' means and of the days' means estimate s2 + e2/D and d2 + e2/S,
+    independently of each other. For normal effects the sum covers at least as often as stated, whatever share
+    of the variance each part has. A single t with pooled degrees of freedom (Satterthwaite) covers too rarely
+    with two seeds, and the bootstrap over both axes with few of either.
+
+    Limits: the interval is somewhat too wide, since e2/(S D) counts twice, and two seeds alone give 12.7
+    standard errors. It cannot account for failures that did not occur: if one seed in four fails, five seeds
+    are often all good, and in simulation only three intervals in four contained the true value.
+
+    Raises ValueError for fewer than two seeds or two days, different shapes, values that are not finite, or a
+    confidence outside (0, 1).
     """
     difference = _differences(a, b, 2)
     mean = float(difference.mean())
@@ -61,18 +66,19 @@ def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float =
 
 
 def difference_of_means(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Mean of a minus mean of b with its interval by Welch's t, which lets variances differ: one figure a
-    seed each, shapes (seeds a,) and (seeds b,), that nothing pairs. Where neither varies there is nothing to
-    tell an interval from: its ends are NaN.
+    """Return the mean of `a` minus the mean of `b` with its interval by Welch's t, for unpaired seeds.
 
-    Source: Welch 1947, "The generalization of Student's problem when several different population variances
-    are involved", Biometrika 34. Raises ValueError for fewer than two seeds of either, what is not finite, or
-    a confidence not within 0 and 1.
+    `a` and `b` hold one value per seed, shapes (seeds of a,) and (seeds of b,); their variances may differ.
+    If neither varies, the ends of the interval are NaN. Source: Welch 1947, "The generalization of Student's
+    problem when several different population variances are involved", Biometrika 34.
+
+    Raises ValueError for fewer than two seeds of either, values that are not finite, or a confidence outside
+    (0, 1).
     """
     from scipy import stats
 
     check_confidence(confidence)
-    left, right = sample_of(a, "a"), sample_of(b, "b")
+    left, right = as_sample(a, "a"), as_sample(b, "b")
     if min(len(left), len(right)) < 2:
         raise ValueError("an interval needs at least two seeds of each")
     estimate, low, high = float(left.mean() - right.mean()), float("nan"), float("nan")

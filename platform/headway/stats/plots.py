@@ -1,7 +1,7 @@
-"""Pictures of a study: frames of `headway.stats.frames` and `headway.store` in, matplotlib figures out.
+"""Plots of a study: frames of `headway.stats.frames` and `headway.store` in, matplotlib figures out.
 
-Nothing is shown or kept globally, so these work alike in a command, a report and a notebook. A controller has
-one colour in all pictures that are given the same `colours`.
+Nothing is displayed or registered globally, so the plots work alike in a command, a report and a notebook. A
+controller has the same colour in all plots that get the same `styles` from `colours`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,50 +16,53 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-# Okabe and Ito's colours for all kinds of sight (jfly.uni-koeln.de/color), then four of Paul Tol's `muted`.
+# Okabe and Ito's colours, distinguishable with colour-blindness (jfly.uni-koeln.de/color), then four of Paul Tol's `muted`.
 _COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9",
     "#882255", "#999933", "#332288", "#117733",
 )  # fmt: skip
-_LINES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
-"""The second and third round through the colours."""
+_LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
+"""Line styles of the first, second and third round through the colours."""
 _MARKERS = ("o", "s", "^")
-"""The same where there are no lines."""
+"""Markers of the same rounds in scatter plots."""
 _RULE_LINES: tuple[Any, ...] = ("--", ":", "-.")
-_FAR = 5.0
-"""Times the range of all else: what is farther away does not stretch an axis, it is only named."""
-_MARKED = 60
-"""Points up to which a line has a dot at each."""
-_SEPARATED = "{x:,.10g}"
-"""Ticks with thousands separated, for matplotlib."""
+_OUTLIER_FACTOR = 5.0
+"""Values farther from the others than this multiple of their range are not allowed to stretch an axis; the
+legend states them."""
+_MAX_MARKED_POINTS = 60
+"""Lines with at most this number of points have a marker at each point."""
+_THOUSANDS = "{x:,.10g}"
+"""Tick format with thousands separators, for matplotlib."""
 _PARTS = {"cpu_kwh": "CPU", "gpu_kwh": "GPU", "ram_kwh": "RAM"}
 _PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA"}
 _WIDTH = 9.0
 _PANEL_WIDTH = 5.5
-"""At least, beside a legend."""
+"""Minimum width in inches of a panel beside a legend."""
 _LINE_HEIGHT = 0.17
-"""Of text beside an axis."""
+"""Height in inches of a line of text beside an axis."""
 _NAME_LENGTH = 44
-"""Letters of a line of a name: names have settings in them."""
+"""Characters per line of a controller's name, which includes its settings."""
 _DOTS_PER_INCH = 150
 _SHADE, _SHADES = 0.18, 1.1
-"""Opacity of the band of an interval, and of all bands of a panel together."""
+"""Opacity of one interval's band, and the sum over all bands of a panel."""
 
 
 def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The colour and line of each controller, for matplotlib; the eleventh has the first one's colour with
-    another line."""
+    """Return the style (colour and line) of each controller, for matplotlib.
+
+    After ten controllers the colours repeat with another line style.
+    """
     return {
         name: {
             "color": _COLOURS[place % len(_COLOURS)],
-            "linestyle": _LINES[place // len(_COLOURS) % len(_LINES)],
+            "linestyle": _LINE_STYLES[place // len(_COLOURS) % len(_LINE_STYLES)],
         }
         for place, name in enumerate(controllers)
     }
 
 
 def counted(count: int, what: str) -> str:
-    """`1 run`, `3 runs`."""
+    """Return a count with its noun: `1 run`, `3 runs`."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
@@ -72,12 +75,14 @@ def learning_curves(
     title: str = "",
     sign: int = 1,
 ) -> "Figure":
-    """The frame of `mean_curves` or `efficiency` (column `mean` or `iqm`), one panel a task: each controller
-    with its interval, and the task's `rules` (task -> rule -> value) as dashed lines, but for one so far away
-    that nothing else could be seen. The axis is not stretched for a controller that is as much worse than
-    most others (values times `sign` are the better the higher): the legend says where it is; nor for
-    intervals much wider than the curves are apart: they go on beyond the picture. `low` cuts the vertical
-    axis below."""
+    """Plot the frame of `mean_curves` (column `mean`) or `efficiency` (column `iqm`), one panel per task.
+
+    Each controller is a line with its interval as a band. `rules` (task -> rule -> value) are horizontal
+    lines; a rule too far away is only listed in the legend. The vertical axis is not stretched for a
+    controller far worse than most others (`outliers`; higher is better if `sign` is 1, lower if -1), whose
+    worst value is in the legend, nor for intervals much wider than the range of the curves, which are cut
+    off. `low` is the lower limit of the vertical axis.
+    """
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
     figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
@@ -85,25 +90,25 @@ def learning_curves(
     for task, axes in zip(tasks, panels, strict=True):
         of_task = means[means["task"] == task] if task else means
         by_name = {str(name): curve for name, curve in of_task.groupby("controller", sort=False)}
-        off = far_off({name: curve[column].to_numpy() for name, curve in by_name.items()}, sign)
+        excluded = outliers({name: curve[column].to_numpy() for name, curve in by_name.items()}, sign)
         shade = min(_SHADE, _SHADES / len(by_name))
         for name, curve in by_name.items():
-            if name not in off:
+            if name not in excluded:
                 _draw_curve(axes, name, curve, column, styles[name], shade)
-        middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in off]
+        middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in excluded]
         _bound_bands(axes, np.concatenate(middles))
         draw_rules(axes, rules.get(task, {}))
-        if off:
+        if excluded:
             window = axes.get_ylim()
-            for name, value in off.items():
-                remark = f" (off, at {_four_digits(value)})"
+            for name, value in excluded.items():
+                remark = f" (off scale: {_four_digits(value)})"
                 _draw_curve(axes, name, by_name[name], column, styles[name], shade, remark)
             axes.set_ylim(window)
         if low is not None:
             axes.set_ylim(bottom=low)
-        _finish(axes, "environment steps", label)
-        _count_steps(axes)
-        axes.yaxis.set_major_formatter(_SEPARATED)
+        _style_axes(axes, "environment steps", label)
+        _format_steps(axes)
+        axes.yaxis.set_major_formatter(_THOUSANDS)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
     _legends_beside(figure, panels)
@@ -113,16 +118,16 @@ def learning_curves(
 
 
 def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure":
-    """The curves of one run, a panel each: label -> environment steps -> value."""
+    """Plot the curves of one run, one panel each: label -> environment steps -> value."""
     figure = _figure(_WIDTH, 1.0 + 2.2 * len(curves))
     for (label, points), axes in zip(
         curves.items(), figure.subplots(len(curves), squeeze=False, sharex=True)[:, 0], strict=True
     ):
-        marks = _marks(len(points))
+        marks = _point_markers(len(points))
         axes.plot(list(points), list(points.values()), color=_COLOURS[0], linewidth=1.4, **marks)
-        _finish(axes, "", label)
-        _count_steps(axes)
-        axes.yaxis.set_major_formatter(_SEPARATED)
+        _style_axes(axes, "", label)
+        _format_steps(axes)
+        axes.yaxis.set_major_formatter(_THOUSANDS)
     axes.set_xlabel("environment steps")
     figure.suptitle(title, fontsize="medium")
     return figure
@@ -137,31 +142,38 @@ def _draw_curve(
     shade: float,
     remark: str = "",
 ) -> None:
-    """A controller's line and the band of its interval."""
+    """Draw a controller's line and the band of its interval."""
     runs = f" ({counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
-    axes.plot(steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_marks(len(steps)), **style)
+    axes.plot(
+        steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_point_markers(len(steps)), **style
+    )
     ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
     axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
 
 
 def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]") -> None:
-    """Let intervals stretch the vertical axis to twice the range of what they are around, no farther:
-    those of two seeds may be a hundred times as wide, and would flatten all curves."""
+    """Let bands extend the vertical axis to twice the range of the curves at most.
+
+    The intervals of two seeds can be a hundred times as wide as that range and would flatten all curves.
+    """
     low, high = float(np.nanmin(middles)), float(np.nanmax(middles))
     if low < high:
         beyond, (bottom, top) = 0.5 * (high - low), axes.get_ylim()
         axes.set_ylim(max(bottom, low - beyond), min(top, high + beyond))
 
 
-def _marks(points: int) -> dict[str, Any]:
-    """A dot at each point, so that a line between two is not taken for a curve of many."""
-    return {"marker": "o", "markersize": 3.5} if points <= _MARKED else {}
+def _point_markers(points: int) -> dict[str, Any]:
+    """Return markers for short curves, so that a line between two points does not look like a dense curve."""
+    return {"marker": "o", "markersize": 3.5} if points <= _MAX_MARKED_POINTS else {}
 
 
 def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
-    """A grey line a rule across what is drawn already, or an upright one; the far ones in the legend only.
-    A vertical axis whose ends were set is stretched to the near ones."""
+    """Draw each rule as a grey horizontal line, or a vertical one if `upright`; list distant ones in the
+    legend.
+
+    A vertical axis with fixed limits is extended to the rules drawn.
+    """
     low, high = axes.get_xlim() if upright else axes.get_ylim()
     near = near_rules(rules, low, high)
     draw = axes.axvline if upright else axes.axhline
@@ -174,7 +186,7 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
         if rule in near:
             draw(value, label=f"rule {rule}", **style)
         else:
-            axes.plot([], [], label=f"rule {rule} (off, at {_four_digits(value)})", **style)
+            axes.plot([], [], label=f"rule {rule} (off scale: {_four_digits(value)})", **style)
     if near and not upright and not axes.get_autoscaley_on():
         shown = [rules[rule] for rule in near]
         edge = 0.05 * (max(high, *shown) - min(low, *shown))
@@ -182,26 +194,33 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
 
 
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
-    """The rules that may stretch an axis from `low` to `high`: the nearest, and each next one that is not
-    farther off than some times the range so far. One that fails (buses at random) would flatten the rest."""
+    """Return the rules that may extend an axis from `low` to `high`.
+
+    Rules are taken in order of distance: the nearest, and each next one within five times the range so far. A
+    rule that fails (buses at random) would flatten all else.
+    """
 
     def distance(rule: str) -> float:
         return max(low - rules[rule], rules[rule] - high, 0.0)
 
     near: set[str] = set()
     for rule in sorted(rules, key=distance):
-        if near and distance(rule) > _FAR * (high - low):
+        if near and distance(rule) > _OUTLIER_FACTOR * (high - low):
             break
         near.add(rule)
         low, high = min(low, rules[rule]), max(high, rules[rule])
     return near
 
 
-def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) -> dict[str, float]:
-    """Of those worse than what most controllers show (the more than half that lie closest together) by some
-    times its range (one that diverged): the worst of each one's values. Values times `sign` are the better
-    the higher; who is far better is never off. None is off where there are fewer than three, as there is no
-    most."""
+def outliers(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) -> dict[str, float]:
+    """Return the worst value of each controller that is far worse than most others, such as one that
+    diverged.
+
+    "Most others" are the more than half of the controllers whose ranges lie closest together; far is more
+    than five times their range, or five times the median range of all controllers if that is wider. Higher is
+    better if `sign` is 1, lower if -1; far better is never an outlier. With fewer than three controllers
+    there are none.
+    """
     known = {name: of_name[np.isfinite(of_name)] for name, of_name in values.items()}
     known = {name: of_name for name, of_name in known.items() if len(of_name)}
     if len(known) < 3:
@@ -212,13 +231,13 @@ def far_off(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) ->
     low, high = min(
         ((near[0][0], max(end for _, end in near)) for near in together), key=lambda ends: ends[1] - ends[0]
     )
-    # Points of few seeds may agree by chance: then nothing can be said to be far.
+    # Points of few seeds may agree by chance: without a usual range nothing counts as far.
     usual = float(np.diff(np.median(ranges, axis=0))[0])
-    off = {}
+    excluded = {}
     for name, of_name in known.items():
         distances = np.maximum(low - of_name if sign > 0 else of_name - high, 0.0)
-        if usual > 0 and distances.max() > _FAR * max(high - low, usual):
-            off[name] = float(of_name[distances.argmax()])
+        if usual > 0 and distances.max() > _OUTLIER_FACTOR * max(high - low, usual):
+            excluded[name] = float(of_name[distances.argmax()])
     return off
 
 
@@ -229,32 +248,34 @@ def intervals(
     styles: Mapping[str, Mapping[str, Any]],
     sign: int = 1,
 ) -> "Figure":
-    """The frame of `summary`: a line a controller, its interquartile mean and its interval; rules as upright
-    lines, those far away in the legend only. Of controllers, too, those far worse; values times `sign` are
-    the better the higher."""
+    """Plot the frame of `summary`: each controller's interquartile mean and its interval, one row each.
+
+    Rules are vertical lines; distant ones are in the legend only. Controllers far worse than most
+    (`outliers`, see there for `sign`) are named with their value and not drawn.
+    """
     names = [str(name) for name in summary.index]
     ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
-    off = far_off(dict(zip(names, ends, strict=True)), sign)
+    excluded = outliers(dict(zip(names, ends, strict=True)), sign)
     beside = [
-        _in_lines(name) + (f"\n(off, at {_four_digits(float(own[0]))})" if name in off else "")
+        _wrapped(name) + (f"\n(off scale: {_four_digits(float(own[0]))})" if name in excluded else "")
         for name, own in zip(names, ends, strict=True)
     ]
     figure = _figure(_WIDTH, 0.9 + _rows_height(beside) + 0.2 * len(rules))
     axes = figure.subplots()
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
-        if name in off:
+        if name in excluded:
             continue
         axes.barh(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
         )
         axes.plot([row["iqm"]] * 2, [place - 0.25, place + 0.25], color=colour, linewidth=2.5)
     draw_rules(axes, rules, upright=True)
-    axes.use_sticky_edges = False  # or the bars would end at the frame
+    axes.use_sticky_edges = False  # otherwise the margins would not apply to the bars
     axes.margins(x=0.05)
-    _name_rows(axes, beside)
-    _finish(axes, label, "")
-    axes.xaxis.set_major_formatter(_SEPARATED)
+    _label_rows(axes, beside)
+    _style_axes(axes, label, "")
+    axes.xaxis.set_major_formatter(_THOUSANDS)
     if rules:
         _legends_beside(figure, [axes])
     return figure
@@ -263,7 +284,7 @@ def intervals(
 def performance_profiles(
     profiles: "pd.DataFrame", label: str, styles: Mapping[str, Mapping[str, Any]]
 ) -> "Figure":
-    """The frame of `profiles`: the share of runs above each score."""
+    """Plot the frame of `profiles`: the share of runs above each score."""
     figure = _figure(_WIDTH, 3.9)
     axes = figure.subplots()
     for controller, profile in profiles.groupby("controller", sort=False):
@@ -272,28 +293,29 @@ def performance_profiles(
         ends = (profile["low"].to_numpy(), profile["high"].to_numpy())
         axes.fill_between(points, *ends, step="post", color=styles[name]["color"], alpha=0.15, linewidth=0)
     axes.set_ylim(-0.02, 1.02)
-    _finish(axes, f"{label} above", "share of runs")
+    _style_axes(axes, f"{label} above", "share of runs")
     _legends_beside(figure, [axes])
     return figure
 
 
 def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) -> "Figure":
-    """Panels beside each other, a bar a controller (the index): CO2, if `units` has one for it, energy by
-    part, CPU seconds, each a mean over runs with its standard deviation.
+    """Plot the mean costs per run of each controller (the index) with standard deviations, in panels side by
+    side.
 
-    `energy` has `kg_co2`, `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds` and, of the first two and the
-    last, `..._std`; `units` the unit and its factor of `kwh` and, where it is known, `kg_co2`.
+    Panels: CO2 if `units` has `kg_co2`, energy by part, CPU seconds. `energy` has the columns `kg_co2`,
+    `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds`, `kg_co2_std`, `kwh_std` and `cpu_seconds_std`.
+    `units` gives (unit, factor) of `kwh` and, if it is known, of `kg_co2`.
     """
-    places, names = np.arange(len(energy)), [_in_lines(str(name)) for name in energy.index]
+    places, names = np.arange(len(energy)), [_wrapped(str(name)) for name in energy.index]
     figure = _figure(_WIDTH, 1.4 + _rows_height(names))
     panels = list(figure.subplots(1, 3 if "kg_co2" in units else 2, sharey=True))
     middle, right = panels[-2:]
     errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
     kwh_unit, kwh_factor = units["kwh"]
-    labels = [f"{kwh_unit} a run", "CPU s a run"]
+    labels = [f"{kwh_unit} per run", "CPU s per run"]
     if "kg_co2" in units:
         co2_unit, co2_factor = units["kg_co2"]
-        labels = [f"{co2_unit} CO2eq a run", *labels]
+        labels = [f"{co2_unit} CO2eq per run", *labels]
         spread = energy["kg_co2_std"].fillna(0) * co2_factor
         panels[0].barh(places, energy["kg_co2"] * co2_factor, xerr=spread, color="#228833", **errors)
     drawn = np.zeros(len(energy))
@@ -307,9 +329,9 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     right.barh(
         places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
     )
-    _name_rows(panels[0], names)
+    _label_rows(panels[0], names)
     for axes, letter, label in zip(panels, "abc", labels, strict=False):
-        _finish(axes, f"({letter}) {label}", "")
+        _style_axes(axes, f"({letter}) {label}", "")
         axes.set_xlim(left=0)
     figure.legend(fontsize="small", loc="outside lower center", ncols=len(_PARTS), frameon=False)
     return figure
@@ -323,43 +345,48 @@ def reward_against_cost(
     styles: Mapping[str, Mapping[str, Any]],
     sign: int = 1,
 ) -> "Figure":
-    """A point a run: its `score` over its `cost` (a column, times `factor`), and a ring at each controller's
-    mean; `labels` of the horizontal and the vertical axis. One panel a task. Scores times `sign` are the
-    better the higher."""
+    """Plot each run's `score` over its `cost`, with a ring at each controller's mean, one panel per task.
+
+    `cost` is a column of `runs`, multiplied by `factor`; `labels` are those of the horizontal and the
+    vertical axis. Controllers far worse than most (`outliers`, see there for `sign`) are in the legend only.
+    """
     tasks = list(dict.fromkeys(runs["task"]))
     figure = _figure(_WIDTH, 3.7 * len(tasks))
     panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
     for task, axes in zip(tasks, panels, strict=True):
         grouped = runs[runs["task"] == task].groupby("controller", sort=False)
         by_name = {str(name): of_name for name, of_name in grouped}
-        off = far_off({name: of_name["score"].to_numpy() for name, of_name in by_name.items()}, sign)
+        excluded = outliers({name: of_name["score"].to_numpy() for name, of_name in by_name.items()}, sign)
         for name, of_name in by_name.items():
             colour, spent = styles[name]["color"], of_name[cost] * factor
-            marker = _MARKERS[_LINES.index(styles[name]["linestyle"])]
+            marker = _MARKERS[_LINE_STYLES.index(styles[name]["linestyle"])]
             ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": colour, "linewidths": 2}
             ring["marker"] = marker
             mean = (spent.mean(), of_name["score"].mean())
-            if name in off:
-                axes.scatter([], [], label=f"{name} (off, at {_four_digits(mean[1])})", **ring)
+            if name in excluded:
+                axes.scatter([], [], label=f"{name} (off scale: {_four_digits(mean[1])})", **ring)
                 continue
             axes.scatter(spent, of_name["score"], s=18, color=colour, alpha=0.6, linewidths=0, marker=marker)
             axes.scatter(*mean, label=name, **ring)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
-        _finish(axes, *labels)
-        axes.yaxis.set_major_formatter(_SEPARATED)
+        _style_axes(axes, *labels)
+        axes.yaxis.set_major_formatter(_THOUSANDS)
     _legends_beside(figure, panels)
     return figure
 
 
 def reward_components(components: "pd.DataFrame") -> "Figure":
-    """A panel a component of the reward (a column), a bar a controller or a rule (a row): paid to the right
-    of 0, charged to the left. Each has its own scale, as they may be unweighted and then do not add up; those
-    that are 0 for all are left out."""
-    nothing = components.round(12).eq(0).all()  # Rounded, as sums of rewards may leave 1e-17.
+    """Plot the components of the reward, one panel per component (column), one bar per controller or rule
+    (row).
+
+    Bars to the right of 0 are rewards, to the left penalties. Each panel has its own scale, since components
+    may be unweighted and then do not add up. Components that are 0 in every row are left out.
+    """
+    nothing = components.round(12).eq(0).all()  # sums of rewards may leave 1e-17
     if not nothing.all():
         components = components.loc[:, ~nothing]
-    names, places = [_in_lines(str(name)) for name in components.index], np.arange(len(components))
+    names, places = [_wrapped(str(name)) for name in components.index], np.arange(len(components))
     longest = max(len(line) for name in names for line in name.split("\n"))
     across = min(len(components.columns), 2 if longest > _NAME_LENGTH // 2 else 3)
     down = -(-len(components.columns) // across)
@@ -370,22 +397,22 @@ def reward_components(components: "pd.DataFrame") -> "Figure":
         axes.axvline(0, color="0.3", linewidth=0.8)
         axes.locator_params(axis="x", nbins=4)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:.3g}")
-        _finish(axes, str(name), "")
+        _style_axes(axes, str(name), "")
     for spare in panels[len(components.columns) :]:
         spare.remove()
-    _name_rows(panels[0], names)
+    _label_rows(panels[0], names)
     return figure
 
 
 def _legends_beside(figure: "Figure", panels: Iterable["Axes"]) -> None:
-    """A legend to the right of each panel, with all names whole: the figure grows where they need more."""
+    """Put a legend to the right of each panel and enlarge the figure until all names fit."""
     legends = []
     for axes in panels:
         drawn, names = axes.get_legend_handles_labels()
         legends.append(
             axes.legend(
                 drawn,
-                [_in_lines(name) for name in names],
+                [_wrapped(name) for name in names],
                 fontsize="small",
                 loc="center left",
                 bbox_to_anchor=(1.01, 0.5),
@@ -399,24 +426,24 @@ def _legends_beside(figure: "Figure", panels: Iterable["Axes"]) -> None:
     figure.set_size_inches(max(width, _PANEL_WIDTH + widest), max(height, len(legends) * (highest + 0.4)))
 
 
-def _in_lines(name: str) -> str:
-    """A name in lines of a bounded length."""
+def _wrapped(name: str) -> str:
+    """Break a name into lines of at most `_NAME_LENGTH` characters."""
     return "\n".join(wrap(name, _NAME_LENGTH))
 
 
-def _name_rows(axes: "Axes", names: Sequence[str]) -> None:
-    """A row a name, from above; `names` beside the axis, of one line or more."""
+def _label_rows(axes: "Axes", names: Sequence[str]) -> None:
+    """Label the rows of a vertical axis from the top; names may have several lines."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
 
 
 def _rows_height(names: Iterable[str]) -> float:
-    """Inches of so many rows with names in lines."""
+    """Return the height in inches of rows with these names."""
     return sum(max(0.36, 0.08 + _LINE_HEIGHT * (1 + name.count("\n"))) for name in names)
 
 
-def _count_steps(axes: "Axes") -> None:
-    """Environment steps along the horizontal axis, few enough that their digits do not touch."""
+def _format_steps(axes: "Axes") -> None:
+    """Format environment steps along the horizontal axis, with few enough ticks not to overlap."""
     axes.locator_params(axis="x", nbins=6)
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
 
@@ -427,7 +454,7 @@ def _figure(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
 
 
-def _finish(axes: "Axes", across: str, upward: str) -> None:
+def _style_axes(axes: "Axes", across: str, upward: str) -> None:
     axes.set_xlabel(across)
     axes.set_ylabel(upward)
     axes.grid(alpha=0.3)

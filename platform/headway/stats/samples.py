@@ -1,4 +1,4 @@
-"""What a statistic may be taken of, and the records that statistics are."""
+"""Records of statistics, and the checks of their samples."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 CONFIDENCE = 0.95
+"""Default confidence of every interval."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeanStd:
-    """A mean over seeds, with the sample standard deviation (ddof = 1; NaN for one seed)."""
+    """Mean over `count` seeds with the sample standard deviation (ddof = 1; NaN for one seed)."""
 
     mean: float
     std: float
@@ -26,28 +27,28 @@ class Interval:
     high: float
     confidence: float
     method: str
-    """How it was made, and over what: `t over days`."""
+    """Method of the interval, and what it averages over: `t over days`."""
 
     @property
     def excludes_zero(self) -> bool:
-        """The interval lies wholly on one side of 0."""
+        """Both ends are on the same side of 0."""
         return self.low > 0 or self.high < 0
 
 
 def mean_std(values: ArrayLike) -> MeanStd:
-    """Mean and sample standard deviation (ddof = 1) of one figure a seed, shape (seeds,).
+    """Return mean and sample standard deviation (ddof = 1) of one value per seed, shape (seeds,).
 
-    Raises ValueError if there is none.
+    Raises ValueError if there are no values or one is not finite.
     """
-    sample = sample_of(values, "values")
+    sample = as_sample(values, "values")
     std = float(sample.std(ddof=1)) if len(sample) > 1 else float("nan")
     return MeanStd(float(sample.mean()), std, len(sample))
 
 
-def sample_of(values: ArrayLike, name: str, axes: int = 1) -> NDArray[np.float64]:
-    """`values` as floats; `name` is what messages call them.
+def as_sample(values: ArrayLike, name: str, axes: int = 1) -> NDArray[np.float64]:
+    """Return `values` as a float64 array with `axes` axes; `name` is used in messages.
 
-    Raises ValueError if they are none, not finite, or have another number of axes.
+    Raises ValueError if the array is empty, has another number of axes, or holds values that are not finite.
     """
     sample = np.asarray(values, np.float64)
     if sample.ndim != axes or not sample.size:
@@ -59,6 +60,6 @@ def sample_of(values: ArrayLike, name: str, axes: int = 1) -> NDArray[np.float64
 
 
 def check_confidence(confidence: float) -> None:
-    """Raise ValueError for a confidence not within 0 and 1."""
+    """Raise ValueError for a confidence outside (0, 1)."""
     if not 0 < confidence < 1:
         raise ValueError(f"confidence {confidence} must be between 0 and 1")

@@ -1,8 +1,8 @@
 """Statistics of scores over runs and tasks, with intervals by the stratified bootstrap.
 
-`scores` holds one array a task (an environment), each over the runs of one algorithm; tasks may differ in
-runs. All are rliable's definitions. Sources: Agarwal et al. 2021, "Deep RL at the Edge of the Statistical
-Precipice", arXiv:2108.13264; Efron and Tibshirani 1993 (percentile intervals).
+`scores` holds one array per task (environment), over the runs of one algorithm; tasks may differ in their
+number of runs. All definitions are those of rliable. Sources: Agarwal et al. 2021, "Deep RL at the Edge of
+the Statistical Precipice", arXiv:2108.13264; Efron and Tibshirani 1993 (percentile intervals).
 """
 
 from collections.abc import Callable, Sequence
@@ -11,20 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, check_confidence, sample_of
+from headway.stats.samples import CONFIDENCE, Interval, check_confidence, as_sample
 
 RESAMPLES = 10_000
+"""Bootstrap resamples of a single statistic."""
 BAND_RESAMPLES = 2_000
-"""Of a whole curve of statistics."""
+"""Bootstrap resamples of statistics along a curve, and of pairwise comparisons."""
 _METHOD = "stratified bootstrap"
 
 Statistic = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""From (..., runs) to (...), over the last axis."""
+"""A statistic along the last axis: (..., runs) -> (...)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Estimates along a curve with their confidence intervals, one by one: each of shape (points,)."""
+    """Estimates along a curve with pointwise confidence intervals, each of shape (points,)."""
 
     estimate: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -32,9 +33,12 @@ class Band:
 
 
 def interquartile_mean(scores: ArrayLike) -> float:
-    """Mean of the middle half of all scores, of any shape: a quarter is trimmed at each end, rounded down
-    (Agarwal et al. 2021; `scipy.stats.trim_mean` with 0.25). Raises ValueError if there is none."""
-    return float(_trimmed(sample_of(np.ravel(scores), "scores")))
+    """Return the mean of the middle half of all scores, of any shape.
+
+    A quarter of the scores, rounded down, is trimmed at each end (Agarwal et al. 2021;
+    `scipy.stats.trim_mean` with 0.25). Raises ValueError if there are no scores or one is not finite.
+    """
+    return float(_trimmed(as_sample(np.ravel(scores), "scores")))
 
 
 def stratified_bootstrap_interval(
@@ -44,11 +48,11 @@ def stratified_bootstrap_interval(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Interval:
-    """A statistic over all scores (default: the interquartile mean) with its percentile interval by the
-    stratified bootstrap: runs are drawn with replacement within each task (Agarwal et al. 2021).
+    """Return a statistic over all scores with its percentile interval by the stratified bootstrap.
 
-    `statistic` maps (..., scores) to (...). Raises ValueError if a task has no scores or `confidence` is not
-    within 0 and 1.
+    Runs are drawn with replacement within each task (Agarwal et al. 2021). `statistic` maps (..., scores) to
+    (...); default: the interquartile mean. Raises ValueError if there are no tasks, a task has no scores or
+    one that is not finite, or `confidence` is outside (0, 1).
     """
     check_confidence(confidence)
     tasks = _tasks(scores, "scores")
@@ -67,16 +71,17 @@ def probability_of_improvement(
     resamples: int = BAND_RESAMPLES,
     seed: int = 0,
 ) -> Interval:
-    """How probably a run of `a` scores above a run of `b` on the same task, ties counting half, averaged over
-    the tasks (the Mann-Whitney statistic; Agarwal et al. 2021), with its percentile interval: the runs of
-    both are drawn with replacement within each task.
+    """Return the probability that a run of `a` scores above a run of `b` on the same task, averaged over
+    tasks.
 
-    Raises ValueError as `stratified_bootstrap_interval`, and where the numbers of tasks differ.
+    Ties count half (the Mann-Whitney statistic; Agarwal et al. 2021). For the percentile interval the runs of
+    both are drawn with replacement within each task. Raises ValueError if the numbers of tasks differ, and
+    for the reasons of `stratified_bootstrap_interval`.
     """
     check_confidence(confidence)
     left, right = _tasks(a, "a"), _tasks(b, "b")
     if len(left) != len(right):
-        raise ValueError(f"a has {len(left)} tasks and b has {len(right)}: give as many")
+        raise ValueError(f"a has {len(left)} tasks and b has {len(right)}: both need the same tasks")
     generator = np.random.default_rng(seed)
     estimates, drawn = [], []
     for ours, theirs in zip(left, right, strict=True):
@@ -96,10 +101,13 @@ def performance_profile(
     resamples: int = BAND_RESAMPLES,
     seed: int = 0,
 ) -> Band:
-    """The share of runs that score above each of `thresholds`, shape (points,), with the percentile interval
-    of each (run-score distributions; Agarwal et al. 2021). Raises as `stratified_bootstrap_interval`."""
+    """Return the share of runs that score above each of `thresholds` (points,), with pointwise intervals.
+
+    This is the run-score distribution of Agarwal et al. 2021, with percentile intervals by the stratified
+    bootstrap. Raises ValueError for the reasons of `stratified_bootstrap_interval`.
+    """
     check_confidence(confidence)
-    tasks, points = _tasks(scores, "scores"), sample_of(thresholds, "thresholds")
+    tasks, points = _tasks(scores, "scores"), as_sample(thresholds, "thresholds")
     generator = np.random.default_rng(seed)
     drawn = [task[_draw(generator, len(task), resamples)] for task in tasks]
     everything, resampled = np.concatenate(tasks), np.concatenate(drawn, axis=-1)
@@ -114,16 +122,16 @@ def sample_efficiency(
     resamples: int = BAND_RESAMPLES,
     seed: int = 0,
 ) -> Band:
-    """The interquartile mean at each point of the curves, with its percentile interval: whole runs are drawn
-    with replacement within each task (Agarwal et al. 2021).
+    """Return the interquartile mean at each point of the curves, with pointwise percentile intervals.
 
-    `curves` holds one array of shape (runs, points) a task. Raises as `stratified_bootstrap_interval`, and
-    where the numbers of points differ.
+    `curves` holds one array of shape (runs, points) per task. Whole runs are drawn with replacement within
+    each task (Agarwal et al. 2021). Raises ValueError if the numbers of points differ, and for the reasons of
+    `stratified_bootstrap_interval`.
     """
     check_confidence(confidence)
-    tasks = [sample_of(task, f"curves[{index}]", axes=2) for index, task in enumerate(curves)]
+    tasks = [as_sample(task, f"curves[{index}]", axes=2) for index, task in enumerate(curves)]
     if len({task.shape[1] for task in tasks}) != 1:
-        raise ValueError("curves must hold at least one task, and all tasks as many points")
+        raise ValueError("curves must hold at least one task, and all tasks the same number of points")
     generator = np.random.default_rng(seed)
     drawn = [_draw(generator, len(task), resamples) for task in tasks]
     everything = np.concatenate(tasks)
@@ -141,8 +149,10 @@ def sample_efficiency(
 
 
 def normalised(score: ArrayLike, random: float, best: float) -> NDArray[np.float64]:
-    """Scores on the scale on which random play is 0 and the best rule 1, so that environments may be put
-    together. Raises ValueError where the best rule does not score above random play."""
+    """Return scores on the scale where random play is 0 and the best rule 1, comparable across environments.
+
+    Raises ValueError if the best rule does not score above random play.
+    """
     if not random < best:
         raise ValueError(f"the best rule ({best:g}) must score above random play ({random:g})")
     return (np.asarray(score, np.float64) - random) / (best - random)
@@ -158,7 +168,7 @@ def _trimmed(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 def _tasks(scores: Sequence[ArrayLike], name: str) -> list[NDArray[np.float64]]:
     if not len(scores):
         raise ValueError(f"{name} must hold at least one task")
-    return [sample_of(task, f"{name}[{index}]") for index, task in enumerate(scores)]
+    return [as_sample(task, f"{name}[{index}]") for index, task in enumerate(scores)]
 
 
 def _draw(generator: np.random.Generator, runs: int, resamples: int) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from headway.contracts.errors import HeadwayError
 from headway.stats import plots
-from headway.stats.plots import colours, draw_rules, far_off, intervals, learning_curves, near_rules
+from headway.stats.plots import colours, draw_rules, outliers, intervals, learning_curves, near_rules
 from headway.store import RunLog, RunRecord, RunSelection, select
 from headway.store.atomic_files import write_text
 from headway.store.run_folder import Process, create_run_folder, now, rules_file
@@ -110,7 +110,7 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
     axes.plot([0, 1], [90.0, 250.0])
     draw_rules(axes, rules)
     assert axes.get_ylim()[0] > 0
-    assert "rule random (off, at -1,819)" in [line.get_label() for line in axes.lines]
+    assert "rule random (off scale: -1,819)" in [line.get_label() for line in axes.lines]
     scores = pd.DataFrame({"iqm": [90.0, 250.0], "iqm_low": [80.0, 200.0], "iqm_high": [99.0, 290.0]})
     scores.index = pd.Index(["ippo", "mappo"])
     [upright] = intervals(scores, rules, "", colours(["ippo", "mappo"])).axes
@@ -185,7 +185,12 @@ def test_a_cell_that_diverged_does_not_flatten_the_others() -> None:
     assert 20 < high < 200
     assert -10 < low <= 1
     labels = [line.get_label() for line in axes.lines]
-    assert labels == ["ippo (2 seeds)", "mappo (2 seeds)", "rule optimal", "ddpg (2 seeds) (off, at -98,440)"]
+    assert labels == [
+        "ippo (2 seeds)",
+        "mappo (2 seeds)",
+        "rule optimal",
+        "ddpg (2 seeds) (off scale: -98,440)",
+    ]
     assert [line.get_marker() for line in axes.lines[:2]] == ["o", "o"]  # two points are seen as two
     scores = pd.DataFrame(
         {"iqm": [5.0, -98_439.0, 7.0], "iqm_low": [4.0, -2e5, 6.0], "iqm_high": [6.0, -5e4, 8.0]},
@@ -193,7 +198,7 @@ def test_a_cell_that_diverged_does_not_flatten_the_others() -> None:
     )
     [axes] = intervals(scores, {}, "", colours(["ippo", "ddpg", "mappo"])).axes
     assert axes.get_xlim()[0] > 0
-    assert any("off, at" in tick.get_text() for tick in axes.get_yticklabels())
+    assert any("off scale" in tick.get_text() for tick in axes.get_yticklabels())
 
 
 def test_wide_intervals_do_not_flatten_the_curves() -> None:
@@ -218,20 +223,20 @@ def test_wide_intervals_do_not_flatten_the_curves() -> None:
 def test_cells_that_lie_far_from_each_other_are_all_drawn() -> None:
     """Each agrees with itself, and no two with each other: none is the one that diverged."""
     means = (-28.0, 1.6, 17.0, 36.0, 49.0, 67.0)
-    assert far_off({str(mean): np.array([mean - 1, mean + 1]) for mean in means}) == {}
-    assert far_off({str(mean): np.array([mean - 1, mean + 1]) for mean in (*means, -9000.0)}) == {
+    assert outliers({str(mean): np.array([mean - 1, mean + 1]) for mean in means}) == {}
+    assert outliers({str(mean): np.array([mean - 1, mean + 1]) for mean in (*means, -9000.0)}) == {
         "-9000.0": -9001.0
     }
 
 
 def test_of_two_cells_or_of_wide_ones_none_is_off() -> None:
     near, away, third = np.array([0.0, 1.0]), np.array([0.0, -900.0]), np.array([-800.0, 1.0])
-    assert far_off({"a": near, "b": away}) == {}
-    assert far_off({"a": third, "b": away, "c": third}) == {}
-    assert far_off({"a": near, "b": -away, "c": near}) == {}  # far better
-    assert far_off({"a": near, "b": -away, "c": near}, sign=-1) == {"b": 900.0}
-    assert far_off({"a": near, "b": away, "c": near}, sign=-1) == {}
-    assert far_off({"a": near, "b": away, "c": near, "d": np.array([np.nan])}) == {"b": -900.0}
+    assert outliers({"a": near, "b": away}) == {}
+    assert outliers({"a": third, "b": away, "c": third}) == {}
+    assert outliers({"a": near, "b": -away, "c": near}) == {}  # far better
+    assert outliers({"a": near, "b": -away, "c": near}, sign=-1) == {"b": 900.0}
+    assert outliers({"a": near, "b": away, "c": near}, sign=-1) == {}
+    assert outliers({"a": near, "b": away, "c": near, "d": np.array([np.nan])}) == {"b": -900.0}
 
 
 def test_thousands_are_separated_on_the_vertical_axis() -> None:

@@ -462,7 +462,7 @@ def test_of_evaluation_in_another_mode_that_is_taken(keep_run: KeepRun, root: Pa
 def test_a_metric_that_only_some_runs_have_is_not_suggested(keep_run: KeepRun, root: Path) -> None:
     keep_run(TRACKING, 0, 1.0, wait=3.0)
     keep_run(TRACKING, 1, 1.0)
-    with pytest.raises(HeadwayError, match=r"-s1-.* has no .*; did you mean .*/return\? There is: [^,]*$"):
+    with pytest.raises(HeadwayError, match=r"-s1-.* has no .*; did you mean .*/return\? Available: [^,]*$"):
         StudyData(root, "study", "evaluation_greedy/wait")
 
 

@@ -30,14 +30,14 @@ def curves(**by_run: list[float]) -> pd.DataFrame:
 
 def test_both_areas_of_a_curve_by_hand() -> None:
     """The range of the study is 0 to 10; b climbs in its own range as a does, at half the height."""
-    found = frames.curve_figures(curves(a_0=[0, 10, 10], b_0=[0, 5, 5]))
+    found = frames.curve_metrics(curves(a_0=[0, 10, 10], b_0=[0, 5, 5]))
     assert found["auc_own"].tolist() == [0.75, 0.75]
     assert found["auc_study"].tolist() == [0.75, 0.375]
     assert found["final_reward"].tolist() == [10, 5]
 
 
 def test_a_study_in_which_nothing_moves_has_half_areas() -> None:
-    assert frames.curve_figures(curves(a_0=[3, 3]))["auc_study"].tolist() == [0.5]
+    assert frames.curve_metrics(curves(a_0=[3, 3]))["auc_study"].tolist() == [0.5]
 
 
 def test_learning_curves_have_the_interval_of_student_and_only_common_steps() -> None:
@@ -134,7 +134,7 @@ def test_normalised_scores_are_0_for_random_play_and_1_for_the_best_rule() -> No
     frame = scores(a={"bus": [-100.0, 300.0], "merge": [5.0]})
     found = frames.normalised_by_rules(frame, "score", {"bus": (-100, 100), "merge": (0, 10)})
     assert found["score"].tolist() == [0, 2, 0.5]
-    with pytest.raises(ValueError, match="are known of merge"):
+    with pytest.raises(ValueError, match="are unknown for merge"):
         frames.normalised_by_rules(frame, "score", {"bus": (-100, 100)})
     with pytest.raises(ValueError, match="must score above random play"):
         normalised(1.0, 3.0, 3.0)

@@ -85,13 +85,13 @@ def test_a_footprint_without_co2_has_no_panel_for_it() -> None:
     energy = pd.DataFrame(1e-6, index=["a", "b"], columns=columns)
     unknown = energy.assign(kg_co2=math.nan, kg_co2_std=math.nan)
     units = {"kwh": ("mWh", 1e6)}
-    labels = ["(a) mWh a run", "(b) CPU s a run"]
+    labels = ["(a) mWh per run", "(b) CPU s per run"]
     assert [axes.get_xlabel() for axes in footprint(unknown, units).axes] == labels
     three = footprint(energy, {**units, "kg_co2": ("mg", 1e6)})
     assert [axes.get_xlabel() for axes in three.axes] == [
-        "(a) mg CO2eq a run",
-        "(b) mWh a run",
-        "(c) CPU s a run",
+        "(a) mg CO2eq per run",
+        "(b) mWh per run",
+        "(c) CPU s per run",
     ]
 
 

@@ -134,7 +134,7 @@ class RayLauncher:
         """Connects to the cluster. Raises HeadwayError where that fails."""
         self.notify, self.here = notify, Place.here()
         self.setups = [pickle.dumps(setup) for setup in setups]
-        self.cpus = backend.cpus_of_a_worker
+        self.cpus = backend.cpus_per_worker
         self.elsewhere: set[str] = set()
         """Other machines that workers were seen on."""
         self.published: Any = None
