@@ -35,7 +35,7 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
     is_module = is_module_path(config.id)
     if options and not is_module:
         raise HeadwayError(
-            f"env.{next(iter(options))} is only for PettingZoo environments by module path; remove it, "
+            f"env.{next(iter(options))} is for PettingZoo environments by module path only; remove it, "
             f"{config.id} defines it itself"
         )
     entry = training = _module_entry(config, config.args) if is_module else env_entry(config.id)

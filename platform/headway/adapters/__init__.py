@@ -1,1 +1,1 @@
-"""Environments of other libraries as batches of copies, and what every environment must keep to."""
+"""Environments of other libraries as batches of copies, and checks of the environment contract."""

@@ -1,10 +1,10 @@
-"""What `BatchedEnv` promises, as checks that anybody can run over an environment of their own.
+"""Checks of the `BatchedEnv` contract, for any environment, third parties' included.
 
     recording = play(make)
     for check in CHECKS.values():
         check(make, recording)
 
-Each check raises AssertionError with what was broken.
+Each check raises AssertionError saying what was broken.
 """
 
 import pickle
@@ -24,109 +24,121 @@ from headway.store.checkpoint import load_latest, save_checkpoint
 Make = Callable[[int], BatchedEnv]
 """(copies) -> environment."""
 Check = Callable[[Make, Recording], None]
+"""(make, recording of `play(make)`) -> None. Raises AssertionError if the contract is broken."""
 
 COPIES = 3
-"""Or as many as the environment allows in a process."""
+"""Default number of copies, or fewer if a process can hold fewer."""
 FIRST_SEED = 5
-LONGEST = 1500
-"""Steps of a recording, unless every copy has ended two episodes before."""
+"""Seed of the first copy of a recording."""
+MAX_STEPS = 1500
+"""Default length of a recording. It is shorter if every copy has ended two episodes before."""
 
 
 def seeds_from(first: int, count: int) -> NDArray[np.uint64]:
-    """Seeds first to first + count - 1: (count,)."""
+    """Return seeds first to first + count - 1, shape (count,)."""
     return np.arange(first, first + count, dtype=np.uint64)
 
 
 def play(
-    make: Make, copies: int | None = None, first_seed: int = FIRST_SEED, longest: int = LONGEST
+    make: Make, copies: int | None = None, first_seed: int = FIRST_SEED, max_steps: int = MAX_STEPS
 ) -> Recording:
-    """Random play from `reset`, with shapes, types and numbers checked at each step; `copies` None: COPIES,
-    or as many as the environment allows."""
+    """Return a recording of random play from `reset`; shapes, dtypes and values are checked at each step.
+
+    `copies` None: COPIES, or as many as a process can hold. Copy c has seed first_seed + c. Raises as
+    `record` does.
+    """
     if copies is None:
         with closing(make(1)) as first:
             copies = min(COPIES, first.spec.max_copies_per_process or COPIES)
     env, seeds = make(copies), seeds_from(first_seed, copies)
-    recording = record(env, env.reset(seeds), RandomPlay(seeds), longest, episodes=2)
+    recording = record(env, env.reset(seeds), RandomPlay(seeds), max_steps, episodes=2)
     env.close()
     return recording
 
 
 def check_spec(make: Make, recording: Recording) -> None:
-    """Names are unique, groups are complete, sizes are positive; the environment can be made larger."""
+    """Check that names are unique, groups complete and sizes positive, for any number of copies."""
     spec = recording.spec
-    assert len(set(spec.agents)) == spec.num_agents > 0, "agents need names of their own"
-    assert len(spec.groups) in (0, spec.num_agents), "groups name each agent's group, or are empty"
-    assert len(set(spec.metrics)) == len(spec.metrics), "metrics need names of their own"
+    assert len(set(spec.agents)) == spec.num_agents > 0, "agents need different names"
+    assert len(spec.groups) in (0, spec.num_agents), "groups must name each agent's group, or be empty"
+    assert len(set(spec.metrics)) == len(spec.metrics), "metrics need different names"
     assert spec.observation_size > 0, "observations need at least one component"
     copies = min(recording.copies, 2)
     env = make(copies)
-    assert env.num_copies == copies, "num_copies is the number asked for"
-    assert env.spec == spec, "the spec depends on the number of copies"
+    assert env.num_copies == copies, "num_copies is not the number requested"
+    assert env.spec == spec, "the spec must not depend on the number of copies"
     env.close()
 
 
 def check_alive(make: Make, recording: Recording) -> None:
-    """Who acted was alive; where agents do not come and go, all are alive always."""
+    """Check that only live agents act, and that all are alive if agents do not come and go."""
     spec, track = recording.spec, recording.trajectory
-    assert not (track.acting & ~track.alive[:-1]).any(), "an agent acted that was not alive"
+    assert not (track.acting & ~track.alive[:-1]).any(), "an agent acted without being alive"
     if not spec.agents_come_and_go:
-        assert track.alive.all(), "an agent is not alive, and the spec has agents_come_and_go false"
+        assert track.alive.all(), "an agent is not alive, but the spec has agents_come_and_go false"
 
 
 def check_ends(make: Make, recording: Recording) -> None:
-    """An episode's end ends every agent's stream, by termination or by truncation and never by both."""
+    """Check that the end of an episode ends every agent's stream, by termination or truncation, never
+    both."""
     track, ended = recording.trajectory, recording.episode_ended
     assert not (track.terminated & track.truncated).any(), "terminated and truncated are both set"
     over = track.terminated | track.truncated
-    assert over[ended].all(), "an episode ended, and an agent is neither terminated nor truncated"
+    assert over[ended].all(), "an episode ended, but an agent is neither terminated nor truncated"
     if not recording.spec.agents_come_and_go:
         assert (over.any(axis=-1) == ended).all(), "an agent's stream ended before the episode did"
     assert np.isfinite(recording.metrics[ended]).all(), "an episode's metrics are not finite"
 
 
 def check_masks(make: Make, recording: Recording) -> None:
-    """Every agent alive may do something."""
+    """Check that every live agent has an allowed action."""
     track = recording.trajectory
     if recording.spec.has_action_mask:
         assert track.action_masks[track.alive].any(axis=-1).all(), "a live agent has no allowed action"
 
 
 def check_shared_reward(make: Make, recording: Recording) -> None:
-    """Where the spec says that the reward is shared, by all or in each group, every slot of these has it,
-    absent agents' too."""
+    """Check that a reward shared by all agents or by a group is in every slot of them, absent agents'
+    included."""
     rewards, spec = recording.trajectory.rewards, recording.spec
     if spec.shared_reward:
-        assert (rewards == rewards[..., :1]).all(), "shared_reward is true, and rewards differ"
+        assert (rewards == rewards[..., :1]).all(), "shared_reward is true, but rewards differ"
     if spec.shared_in_groups:
-        assert spec.groups, "shared_in_groups is true, and there are no groups"
+        assert spec.groups, "shared_in_groups is true, but there are no groups"
         firsts = [spec.groups.index(group) for group in spec.groups]
-        assert (rewards == rewards[..., firsts]).all(), "shared_in_groups is true, and rewards differ in one"
+        assert (rewards == rewards[..., firsts]).all(), (
+            "shared_in_groups is true, but rewards differ within a group"
+        )
 
 
 def check_determinism(make: Make, recording: Recording) -> None:
-    """The same seeds and actions give the same, in a new environment and after `reset` of a used one."""
+    """Check that equal seeds and actions give equal results, in a new environment and after `reset` of a used
+    one."""
     copies = recording.copies
     env, seeds = make(copies), seeds_from(FIRST_SEED, copies)
     others = seeds_from(FIRST_SEED + 100, copies)
-    record(env, env.reset(others), RandomPlay(others), longest=7, episodes=2)
-    assert_same(recording, record(env, env.reset(seeds), RandomPlay(seeds), LONGEST, episodes=2))
+    record(env, env.reset(others), RandomPlay(others), max_steps=7, episodes=2)
+    assert_same(recording, record(env, env.reset(seeds), RandomPlay(seeds), MAX_STEPS, episodes=2))
     env.close()
 
 
 def check_copies(make: Make, recording: Recording) -> None:
-    """A copy is the same whatever stands beside it, later episodes included."""
+    """Check that a copy does not depend on the copies beside it, in later episodes either."""
     for copy in range(recording.copies):
         alone = play(make, copies=1, first_seed=FIRST_SEED + copy)
         assert_same(alone, recording.of_copy(copy, steps=alone.steps))
 
 
 def check_snapshots(make: Make, recording: Recording) -> None:
-    """A snapshot kept in a checkpoint goes on bit for bit, from mid-episode and across an episode's end."""
+    """Check that a snapshot stored in a checkpoint continues bit for bit, within an episode and past its end.
+
+    Without `spec.snapshots`, check that `snapshot` raises HeadwayError.
+    """
     copies = recording.copies
     seeds = seeds_from(FIRST_SEED, copies)
     env = make(copies)
-    play_on = RandomPlay(seeds)
-    before = record(env, env.reset(seeds), play_on, longest=max(recording.steps // 3, 1), episodes=2)
+    random_play = RandomPlay(seeds)
+    before = record(env, env.reset(seeds), random_play, max_steps=max(recording.steps // 3, 1), episodes=2)
     if not recording.spec.snapshots:
         try:
             env.snapshot()
@@ -134,21 +146,22 @@ def check_snapshots(make: Make, recording: Recording) -> None:
             return
         finally:
             env.close()
-        raise AssertionError("snapshots is false in the spec, and snapshot() raises no HeadwayError")
-    snapshot, play_elsewhere = _through_a_checkpoint(env.snapshot()), pickle.loads(pickle.dumps(play_on))
-    on = record(env, env.restore(env.snapshot()), play_on, LONGEST, episodes=2)
+        raise AssertionError("snapshots is false in the spec, but snapshot() does not raise HeadwayError")
+    snapshot, play_copy = _checkpoint_round_trip(env.snapshot()), pickle.loads(pickle.dumps(random_play))
+    continued = record(env, env.restore(env.snapshot()), random_play, MAX_STEPS, episodes=2)
     env.close()
     other = make(copies)
     observed = other.restore(snapshot)
     np.testing.assert_array_equal(observed.alive, before.trajectory.alive[-1], "alive")
-    assert_same(on, record(other, observed, play_elsewhere, LONGEST, episodes=2))
+    assert_same(continued, record(other, observed, play_copy, MAX_STEPS, episodes=2))
     for copy in range(copies):
-        rest = min(on.steps, recording.steps - before.steps)
-        assert_same(on.of_copy(copy, steps=rest), recording.of_copy(copy, before.steps, rest))
+        rest = min(continued.steps, recording.steps - before.steps)
+        assert_same(continued.of_copy(copy, steps=rest), recording.of_copy(copy, before.steps, rest))
     other.close()
 
 
-def _through_a_checkpoint(snapshot: Any) -> Any:  # noqa: ANN401 - opaque to the engine
+def _checkpoint_round_trip(snapshot: Any) -> Any:  # noqa: ANN401 - opaque to the platform
+    """Return the snapshot as a checkpoint file restores it."""
     with TemporaryDirectory() as folder:
         try:
             save_checkpoint(Path(folder), 0, {"snapshot": snapshot})
@@ -167,3 +180,4 @@ CHECKS: Mapping[str, Check] = {
     "copies": check_copies,
     "snapshots": check_snapshots,
 }
+"""All checks by name."""

@@ -11,10 +11,11 @@ from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway.adapters.spaces import Space
 
 AGENT = "agent"
+"""Name of the only agent."""
 
 
 class SingleAgent:
-    """A Gymnasium environment with the face of a ParallelEnv of one agent; infos pass through."""
+    """A Gymnasium environment with the interface of a ParallelEnv of one agent. Infos are passed on."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         self._env = env
@@ -48,7 +49,7 @@ class SingleAgent:
         )
 
     def state(self) -> NDArray[np.float32]:
-        """Raises NotImplementedError: the agent's observation is all there is."""
+        """Raise NotImplementedError: there is no state beyond the agent's observation."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -56,7 +57,7 @@ class SingleAgent:
 
 
 class GymnasiumBatch(ParallelEnvBatch):
-    """C copies of a Gymnasium environment as a `BatchedEnv`; the rest is as in `ParallelEnvBatch`."""
+    """C copies of a Gymnasium environment as a `BatchedEnv`; see `ParallelEnvBatch`."""
 
     def __init__(
         self,

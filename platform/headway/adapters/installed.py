@@ -1,8 +1,8 @@
 """Which modules a configuration may name: those of installed packages that depend on PettingZoo.
 
-A configuration names no Python objects, because to import one is to run it, and configurations are handed
-around. A module path of an environment is the exception, so it is kept narrow: nothing is imported unless the
-package's own metadata says that it builds on PettingZoo.
+Configurations are shared between people, and importing a Python object runs its code, so configurations name
+no Python objects. Module paths of environments are the exception, kept narrow: nothing is imported unless the
+package's own metadata says that it depends on PettingZoo.
 """
 
 import importlib.metadata
@@ -24,7 +24,7 @@ _ON_PETTINGZOO = re.compile(r"pettingzoo\b", re.IGNORECASE)
 def require_environment_module(name: str) -> None:
     """Raise HeadwayError unless `name` is a module of an installed package that depends on PettingZoo.
 
-    Nothing is imported but the packages above the module, and those only of such a package.
+    Imports only the parent packages of the module, and only if the package qualifies.
     """
     if not _PATH.fullmatch(name):
         raise HeadwayError(
@@ -49,7 +49,7 @@ def require_environment_module(name: str) -> None:
 
 
 def _modules_in(package: str) -> list[str]:
-    """Public modules of a package; importing the package itself may fail."""
+    """Return the public modules of a package. Raises HeadwayError if the package cannot be imported."""
     try:
         spec = importlib.util.find_spec(package)
     except Exception as error:  # the package's own code

@@ -1,7 +1,8 @@
 """Any PettingZoo environment by module path: `env.id=mpe2.simple_spread_v3`.
 
-The module gives `parallel_env`, or else `env` (turn by turn, AEC), which PettingZoo's own conversion makes
-parallel where the environment says that this is valid. `env.args` are the factory's arguments.
+The module defines `parallel_env`, or else `env` (agents act in turns, AEC), which PettingZoo converts to a
+parallel environment if the environment declares this to be valid. `env.args` are the arguments of that
+function.
 """
 
 import importlib
@@ -24,15 +25,17 @@ _NUMBERED = re.compile(r"(.+?)_?\d+")
 
 @dataclass(frozen=True)
 class ModuleEnv:
-    """An environment of a module, with its arguments. Picklable."""
+    """An environment of a module with its arguments. Picklable."""
 
     module: str
+    """Module path."""
     arguments: Mapping[str, Any]
-    """Those that differ from the factory's own defaults."""
+    """Arguments that differ from the function's own defaults."""
     options: AdapterOptions
+    """Adapter options."""
 
     def make(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-        """One ParallelEnv. Raises HeadwayError where the module or the arguments are of no use."""
+        """Return a new ParallelEnv. Raises HeadwayError if the module or the arguments cannot be used."""
         module = _imported(self.module)
         factory = _factory(self.module, module)
         try:
@@ -50,17 +53,15 @@ class ModuleEnv:
 def module_entry(
     module: str, options: AdapterOptions = NO_OPTIONS, arguments: Iterable[str] = ()
 ) -> EnvEntry:
-    """The entry of the environment in a module.
+    """Return the entry of the environment in a module.
 
-    `arguments` are the keys that are given: all that is known of a factory that takes any. Groups are the
-    agents' names without their numbers. Raises HeadwayError where the module may not be named, cannot be
-    imported, or has no factory.
+    `arguments` are the keys given, all that is known of a function that takes any keys. An agent's group is
+    its name without the number. Raises HeadwayError if the module may not be named, cannot be imported, or
+    defines no environment.
     """
-    described = _described(_imported(module), module)
+    source = _signature_source(_imported(module), module)
     record = (
-        untyped_record("Arguments", arguments)
-        if described is None
-        else argument_record("Arguments", described)
+        untyped_record("Arguments", arguments) if source is None else argument_record("Arguments", source)
     )
     return EnvEntry(
         summary=f"the PettingZoo environment {module}",
@@ -74,12 +75,12 @@ def module_entry(
 
 
 def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:
-    """The entry's `make`."""
+    """Return a batch of `copies` copies: `EnvEntry.make` of module environments."""
     return prepared.options.adapt(prepared.make, copies, prepared.module)
 
 
 def _prepare(module: str, options: AdapterOptions, config: Any) -> ModuleEnv:  # noqa: ANN401 - its own record
-    prepared = ModuleEnv(module, _changed(config), options)
+    prepared = ModuleEnv(module, _non_default(config), options)
     env = prepared.make()
     groups = _groups(getattr(env, "possible_agents", ()))
     env.close()
@@ -87,7 +88,7 @@ def _prepare(module: str, options: AdapterOptions, config: Any) -> ModuleEnv:  #
 
 
 def _make_parallel(module: str, options: AdapterOptions, given: Any) -> Any:  # noqa: ANN401 - config or prepared
-    prepared = given if isinstance(given, ModuleEnv) else ModuleEnv(module, _changed(given), options)
+    prepared = given if isinstance(given, ModuleEnv) else ModuleEnv(module, _non_default(given), options)
     return prepared.make()
 
 
@@ -115,9 +116,11 @@ def _factory(name: str, module: ModuleType) -> Callable[..., Any]:
     raise HeadwayError(f"env.id={name} has neither parallel_env nor env: it is no PettingZoo environment")
 
 
-def _described(module: ModuleType, name: str) -> Callable[..., Any] | None:
-    """Whose signature tells the factory's arguments; PettingZoo's own factories pass `**kwargs` to
-    `raw_env`. None where nothing tells them."""
+def _signature_source(module: ModuleType, name: str) -> Callable[..., Any] | None:
+    """Return the callable whose signature lists the environment's arguments; None if none does.
+
+    PettingZoo's own functions pass `**kwargs` on to `raw_env`.
+    """
     candidates = [_factory(name, module), vars(module).get("raw_env"), vars(module).get("env")]
     return next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
 
@@ -140,8 +143,8 @@ def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes wi
     return aec_to_parallel(env)
 
 
-def _changed(config: Any) -> dict[str, Any]:  # noqa: ANN401 - a record from a signature
-    """Arguments other than the defaults. Lists become tuples where the default is one."""
+def _non_default(config: Any) -> dict[str, Any]:  # noqa: ANN401 - a record from a signature
+    """Return the arguments that differ from their defaults; lists become tuples if the default is one."""
     changed = {}
     for field in fields(config):
         value, default = getattr(config, field.name), field.default
@@ -155,6 +158,9 @@ def _changed(config: Any) -> dict[str, Any]:  # noqa: ANN401 - a record from a s
 
 
 def _groups(agents: Sequence[str]) -> tuple[str, ...]:
-    """`adversary` for `adversary_0`; nothing where that tells no agents apart."""
+    """Return each agent's group, its name without the number (`adversary` for `adversary_0`).
+
+    Empty if all agents would be in one group, or each in its own.
+    """
     kinds = [match[1] if (match := _NUMBERED.fullmatch(agent)) else agent for agent in agents]
     return tuple(kinds) if 1 < len(set(kinds)) < len(kinds) else ()

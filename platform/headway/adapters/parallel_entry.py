@@ -12,16 +12,21 @@ from headway.contracts import RANDOM, BatchedEnv, EnvEntry, RuleEntry
 
 @dataclass(frozen=True)
 class AdapterOptions:
-    """What PettingZoo has no place for; as `ParallelEnvBatch` takes it."""
+    """Facts about an environment that PettingZoo has no place for: the arguments of `ParallelEnvBatch`."""
 
     shared_reward: bool = False
+    """All agents get the same reward at every step."""
     groups: tuple[str, ...] = ()
+    """Group of each agent; empty: all in one."""
     agents_come_and_go: bool | None = None
+    """Agents may be absent before the episode ends; None: what metadata and infos say."""
     metrics: tuple[str, ...] | None = None
+    """Names of the episode metrics; None: those in the environment's metadata."""
     max_copies_per_process: int | None = None
+    """Maximum number of copies in one process; None: no limit."""
 
     def adapt(self, make_parallel_env: Callable[[], Any], copies: int, name: str) -> ParallelEnvBatch:
-        """The batch of `copies` copies."""
+        """Return a batch of `copies` copies; `name` is used in messages."""
         return ParallelEnvBatch(
             make_parallel_env,
             copies,
@@ -45,8 +50,11 @@ def parallel_entry(
     options: AdapterOptions = NO_OPTIONS,
     rules: Mapping[str, RuleEntry] = MappingProxyType({}),
 ) -> EnvEntry:
-    """The entry of an environment that is written as a ParallelEnv; `parallel_env`: (config) -> ParallelEnv,
-    a function at the top of a module, since workers are given it by name."""
+    """Return the entry of an environment written as a ParallelEnv.
+
+    `parallel_env` maps a config to a ParallelEnv. It must be a function at the top level of a module, since
+    workers find it by name.
+    """
     return EnvEntry(
         summary=summary,
         config=config,

@@ -1,12 +1,16 @@
 """Any PettingZoo ParallelEnv as a batch of copies, stepped one after another in this process.
 
-What PettingZoo has no place for travels in an agent's info, where present:
-`alive` (bool: the agent exists now; default: it is in `env.agents`), `acting` (bool: the action just given
-was used; default: the agent was alive), `action_mask` (bool, A: allowed now), `slot_ended` (`terminated` or
-`truncated`: of agents that are slots, whoever had this one is gone, and observes its last in this step;
-another may come to it later) and, when the episode ends, `episode_metrics` (name -> number, in any agent's
-info). `metadata["episode_metrics"]` names the metrics and
-`metadata["agents_come_and_go"]` says that agents may leave before the episode ends.
+Facts that PettingZoo has no place for are read from each agent's info, where present:
+
+- `alive` (bool): the agent exists now; default: it is in `env.agents`
+- `acting` (bool): the action just given was used; default: the agent was alive
+- `action_mask` (bool, (A,)): actions allowed now
+- `slot_ended` (`terminated` or `truncated`): for agents that are slots, the slot's agent is gone and this
+  step's observation is its last; another agent may take the slot later
+- `episode_metrics` (name -> number): metrics of the episode that just ended, in any agent's info
+
+`metadata["episode_metrics"]` names the metrics, and `metadata["agents_come_and_go"]` says that agents may be
+absent before the episode ends.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +35,7 @@ Infos = Mapping[str, Mapping[str, Any]]
 
 
 class ParallelEnv(Protocol):
-    """The part of PettingZoo's ParallelEnv that is used here."""
+    """The part of PettingZoo's ParallelEnv that the adapter uses."""
 
     possible_agents: list[str]
     agents: list[str]
@@ -51,28 +55,29 @@ class ParallelEnv(Protocol):
     def close(self) -> None: ...
 
     @property
-    def unwrapped(self) -> Any: ...  # noqa: ANN401 - whatever the wrappers are around
+    def unwrapped(self) -> Any: ...  # noqa: ANN401 - PettingZoo comes without types
 
 
 def episode_seed(copy_seed: int, episode: int) -> int:
-    """The seed that `reset` of the environment is given: 31 bits, which every library takes."""
+    """Return the seed for the environment's `reset`: 31 bits, which every library accepts."""
     return int(child_seeds(copy_seed, "episode", episode, 1)[0]) & 0x7FFFFFFF
 
 
 class ParallelEnvBatch:
     """C copies of a ParallelEnv as a `BatchedEnv`, without snapshots.
 
-    `possible_agents` are the N slots. An agent that has terminated or been truncated is not alive until the
-    next reset; a copy whose `agents` is empty has ended its episode and is reset with the seed
-    `episode_seed(seeds[copy], episode)`. At the end of an episode the agents that were away are given the
-    episode's own ending, with what they last observed, and those that had ended before are terminated again.
-    Termination hides truncation where the environment sets both. With `shared_reward` the slots of agents
-    that are gone are given the team's reward. NaN and infinity are passed on: whoever steps the batch looks
-    for them, and knows what its copies are called.
+    `possible_agents` are the N slots. An agent that is terminated or truncated is not alive until the next
+    reset. A copy whose `agents` is empty has ended its episode and is reset with the seed
+    `episode_seed(seeds[copy], episode)`. When an episode ends, agents that were away end like the episode
+    itself, with their last observation; agents that had ended before are marked as terminated again. If the
+    environment sets both flags, the agent is terminated. With `shared_reward`, slots of absent agents get the
+    team's reward.
 
-    Raises HeadwayError for spaces that differ between agents or are not supported, for agents that leave
-    early without `agents_come_and_go`, for rewards that differ with `shared_reward`, and for episodes that
-    end without the metrics that were announced.
+    NaN and infinity are passed on: the caller checks values and knows the names of its copies.
+
+    Raises HeadwayError for spaces that differ between agents or are not supported, agents that leave early
+    without `agents_come_and_go`, rewards that differ despite `shared_reward`, and episodes that end without
+    the declared metrics.
     """
 
     def __init__(
@@ -87,7 +92,7 @@ class ParallelEnvBatch:
         metrics: Sequence[str] | None = None,
         max_copies_per_process: int | None = None,
     ) -> None:
-        """`agents_come_and_go` and `metrics` default to what the environment's metadata and infos say."""
+        """Create the copies; `agents_come_and_go` and `metrics` default to what metadata and infos say."""
         if copies < 1:
             raise HeadwayError(f"environment '{name}' needs at least 1 copy, not {copies}")
         self._envs: list[ParallelEnv] = [make_parallel_env() for _ in range(copies)]
@@ -106,7 +111,7 @@ class ParallelEnvBatch:
         actions = action_space(name, {agent: first.action_space(agent) for agent in agents})
         _, infos = first.reset(seed=0)
         if agents_come_and_go is None:
-            agents_come_and_go = bool(metadata.get("agents_come_and_go", _any_has(infos, "alive")))
+            agents_come_and_go = bool(metadata.get("agents_come_and_go", _any_info_has(infos, "alive")))
         self._spec = EnvSpec(
             name=name,
             agents=agents,
@@ -115,7 +120,7 @@ class ParallelEnvBatch:
             state_size=_state_size(first),
             groups=tuple(groups),
             shared_reward=shared_reward,
-            has_action_mask=_any_has(infos, "action_mask"),
+            has_action_mask=_any_info_has(infos, "action_mask"),
             agents_come_and_go=agents_come_and_go,
             metrics=tuple(metrics),
             max_copies_per_process=max_copies_per_process,
@@ -132,7 +137,7 @@ class ParallelEnvBatch:
         self._seeds = [0] * copies
         self._episodes = [0] * copies
         self._steps = 0
-        self._present: list[list[str] | None] = [None] * copies
+        self._live_agents: list[list[str] | None] = [None] * copies
         """Agents that the environment wants actions of; None: all, in order."""
         self._ended = np.zeros((copies, n), dtype=np.bool_)
         """Agents whose stream has ended in this episode."""
@@ -169,7 +174,7 @@ class ParallelEnvBatch:
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         if len(seeds) != self.num_copies:
-            raise ValueError(f"reset takes one seed a copy: {self.num_copies}, not {len(seeds)}")
+            raise ValueError(f"reset takes one seed per copy: {self.num_copies}, not {len(seeds)}")
         self._seeds = [int(seed) for seed in seeds]
         self._steps = 0
         for copy in range(self.num_copies):
@@ -190,13 +195,13 @@ class ParallelEnvBatch:
         return outcome, self._observed
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
-        """Raises HeadwayError: PettingZoo has no way to save an environment."""
+        """Raise HeadwayError: PettingZoo environments cannot be saved."""
         raise HeadwayError(
             f"environment '{self._spec.name}' has no snapshots; its episodes restart on resume"
         )
 
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
-        """Raises HeadwayError, as `snapshot`."""
+        """Raise HeadwayError: PettingZoo environments cannot be saved."""
         raise HeadwayError(
             f"environment '{self._spec.name}' has no snapshots; its episodes restart on resume"
         )
@@ -212,24 +217,24 @@ class ParallelEnvBatch:
         self._ended[copy] = False
         self._observed.observations[copy] = 0
         self._write_observations(copy, observations)
-        self._note_present(copy)
-        self._read_infos(copy, infos, fresh=True)
+        self._update_alive(copy)
+        self._read_infos(copy, infos, after_reset=True)
         if self._spec.state_size:
             self._observed.states[copy] = env.state().reshape(-1)
 
     def _step_copy(self, copy: int, actions: NDArray[Any]) -> None:
-        env, agents, present = self._envs[copy], self._spec.agents, self._present[copy]
+        env, agents, live = self._envs[copy], self._spec.agents, self._live_agents[copy]
         decoded = self._decode(actions)
-        if present is None:
+        if live is None:
             given = dict(zip(agents, decoded, strict=True))
         else:
-            given = {agent: decoded[self._index[agent]] for agent in present}
+            given = {agent: decoded[self._index[agent]] for agent in live}
         observations, rewards, terminated, truncated, infos = env.step(given)
         self._write_observations(copy, observations)
-        self._outcome.rewards[copy] = self._paid(rewards, present)
+        self._outcome.rewards[copy] = self._slot_rewards(rewards, live)
         ended = False
         if (
-            present is None
+            live is None
             and len(env.agents) == len(agents)
             and True not in terminated.values()
             and True not in truncated.values()
@@ -238,9 +243,9 @@ class ParallelEnvBatch:
                 self._observed.alive[copy] = True
         else:
             ended = self._end_streams(copy, terminated, truncated)
-            self._note_present(copy)
+            self._update_alive(copy)
         if self._has_masks or any(infos.values()):
-            self._read_infos(copy, infos, fresh=False)
+            self._read_infos(copy, infos, after_reset=False)
         if ended:
             self._end_episode(copy, infos)
         elif self._spec.state_size:
@@ -259,27 +264,27 @@ class ParallelEnvBatch:
             shapes = {agent: np.shape(observation) for agent, observation in observations.items()}
             raise HeadwayError(
                 f"environment '{self._spec.name}' gave observations of shapes {shapes} where each agent "
-                f"should be given {self._spec.observation_size} numbers; mend its observation_space"
+                f"should get {self._spec.observation_size} numbers; fix its observation_space"
             ) from error
 
-    def _paid(self, rewards: Mapping[str, float], present: Sequence[str] | None) -> list[float]:
-        """(N,): what each slot is given, if `present` were there to act (None: all)."""
+    def _slot_rewards(self, rewards: Mapping[str, float], live: Sequence[str] | None) -> list[float]:
+        """Return the reward of each slot (N,); `live` are the agents that were to act, None: all."""
         agents = self._spec.agents
         if not self._spec.shared_reward:
             return [rewards.get(agent, 0.0) for agent in agents]
-        there = agents if present is None else present
-        paid = [float(rewards[agent]) for agent in there if agent in rewards]
-        team = paid[0] if paid else 0.0
-        if any(reward != team and isfinite(reward) for reward in paid):
-            listed = ", ".join(f"{agent} {rewards[agent]:g}" for agent in there if agent in rewards)
+        acting_agents = agents if live is None else live
+        rewards_given = [float(rewards[agent]) for agent in acting_agents if agent in rewards]
+        team = rewards_given[0] if rewards_given else 0.0
+        if any(reward != team and isfinite(reward) for reward in rewards_given):
+            listed = ", ".join(f"{agent} {rewards[agent]:g}" for agent in acting_agents if agent in rewards)
             raise HeadwayError(
-                f"environment '{self._spec.name}' should pay all agents the same, and paid {listed} at step "
-                f"{self._steps}; set env.shared_reward=false"
+                f"environment '{self._spec.name}' should give all agents the same reward and gave {listed} "
+                f"at step {self._steps}; set env.shared_reward=false"
             )
-        return [rewards.get(agent, team) if agent in there else team for agent in agents]
+        return [rewards.get(agent, team) if agent in acting_agents else team for agent in agents]
 
-    def _note_present(self, copy: int) -> None:
-        """Who is there now, by `env.agents`; infos may say otherwise afterwards."""
+    def _update_alive(self, copy: int) -> None:
+        """Set the alive mask from `env.agents`; infos may change it afterwards."""
         live = self._envs[copy].agents
         unknown = [agent for agent in live if agent not in self._index]
         if unknown:
@@ -287,11 +292,11 @@ class ParallelEnvBatch:
                 f"environment '{self._spec.name}' has agent '{unknown[0]}', which is not in its "
                 "possible_agents; list every agent that can appear"
             )
-        everyone = len(live) == len(self._spec.agents)
-        self._present[copy] = None if everyone else list(live)
+        all_live = len(live) == len(self._spec.agents)
+        self._live_agents[copy] = None if all_live else list(live)
         alive = self._observed.alive[copy]
-        alive[:] = everyone
-        if not everyone:
+        alive[:] = all_live
+        if not all_live:
             alive[[self._index[agent] for agent in live]] = True
         alive &= ~self._ended[copy]
 
@@ -301,25 +306,26 @@ class ParallelEnvBatch:
         terminated: Mapping[str, bool],
         truncated: Mapping[str, bool],
     ) -> bool:
-        """Ends of a step in which not everybody just goes on; whether the episode ended."""
+        """Mark the streams that end in this step; return whether the episode ended."""
         outcome, env = self._outcome, self._envs[copy]
-        over, cut, before = outcome.terminated[copy], outcome.truncated[copy], self._ended[copy]
-        finals = outcome.final_observations[copy]
+        terminations, truncations = outcome.terminated[copy], outcome.truncated[copy]
+        ended_before, finals = self._ended[copy], outcome.final_observations[copy]
         for index, agent in enumerate(self._spec.agents):
-            over[index] = terminated.get(agent, False)
-            cut[index] = truncated.get(agent, False) and not over[index]
-        now = over | cut
-        finals[now] = self._observed.observations[copy, now]
-        ended = not env.agents or bool((now | before).all())
-        if ended:
-            away = ~(now | before)
+            terminations[index] = terminated.get(agent, False)
+            truncations[index] = truncated.get(agent, False) and not terminations[index]
+        ending = terminations | truncations
+        finals[ending] = self._observed.observations[copy, ending]
+        episode_ended = not env.agents or bool((ending | ended_before).all())
+        if episode_ended:
+            # The contract marks every agent at the end of an episode, absent ones included.
+            away = ~(ending | ended_before)
             finals[away] = self._observed.observations[copy, away]
-            natural = bool(over.any() and not cut.any())
-            over |= away if natural else False
-            cut |= False if natural else away
-            over |= before & ~now
-        before |= now
-        return ended
+            by_termination = bool(terminations.any() and not truncations.any())
+            terminations |= away if by_termination else False
+            truncations |= False if by_termination else away
+            terminations |= ended_before & ~ending
+        ended_before |= ending
+        return episode_ended
 
     def _end_episode(self, copy: int, infos: Infos) -> None:
         outcome = self._outcome
@@ -333,14 +339,14 @@ class ParallelEnvBatch:
             metrics = {}
             if self._spec.metrics:
                 raise HeadwayError(
-                    f"environment '{self._spec.name}' announces episode_metrics, and an episode ended "
+                    f"environment '{self._spec.name}' declares episode_metrics, but an episode ended "
                     "without them in any agent's info; a wrapper must pass infos on"
                 )
         outcome.metrics[copy] = [metrics.get(name, np.nan) for name in self._spec.metrics]
         self._begin(copy, self._episodes[copy] + 1)
 
-    def _read_infos(self, copy: int, infos: Infos, fresh: bool) -> None:
-        """`fresh`: of a reset, where nothing has been acted upon."""
+    def _read_infos(self, copy: int, infos: Infos, after_reset: bool) -> None:
+        """Apply the infos; `after_reset`: no action has been given yet."""
         observed, masks = self._observed, self._observed.action_masks
         alive, acting = observed.alive[copy], self._outcome.acting[copy]
         if masks is not None:
@@ -351,15 +357,15 @@ class ParallelEnvBatch:
                 continue
             if "alive" in info:
                 alive[index] &= bool(info["alive"])
-            if "acting" in info and not fresh:
+            if "acting" in info and not after_reset:
                 acting[index] &= bool(info["acting"])
-            if "slot_ended" in info and not fresh:
+            if "slot_ended" in info and not after_reset:
                 self._end_slot(copy, index, info["slot_ended"])
             if masks is not None and "action_mask" in info:
                 masks[copy, index] = info["action_mask"]
 
     def _end_slot(self, copy: int, index: int, how: str) -> None:
-        """The stream of a slot's agent ends, and the slot stays."""
+        """End the stream of a slot's agent while the slot remains."""
         outcome = self._outcome
         if how not in ("terminated", "truncated"):
             raise HeadwayError(
@@ -377,8 +383,8 @@ class ParallelEnvBatch:
             copy, agent = np.argwhere(~alive)[0]
             raise HeadwayError(
                 f"environment '{self._spec.name}': agent '{self._spec.agents[agent]}' of copy {copy} is not "
-                f"there at step {self._steps}, before the episode's end; set env.agents_come_and_go=true, or "
-                "keep it there with the wrapper black_death_v3"
+                f"alive at step {self._steps}, before the episode's end; set env.agents_come_and_go=true, or "
+                "keep it alive with the wrapper black_death_v3"
             )
         if masks is not None and (stuck := np.argwhere(alive & ~masks.any(axis=-1))).size:
             copy, agent = stuck[0]
@@ -388,7 +394,7 @@ class ParallelEnvBatch:
             )
 
 
-def _any_has(infos: Infos, key: str) -> bool:
+def _any_info_has(infos: Infos, key: str) -> bool:
     return any(key in info for info in infos.values() if info)
 
 

@@ -1,4 +1,4 @@
-"""Random play of an environment kept in full, and compared bit for bit."""
+"""Recordings of random play, and their comparison bit for bit."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,21 +19,22 @@ from headway.contracts import (
 )
 from headway.rollout.nan_check import check_finite
 
-_FACED = ("observations", "states", "alive", "action_masks")
-_GIVEN = ("rewards", "terminated", "truncated", "acting", "final_observations", "final_states")
+_OBSERVED = ("observations", "states", "alive", "action_masks")
+_RESULTS = ("rewards", "terminated", "truncated", "acting", "final_observations", "final_states")
 
 
 @dataclass(frozen=True)
 class Recording:
-    """T steps of random play: a trajectory, and what a trajectory leaves out."""
+    """T steps of random play: a trajectory, with the results that a trajectory leaves out."""
 
     spec: EnvSpec
+    """Environment that was played."""
     trajectory: Trajectory
-    """Its `log_probs` are 0."""
+    """Trajectory of T steps. Its `log_probs` are 0."""
     episode_ended: NDArray[np.bool_]
-    """(T, C)"""
+    """(T, C): the copy's episode ended with the step."""
     metrics: NDArray[np.float64]
-    """(T, C, M)"""
+    """(T, C, M): valid where `episode_ended`."""
 
     @property
     def steps(self) -> int:
@@ -46,7 +47,7 @@ class Recording:
         return int(self.episode_ended.shape[1])
 
     def of_copy(self, copy: int, first: int = 0, steps: int | None = None) -> "Recording":
-        """Steps first to first + steps - 1 of one copy; all that follow where `steps` is None."""
+        """Return steps first to first + steps - 1 of one copy; `steps` None: all from `first` on."""
         last = self.steps if steps is None else first + steps
         return Recording(
             self.spec,
@@ -57,13 +58,16 @@ class Recording:
 
 
 class RandomPlay:
-    """Uniformly random allowed actions. A copy's depend on its seed and on how often they were asked for."""
+    """Uniformly random allowed actions.
+
+    A copy's actions depend only on its seed and on the number of calls before.
+    """
 
     def __init__(self, seeds: NDArray[np.uint64]) -> None:
         self._generators = [generator(int(seed), "random play") for seed in seeds]
 
     def act(self, spec: EnvSpec, observed: Observations) -> NDArray[Any]:
-        """Actions as `BatchedEnv.step` takes them; unbounded Box actions are drawn within 10 of 0."""
+        """Return actions as `BatchedEnv.step` takes them; Box bounds are clipped to [-10, 10]."""
         masks = observed.action_masks
         return np.stack(
             [
@@ -74,47 +78,52 @@ class RandomPlay:
 
 
 def record(
-    env: BatchedEnv, observed: Observations, play: RandomPlay, longest: int, episodes: int
+    env: BatchedEnv, observed: Observations, play: RandomPlay, max_steps: int, episodes: int
 ) -> Recording:
-    """Play on from `observed` for `longest` steps, or until every copy has ended `episodes` episodes.
+    """Return a recording of at most `max_steps` steps from `observed` on.
 
-    Raises AssertionError where a shape or a type is not the contract's, and HeadwayError where a number that
-    means something is not finite.
+    Stops earlier once every copy has ended `episodes` episodes. Raises AssertionError if a shape or dtype
+    breaks the contract, and HeadwayError if a value that must be finite is not.
     """
     spec, copies = env.spec, env.num_copies
-    track = Trajectory.allocate(TrajectoryLayout(spec, longest, copies))
-    ended = np.zeros((longest, copies), dtype=np.bool_)
-    metrics = np.zeros((longest, copies, len(spec.metrics)))
+    track = Trajectory.allocate(TrajectoryLayout(spec, max_steps, copies))
+    ended = np.zeros((max_steps, copies), dtype=np.bool_)
+    metrics = np.zeros((max_steps, copies, len(spec.metrics)))
     check_finite(spec, None, observed, step=0)
-    _note_observed(track, 0, observed)
+    _store_observed(track, 0, observed)
     steps = 0
-    while steps < longest and (ended.sum(axis=0) < episodes).any():
+    while steps < max_steps and (ended.sum(axis=0) < episodes).any():
         actions = play.act(spec, observed)
         track.actions[steps] = actions
         outcome, observed = env.step(actions)
-        assert np.array_equal(track.actions[steps], actions), "step changes the actions that it is given"
+        assert np.array_equal(track.actions[steps], actions), "step must not write to the actions it is given"
         check_finite(spec, outcome, observed, step=steps + 1)
-        for name in _GIVEN:
-            _note(getattr(track, name)[steps], getattr(outcome, name), name)
-        _note(ended[steps], outcome.episode_ended, "episode_ended")
-        _note(metrics[steps], outcome.metrics, "metrics")
+        for name in _RESULTS:
+            _store(getattr(track, name)[steps], getattr(outcome, name), name)
+        _store(ended[steps], outcome.episode_ended, "episode_ended")
+        _store(metrics[steps], outcome.metrics, "metrics")
         steps += 1
-        _note_observed(track, steps, observed)
+        _store_observed(track, steps, observed)
     return Recording(spec, _between(track, spec, 0, steps), ended[:steps], metrics[:steps])
 
 
 def assert_same(one: Recording, other: Recording) -> None:
-    """AssertionError unless both are equal to the last bit wherever the contract gives a value a meaning."""
-    assert one.steps == other.steps, f"{one.steps} steps against {other.steps}"
+    """Raise AssertionError unless both recordings are equal to the last bit in every value that the contract
+    defines."""
+    assert one.steps == other.steps, f"{one.steps} steps, not {other.steps}"
     mine, theirs = one.trajectory, other.trajectory
     for name in ("states", "alive", "rewards", "terminated", "truncated", "acting"):
         np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name), name)
     np.testing.assert_array_equal(one.episode_ended, other.episode_ended, "episode_ended")
     over = mine.terminated | mine.truncated
-    meant = [("observations", mine.alive), ("final_observations", over), ("final_states", one.episode_ended)]
+    compared = [
+        ("observations", mine.alive),
+        ("final_observations", over),
+        ("final_states", one.episode_ended),
+    ]
     if one.spec.has_action_mask:
-        meant.append(("action_masks", mine.alive))
-    for name, rows in meant:
+        compared.append(("action_masks", mine.alive))
+    for name, rows in compared:
         np.testing.assert_array_equal(getattr(mine, name)[rows], getattr(theirs, name)[rows], name)
     np.testing.assert_array_equal(one.metrics[one.episode_ended], other.metrics[one.episode_ended], "metrics")
 
@@ -122,7 +131,7 @@ def assert_same(one: Recording, other: Recording) -> None:
 def _between(trajectory: Trajectory, spec: EnvSpec, first: int, last: int) -> Trajectory:
     names = TrajectoryLayout(spec, steps=1, copies=1).arrays
     return Trajectory(
-        **{name: getattr(trajectory, name)[first : last + 1 if name in _FACED else last] for name in names}
+        **{name: getattr(trajectory, name)[first : last + 1 if name in _OBSERVED else last] for name in names}
     )
 
 
@@ -140,17 +149,17 @@ def _draw(draw: np.random.Generator, spec: EnvSpec, mask: NDArray[np.bool_] | No
             return draw.uniform(*bounds, (n, len(low))).astype(np.float32)
 
 
-def _note_observed(track: Trajectory, step: int, observed: Observations) -> None:
+def _store_observed(track: Trajectory, step: int, observed: Observations) -> None:
     for name in ("observations", "states", "alive"):
-        _note(getattr(track, name)[step], getattr(observed, name), name)
+        _store(getattr(track, name)[step], getattr(observed, name), name)
     if len(track.action_masks):
-        assert observed.action_masks is not None, "the spec promises action masks, and there are none"
-        _note(track.action_masks[step], observed.action_masks, "action_masks")
+        assert observed.action_masks is not None, "the spec declares action masks, but there are none"
+        _store(track.action_masks[step], observed.action_masks, "action_masks")
     else:
-        assert observed.action_masks is None, "there are action masks that the spec does not promise"
+        assert observed.action_masks is None, "there are action masks that the spec does not declare"
 
 
-def _note(place: NDArray[Any], value: NDArray[Any], name: str) -> None:
+def _store(place: NDArray[Any], value: NDArray[Any], name: str) -> None:
     assert value.dtype == place.dtype, f"{name} is {value.dtype}, not {place.dtype}"
     assert value.shape == place.shape, f"{name} has shape {value.shape}, not {place.shape}"
     place[...] = value

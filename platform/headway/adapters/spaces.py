@@ -1,4 +1,4 @@
-"""Gymnasium's spaces as the contracts' ones."""
+"""Conversion of Gymnasium's spaces to those of the contracts."""
 
 from collections.abc import Callable, Mapping
 from math import prod
@@ -12,12 +12,13 @@ from headway.contracts import ActionSpace, Box, Discrete, HeadwayError, MultiDis
 
 Space = spaces.Space[Any]
 Decode = Callable[[NDArray[Any]], list[Any]]
+"""Converts one copy's actions, (N,) or (N, size), to a list of N actions for the environment."""
 
 
 def observation_size(name: str, observation_spaces: Mapping[str, Space]) -> int:
-    """Length of the flattened observation, the same for every agent.
+    """Return the length of the flattened observation, the same for every agent; `name` is the environment's.
 
-    Raises HeadwayError where a space is not a Box, or where their shapes differ.
+    Raises HeadwayError if a space is not a Box or shapes differ between agents.
     """
     for agent, space in observation_spaces.items():
         if not isinstance(space, spaces.Box):
@@ -38,9 +39,9 @@ def observation_size(name: str, observation_spaces: Mapping[str, Space]) -> int:
 
 
 def action_space(name: str, action_spaces: Mapping[str, Space]) -> ActionSpace:
-    """The action space that all agents share.
+    """Return the action space, the same for every agent; `name` is the environment's.
 
-    Raises HeadwayError where a space is not Discrete, MultiDiscrete or Box, or where they differ.
+    Raises HeadwayError if a space is not Discrete, MultiDiscrete or Box, or spaces differ between agents.
     """
     kinds = [_action_space(name, agent, space) for agent, space in action_spaces.items()]
     _require_equal(
@@ -50,9 +51,9 @@ def action_space(name: str, action_spaces: Mapping[str, Space]) -> ActionSpace:
 
 
 def action_decoder(space: Space) -> Decode:
-    """Turns one copy's actions, (N,) or (N, size), into what each of its agents' `space` calls an action.
+    """Return the function that converts one copy's actions to those of `space`.
 
-    Box actions are clipped to the bounds; the results share no memory with the argument.
+    Box actions are clipped to the bounds. The results share no memory with the argument.
     """
     match space:
         case spaces.Discrete(start=start):

@@ -8,7 +8,7 @@ estimates of variances and tabulated values of t-table", Sankhya A 23.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, check_confidence, as_sample
+from headway.stats.samples import CONFIDENCE, Interval, as_sample, check_confidence
 
 
 def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-# Okabe and Ito's colours, distinguishable with colour-blindness (jfly.uni-koeln.de/color), then four of Paul Tol's `muted`.
+# Okabe and Ito's colours, safe for colour blindness (jfly.uni-koeln.de/color), then four of Tol's `muted`.
 _COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9",
     "#882255", "#999933", "#332288", "#117733",
@@ -238,7 +238,7 @@ def outliers(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) -
         distances = np.maximum(low - of_name if sign > 0 else of_name - high, 0.0)
         if usual > 0 and distances.max() > _OUTLIER_FACTOR * max(high - low, usual):
             excluded[name] = float(of_name[distances.argmax()])
-    return off
+    return excluded
 
 
 def intervals(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, check_confidence, as_sample
+from headway.stats.samples import CONFIDENCE, Interval, as_sample, check_confidence
 
 RESAMPLES = 10_000
 """Bootstrap resamples of a single statistic."""

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from headway.contracts.errors import HeadwayError
 from headway.stats import plots
-from headway.stats.plots import colours, draw_rules, outliers, intervals, learning_curves, near_rules
+from headway.stats.plots import colours, draw_rules, intervals, learning_curves, near_rules, outliers
 from headway.store import RunLog, RunRecord, RunSelection, select
 from headway.store.atomic_files import write_text
 from headway.store.run_folder import Process, create_run_folder, now, rules_file

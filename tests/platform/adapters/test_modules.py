@@ -101,7 +101,7 @@ def prepared(module: str, options: AdapterOptions | None = None, **arguments: ob
 def test_an_environment_by_its_module_keeps_the_contract() -> None:
     shared = pickle.loads(pickle.dumps(prepared(SPREAD, N=2)))
     assert shared.arguments == {"N": 2}
-    recording = play(lambda copies: make_batch(shared, copies), longest=60)
+    recording = play(lambda copies: make_batch(shared, copies), max_steps=60)
     assert recording.spec.agents == ("agent_0", "agent_1")
     assert recording.spec.action_space == Discrete(5)
     assert recording.spec.groups == ()
@@ -223,7 +223,7 @@ def test_a_shared_reward_is_checked_against_what_is_paid(zoo: str) -> None:
     )
     selfish = prepared(f"{zoo}.team_v0", team, local=True)
     with pytest.raises(
-        HeadwayError, match=r"should pay all agents the same, and paid agent_0 .*reward=false"
+        HeadwayError, match=r"should give all agents the same reward and gave agent_0 .*reward=false"
     ):
         play(lambda copies: make_batch(selfish, copies))
 
@@ -236,7 +236,7 @@ def test_unequal_agents_are_named_and_padding_makes_them_equal() -> None:
         entry.make(entry.prepare(entry.config()), 1)
     padded = wrapped_entry("mpe2.simple_tag_v3", entry, listed_wrappers(PAD))
     shared = pickle.loads(pickle.dumps(padded.prepare(entry.config())))
-    recording = play(shared.batch, longest=60)
+    recording = play(shared.batch, max_steps=60)
     spec = recording.spec
     assert spec.observation_size == 16
     assert spec.groups == ("adversary", "adversary", "adversary", "agent")
@@ -267,7 +267,7 @@ def test_knights_that_die_leave_or_stay(kept: bool) -> None:
     config = build(entry.config, DEADLY, "", KNIGHTS)
     wrapped = wrapped_entry(KNIGHTS, entry, listed_wrappers(["black_death_v3"] if kept else []))
     shared = wrapped.prepare(config)
-    recording = play(lambda copies: wrapped.make(shared, copies), copies=2, longest=700)
+    recording = play(lambda copies: wrapped.make(shared, copies), copies=2, max_steps=700)
     track, ended = recording.trajectory, recording.episode_ended
     assert ended.any()
     over = (track.terminated | track.truncated) & ~ended[..., None]
@@ -286,9 +286,9 @@ def test_an_undeclared_death_says_what_to_set() -> None:
     entry = module_entry(KNIGHTS)
     shared = entry.prepare(build(entry.config, DEADLY, "", KNIGHTS))
     with pytest.raises(
-        HeadwayError, match=r"set env\.agents_come_and_go=true, or keep it there with the wrapper bl"
+        HeadwayError, match=r"set env\.agents_come_and_go=true, or keep it alive with the wrapper bl"
     ):
-        play(lambda copies: entry.make(shared, copies), copies=2, longest=700)
+        play(lambda copies: entry.make(shared, copies), copies=2, max_steps=700)
 
 
 def test_random_play_is_a_rule_of_every_environment() -> None:

@@ -141,7 +141,7 @@ def test_an_agent_may_not_leave_early_unless_that_is_declared() -> None:
     env = batch(kill_b_at_two)
     env.reset(seeds())
     env.step(NOTHING)
-    with pytest.raises(HeadwayError, match="'scripted': agent 'b' of copy 0 is not there at step 2"):
+    with pytest.raises(HeadwayError, match="'scripted': agent 'b' of copy 0 is not alive at step 2"):
         env.step(NOTHING)
 
 
@@ -345,7 +345,7 @@ def test_observations_of_another_shape_than_promised_are_named() -> None:
 
     env = batch(script)
     env.reset(seeds())
-    with pytest.raises(HeadwayError, match=r"'b': \(4,\).*should be given 3 numbers"):
+    with pytest.raises(HeadwayError, match=r"'b': \(4,\).*should get 3 numbers"):
         env.step(NOTHING)
 
 
@@ -369,7 +369,7 @@ def test_an_environment_without_agents_is_refused() -> None:
 def test_copies_and_seeds_are_counted() -> None:
     with pytest.raises(HeadwayError, match="at least 1 copy, not 0"):
         ParallelEnvBatch(Scripted, 0, "scripted")
-    with pytest.raises(ValueError, match="one seed a copy: 2, not 3"):
+    with pytest.raises(ValueError, match="one seed per copy: 2, not 3"):
         batch().reset(seeds(3))
 
 

@@ -119,7 +119,7 @@ def test_a_snapshot_that_no_checkpoint_can_hold_is_caught() -> None:
 
 
 def test_promised_masks_that_are_missing_are_caught() -> None:
-    with pytest.raises(AssertionError, match="does not promise"):
+    with pytest.raises(AssertionError, match="does not declare"):
         play(lambda copies: Broken(copies, keep, {"has_action_mask": False}))
 
 
@@ -132,7 +132,7 @@ class Overruling(Visitors):
 
 
 def test_actions_that_step_replaces_in_place_are_caught() -> None:
-    with pytest.raises(AssertionError, match="step changes the actions that it is given"):
+    with pytest.raises(AssertionError, match="step must not write to the actions it is given"):
         play(lambda copies: Overruling(VisitorsConfig(), copies))
 
 

@@ -155,7 +155,7 @@ def test_a_wrapper_that_loses_what_infos_carry_is_refused(
 def test_metrics_that_do_not_arrive_are_an_error(dropping: ListedWrapper) -> None:
     entry = wrapped_entry("visitors", ENTRIES["visitors"], [dropping])
     wrapped = entry.prepare(ENTRIES["visitors"].config())
-    with pytest.raises(HeadwayError, match="announces episode_metrics, and an episode ended without them"):
+    with pytest.raises(HeadwayError, match="declares episode_metrics, but an episode ended without them"):
         play(wrapped.batch)
 
 
