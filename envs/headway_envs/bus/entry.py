@@ -79,7 +79,7 @@ ENTRY = EnvEntry(
     config=BusConfig,
     make=_make,
     prepare=_prepare,
-    prepare_beside=_prepare_beside,
+    prepare_variant=_prepare_beside,
     parallel_env=_parallel_env,
     rules={
         "always_move": RuleEntry(

@@ -117,7 +117,7 @@ class Experiment:
         prepared = training = self.env.prepare(self.env_config)
         spec = self._spec(prepared)
         if self.training_env is not self.env or self.training_env_config != self.env_config:
-            beside = self.training_env.prepare_beside
+            beside = self.training_env.prepare_variant
             if beside is None:
                 training = self.training_env.prepare(self.training_env_config)
             else:

@@ -316,5 +316,5 @@ def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> 
 def _experience_bytes(job: PlannedJob) -> int:
     """Return the bytes of experience kept beside the checkpoints of a job that exist at once."""
     experiment = job.experiment
-    each = experiment.algo.kept_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
+    each = experiment.algo.replay_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
     return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each

@@ -85,7 +85,7 @@ class EnvEntry:
     Runs once, in the parent process. Raises HeadwayError for data that cannot be used. Default: the config
     itself.
     """
-    prepare_beside: Callable[[Any, Any], Any] | None = None
+    prepare_variant: Callable[[Any, Any], Any] | None = None
     """(config, prepared) -> an equal result to `prepare(config)` that shares unchanged parts with `prepared`.
 
     `prepared` is the result of `prepare` for another config of the same environment, with the same kind of
@@ -138,7 +138,7 @@ class AlgoEntry:
     `cuda:NUMBER`."""
     refuses: Callable[[Any, EnvSpec], str | None] = _no_objection
     """(config, spec) -> one line saying why the algorithm cannot run on the environment; None if it can."""
-    kept_bytes: Callable[[Any, EnvSpec, int], int] = _no_replay
+    replay_bytes: Callable[[Any, EnvSpec, int], int] = _no_replay
     """(config, spec, environment steps per seed) -> upper bound on the bytes of one seed's replay data that
     are stored beside a checkpoint; 0 for algorithms without replay."""
     refuses_budget: Callable[[Any, int], str | None] = _any_budget

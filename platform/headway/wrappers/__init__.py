@@ -1,1 +1,1 @@
-"""Wrappers by name: SuperSuit's for any PettingZoo environment, and twins of some for batches of copies."""
+"""Wrappers by name: SuperSuit's for any PettingZoo environment, some also in batched form for native ones."""

@@ -1,4 +1,4 @@
-"""What batched wrappers have in common."""
+"""The base class of batched wrappers."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,13 +10,13 @@ from headway.contracts import BatchedEnv, EnvSpec, Observations, StepResult
 
 
 class BatchWrapper:
-    """A batch of copies around another. This one changes nothing: others change `_begin` and `_advance`.
+    """A batched environment around another one, `inner`. Snapshots work if those of `inner` do.
 
-    Snapshots work where those of the inner environment do.
+    This class changes nothing; subclasses override `_begin` and `_advance`.
     """
 
     def __init__(self, inner: BatchedEnv, spec: EnvSpec | None = None) -> None:
-        """`spec`: the wrapped environment's; None: that of the inner one."""
+        """`spec` describes the wrapped environment; None: same as `inner`."""
         self.inner = inner
         self.inner_observed: Observations | None = None
         """What the inner environment observed last; rules look there."""
@@ -49,15 +49,17 @@ class BatchWrapper:
         self.inner.close()
 
     def _begin(self, observed: Observations) -> Observations:
-        """What is observed where all copies begin, or where an environment without memory goes on."""
+        """Return the observations at the start of all episodes, or after `restore` for a wrapper without
+        state."""
         return observed
 
     def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
+        """Return the result and the observations of a step, given those of `inner`."""
         return outcome, observed
 
 
-class AbsentObserveZeros(BatchWrapper):
-    """Rows of absent agents are zeros, as an absent agent of a ParallelEnv observes, instead of anything."""
+class ZeroAbsentObservations(BatchWrapper):
+    """Sets rows of agents not alive to zero, as a ParallelEnv shows absent agents."""
 
     def __init__(self, inner: BatchedEnv) -> None:
         super().__init__(inner)

@@ -1,4 +1,4 @@
-"""Agents that die stay, observe zeros and are paid nothing until the episode ends."""
+"""Agents that die stay until the episode ends, with observations and rewards of zero."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,12 +10,12 @@ Stepped = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, boo
 
 
 class BlackDeath(BaseParallelWrapper):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
-    """As SuperSuit's black_death_v3, but for the end of an episode.
+    """SuperSuit's black_death_v3, except for the end of an episode.
 
-    SuperSuit 3.11 asks that all agents be terminated and truncated in the same step, which they hardly ever
-    are, so the episode goes on for one more step, of zeros, and then says both (mended in its repository by
-    pull request 265). Here it ends with the last agents' last step: truncated if one of them was truncated,
-    else terminated.
+    SuperSuit 3.11 ends an episode only if all agents are terminated and truncated in the same step, which
+    hardly ever happens: the episode goes on for one more step of zeros and then reports both (fixed in its
+    repository by pull request 265). Here the episode ends with the last agents' last step: truncated if one
+    of them was truncated, else terminated.
     """
 
     def reset(

@@ -1,4 +1,4 @@
-"""The last few observations side by side: SuperSuit's frame_stack_v1 and frame_stack_v2, for batches."""
+"""The last observations side by side: SuperSuit's frame_stack_v1 and frame_stack_v2 in batched form."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +16,7 @@ class FrameStack:
     """Arguments of frame_stack_v1 and frame_stack_v2."""
 
     stack_size: int = 4
-    """Observations side by side, the newest last."""
+    """Number of observations side by side, the newest last."""
     stack_dim: int = -1
     """Axis along which images are stacked, 0 or -1; vectors have one axis only."""
 
@@ -30,9 +30,9 @@ class FrameStack:
 class FrameStackBatch(BatchWrapper):
     """Stacks of F frames: observations (C, N, F x D).
 
-    An episode begins with frames of zeros before its first (frame_stack_v1), or with the first one repeated
-    (frame_stack_v2, `repeat_first`). So does the stream of whoever takes the slot of an agent that ended.
-    Rows of absent agents go in as they are: they must be finite if those agents come back.
+    Frames before the first one of an agent's stream are zeros (frame_stack_v1) or the first one repeated
+    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot. Rows of absent agents are stacked as
+    they are: they must be finite if those agents come back.
     """
 
     def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:
@@ -49,11 +49,11 @@ class FrameStackBatch(BatchWrapper):
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         self.inner_observed = self.inner.restore(snapshot["inner"])
         self._frames[:] = snapshot["frames"]
-        return self._shown(self.inner_observed)
+        return self._stacked(self.inner_observed)
 
     def _begin(self, observed: Observations) -> Observations:
         self._push(observed, np.ones(observed.alive.shape, dtype=np.bool_))
-        return self._shown(observed)
+        return self._stacked(observed)
 
     def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         over = outcome.terminated | outcome.truncated
@@ -62,24 +62,24 @@ class FrameStackBatch(BatchWrapper):
             self._finals[over, -1] = outcome.final_observations[over]
         self._push(observed, over)
         finals = self._finals.reshape(*over.shape, -1)
-        return replace(outcome, final_observations=finals), self._shown(observed)
+        return replace(outcome, final_observations=finals), self._stacked(observed)
 
-    def _push(self, observed: Observations, fresh: NDArray[np.bool_]) -> None:
-        """Take in a frame; `fresh` (C, N): what went before is forgotten."""
+    def _push(self, observed: Observations, beginning: NDArray[np.bool_]) -> None:
+        """Append a frame. Where `beginning` (C, N) is set, overwrite the frames before it."""
         frames = self._frames
         frames[:, :, :-1] = frames[:, :, 1:]
         frames[:, :, -1] = observed.observations
-        if fresh.any():
-            frames[fresh, :-1] = frames[fresh, -1:] if self._repeat_first else 0
+        if beginning.any():
+            frames[beginning, :-1] = frames[beginning, -1:] if self._repeat_first else 0
 
-    def _shown(self, observed: Observations) -> Observations:
+    def _stacked(self, observed: Observations) -> Observations:
         return replace(observed, observations=self._frames.reshape(*observed.alive.shape, -1))
 
 
 def batched_frame_stack(
     repeat_first: bool, arguments: FrameStack, bounds: ObservationBounds
 ) -> BatchedWrapper:
-    """The twin of frame_stack_v1, or with `repeat_first` of frame_stack_v2."""
+    """Return the batched form of frame_stack_v1 or, with `repeat_first`, frame_stack_v2."""
     size = arguments.stack_size
     stacked = replace(bounds, low=np.tile(bounds.low, size), high=np.tile(bounds.high, size))
     return BatchedWrapper(partial(FrameStackBatch, size=size, repeat_first=repeat_first), stacked)

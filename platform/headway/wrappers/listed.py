@@ -16,20 +16,20 @@ class ListedWrapper:
     name: str
     entry: WrapperEntry
     arguments: Any
-    """A record of the entry's `config`."""
+    """A record of class `entry.config`."""
     path: str
-    """The key that names it, for messages."""
+    """Configuration key that names the wrapper, for messages."""
 
     @property
     def mapping(self) -> dict[str, Any]:
-        """As YAML has it, every default spelt out."""
+        """The wrapper as YAML writes it, every default spelt out."""
         return {"name": self.name, **plain(self.arguments)}
 
 
 def listed_wrappers(items: Sequence[Any], path: str = "env.wrappers") -> tuple[ListedWrapper, ...]:
-    """The wrappers of a list, in order: names, or mappings of `name` and arguments.
+    """Return the wrappers of a list in order; items are names, or mappings of `name` and arguments.
 
-    Raises HeadwayError for a name or an argument that does not exist, with the nearest that does.
+    Raises HeadwayError, suggesting the nearest name, for an unknown wrapper or argument.
     """
     return tuple(_listed(item, f"{path}[{index}]") for index, item in enumerate(items))
 

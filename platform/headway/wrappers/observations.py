@@ -1,5 +1,5 @@
-"""Changes of each observation by itself: SuperSuit's agent_indicator_v0, normalize_obs_v0, dtype_v0 and
-flatten_v0, for batches."""
+"""Elementwise changes of observations: SuperSuit's agent_indicator_v0, normalize_obs_v0, dtype_v0 and
+flatten_v0 in batched form."""
 
 import re
 from collections.abc import Callable
@@ -20,8 +20,8 @@ from headway.contracts import (
 from headway.wrappers.batch import BatchWrapper
 
 Floats = NDArray[np.float32]
-_TYPED = re.compile(r"([a-z]+)_[0-9]+.*")
-"""As SuperSuit asks of agents' names for `type_only`."""
+_TYPE_AND_NUMBER = re.compile(r"([a-z]+)_[0-9]+.*")
+"""Form of agents' names that SuperSuit requires for `type_only`."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class AgentIndicator:
     """Arguments of agent_indicator_v0."""
 
     type_only: bool = False
-    """Tell types apart, not agents; names are then written TYPE_NUMBER."""
+    """Indicate the agent's type instead of the agent. Names must then have the form TYPE_NUMBER."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class NormalizeObs:
     """Arguments of normalize_obs_v0."""
 
     env_min: float = 0.0
-    """Where the lower bound of the observation space goes."""
+    """New value of the observation space's lower bound."""
     env_max: float = 1.0
-    """Where the upper bound goes."""
+    """New value of the observation space's upper bound."""
 
     def __post_init__(self) -> None:
         if not self.env_min < self.env_max:
@@ -51,7 +51,7 @@ class DType:
     """Arguments of dtype_v0."""
 
     dtype: str
-    """Name of a numpy type. What agents learn from is float32 in the end."""
+    """Name of a numpy dtype. Batches convert observations back to float32."""
 
     def __post_init__(self) -> None:
         try:
@@ -66,8 +66,11 @@ class NoArguments:
 
 
 class ChangedObservations(BatchWrapper):
-    """`write(observations, place)` fills `place`, (C, N, new size), from observations (C, N, D). Rows of
-    absent agents may hold anything before and after."""
+    """Changes each observation by a function of its values alone.
+
+    `write(observations, out)` fills `out` (C, N, size) from `observations` (C, N, D). Rows of absent agents
+    may hold anything before and after. `write` must be picklable.
+    """
 
     def __init__(self, inner: BatchedEnv, size: int, write: Callable[[Floats, Floats], None]) -> None:
         super().__init__(inner, replace(inner.spec, observation_size=size))
@@ -77,7 +80,7 @@ class ChangedObservations(BatchWrapper):
         self._finals = np.zeros(shape, dtype=np.float32)
 
     def _begin(self, observed: Observations) -> Observations:
-        with np.errstate(all="ignore"):  # whatever absent agents' rows hold
+        with np.errstate(all="ignore"):  # absent agents' rows may hold anything
             self._write(observed.observations, self._observations)
         return replace(observed, observations=self._observations)
 
@@ -90,45 +93,47 @@ class ChangedObservations(BatchWrapper):
 
 @dataclass(frozen=True)
 class _Append:
-    """The same numbers (N, more) at the end of each agent's observation."""
+    """Appends the same numbers, (N, columns), to each agent's observations."""
 
-    more: Floats
+    suffix: Floats
 
-    def __call__(self, observations: Floats, place: Floats) -> None:
+    def __call__(self, observations: Floats, out: Floats) -> None:
         size = observations.shape[-1]
-        place[..., :size] = observations
-        place[..., size:] = self.more
+        out[..., :size] = observations
+        out[..., size:] = self.suffix
 
 
 @dataclass(frozen=True)
 class _Normalize:
-    """In SuperSuit's order of operations, for the same last bit."""
+    """Scales observations to new bounds, in SuperSuit's order of operations for equality to the last bit."""
 
     low: Floats
     size: Floats
     env_min: float
     span: float
 
-    def __call__(self, observations: Floats, place: Floats) -> None:
-        place[...] = (observations - self.low) / self.size * self.span + self.env_min
+    def __call__(self, observations: Floats, out: Floats) -> None:
+        out[...] = (observations - self.low) / self.size * self.span + self.env_min
 
 
 def batched_agent_indicator(arguments: AgentIndicator, bounds: ObservationBounds) -> BatchedWrapper:
-    """The twin of agent_indicator_v0: one-hot, in agents' order; its height is the highest bound of the
-    observations if all are finite, else 1."""
-    kinds = [_kind(agent) if arguments.type_only else agent for agent in bounds.agents]
-    places = {kind: place for place, kind in enumerate(dict.fromkeys(kinds))}
+    """Return the batched form of agent_indicator_v0: one-hot columns in agents' order.
+
+    The value of the hot column is the highest upper bound of the observations if all are finite, else 1.
+    """
+    types = [_agent_type(agent) if arguments.type_only else agent for agent in bounds.agents]
+    columns = {agent_type: column for column, agent_type in enumerate(dict.fromkeys(types))}
     height = 1.0 if np.isinf(bounds.high).any() else bounds.high.max()
-    more = np.zeros((len(kinds), len(places)), dtype=np.float32)
-    more[np.arange(len(kinds)), [places[kind] for kind in kinds]] = height
-    pad = np.full(len(places), bounds.high.min(), dtype=np.float32)
+    suffix = np.zeros((len(types), len(columns)), dtype=np.float32)
+    suffix[np.arange(len(types)), [columns[agent_type] for agent_type in types]] = height
+    pad = np.full(len(columns), bounds.high.min(), dtype=np.float32)
     low, high = np.append(bounds.low, np.zeros_like(pad)), np.append(bounds.high, pad)
-    wrap = partial(ChangedObservations, size=len(low), write=_Append(more))
+    wrap = partial(ChangedObservations, size=len(low), write=_Append(suffix))
     return BatchedWrapper(wrap, replace(bounds, low=low, high=high))
 
 
 def batched_normalize_obs(arguments: NormalizeObs, bounds: ObservationBounds) -> BatchedWrapper:
-    """The twin of normalize_obs_v0. Raises HeadwayError where a bound is not finite."""
+    """Return the batched form of normalize_obs_v0. Raises HeadwayError if a bound is not finite."""
     if not (np.isfinite(bounds.low).all() and np.isfinite(bounds.high).all()):
         raise HeadwayError(
             "normalize_obs_v0 needs finite bounds, and this environment's observations have none; "
@@ -142,19 +147,20 @@ def batched_normalize_obs(arguments: NormalizeObs, bounds: ObservationBounds) ->
 
 
 def batched_dtype(arguments: DType, bounds: ObservationBounds) -> BatchedWrapper | None:
-    """The twin of dtype_v0 to float32, which changes nothing; none for another type."""
+    """Return the batched form of dtype_v0 for float32, which changes nothing; None for another dtype."""
     return unchanged(arguments, bounds) if np.dtype(arguments.dtype) == np.float32 else None
 
 
 def unchanged(arguments: object, bounds: ObservationBounds) -> BatchedWrapper:
-    """The twin of a wrapper that changes nothing here, such as flatten_v0."""
+    """Return the batched form of a wrapper that has no effect here, such as flatten_v0."""
     return BatchedWrapper(BatchWrapper, bounds)
 
 
-def _kind(agent: str) -> str:
-    match = _TYPED.match(agent)
+def _agent_type(agent: str) -> str:
+    match = _TYPE_AND_NUMBER.match(agent)
     if match is None:
         raise HeadwayError(
-            f"agent_indicator_v0: with type_only, agents are called type_number (in lower case), not {agent}"
+            "agent_indicator_v0: with type_only, agents must be called type_number (in lower case), "
+            f"not {agent}"
         )
     return match[1]

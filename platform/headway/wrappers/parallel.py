@@ -1,4 +1,4 @@
-"""Wrappers around a ParallelEnv: applied in order, and tried before anything starts."""
+"""Wrappers around a ParallelEnv, applied in order and tried out before training starts."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -12,20 +12,22 @@ from headway.contracts import HeadwayError, ObservationBounds
 from headway.registry import wrapper_entry
 from headway.wrappers.listed import ListedWrapper
 
-CARRIED = ("alive", "acting", "action_mask", "slot_ended")
-"""What infos hold that PettingZoo has no place for, at any step."""
-_TRIED_STEPS = 5
+_INFO_KEYS = ("alive", "acting", "action_mask", "slot_ended")
+"""Keys of infos that every wrapper must pass on at every step, since PettingZoo has no other place for
+them."""
+_TRIAL_STEPS = 5
 
 
 @dataclass(frozen=True)
 class WrappedParallelEnv:
-    """How to make a ParallelEnv with wrappers around it. Picklable."""
+    """A picklable factory of a ParallelEnv with wrappers around it."""
 
     make: Callable[[Any], Any]
     """An environment entry's `parallel_env`."""
     prepared: Any
+    """Argument of `make`."""
     wrappers: tuple[tuple[str, Mapping[str, Any]], ...]
-    """Names and arguments, the innermost first."""
+    """Names and arguments of the wrappers, the innermost first."""
 
     def __call__(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
         with warnings.catch_warnings():
@@ -40,34 +42,36 @@ class WrappedParallelEnv:
 def wrapped_parallel_env(
     name: str, make: Callable[[Any], Any], prepared: object, wrappers: Sequence[ListedWrapper]
 ) -> WrappedParallelEnv:
-    """Wrap a ParallelEnv, one wrapper after another, and play a few steps after each.
+    """Return a wrapped ParallelEnv's factory, after playing a few steps with each added wrapper.
 
-    Raises HeadwayError, naming the wrapper, where one refuses what it is to wrap, fails, or loses what
-    infos carry.
+    Raises HeadwayError, naming the wrapper, if one rejects what it is to wrap, fails, or drops keys from
+    infos.
     """
     made = WrappedParallelEnv(make, prepared, ())
-    carried = _tried(made, f"environment {name}", "cannot be played")
+    info_keys = _trial_info_keys(made, f"environment {name}", "cannot be played")
     for wrapper in wrappers:
         arguments = {key: value for key, value in wrapper.mapping.items() if key != "name"}
         made = WrappedParallelEnv(make, prepared, (*made.wrappers, (wrapper.name, arguments)))
-        who = f"{wrapper.path}: {wrapper.name}"
-        left = _tried(made, who, f"cannot wrap {name}")
-        if lost := carried - left:
+        subject = f"{wrapper.path}: {wrapper.name}"
+        remaining = _trial_info_keys(made, subject, f"cannot wrap {name}")
+        if lost := info_keys - remaining:
             raise HeadwayError(
-                f"{who} loses {', '.join(sorted(lost))} from the infos of {name}, which says so who is there "
-                "and what is allowed; leave it out"
+                f"{subject} drops {', '.join(sorted(lost))} from the infos of {name}, which report live "
+                "agents and allowed actions there; leave it out"
             )
-        if wrapper.entry.skips_steps and carried & {"alive", "acting"}:
+        if wrapper.entry.skips_steps and info_keys & {"alive", "acting"}:
             raise HeadwayError(
-                f"{who} keeps `acting` of the last of its steps only, and the agents of {name} do not act at "
+                f"{subject} keeps `acting` of the last inner step only, but agents of {name} do not act at "
                 "every step; leave it out"
             )
     return made
 
 
 def bounds_of(env: Any) -> ObservationBounds | None:  # noqa: ANN401 - PettingZoo comes without types
-    """Of a ParallelEnv; None where its agents do not all observe one vector of float32 within the same
-    bounds."""
+    """Return the bounds of a ParallelEnv's observations.
+
+    None unless all agents observe one float32 vector within the same bounds.
+    """
     from gymnasium.spaces import Box
 
     agents = tuple(env.possible_agents)
@@ -80,27 +84,32 @@ def bounds_of(env: Any) -> ObservationBounds | None:  # noqa: ANN401 - PettingZo
     return ObservationBounds(agents, first.low, first.high)
 
 
-def _tried(made: WrappedParallelEnv, who: str, what: str) -> set[str]:
-    """Which of `CARRIED` infos held in the first few steps of random play."""
+def _trial_info_keys(made: WrappedParallelEnv, subject: str, problem: str) -> set[str]:
+    """Return which of `_INFO_KEYS` occur in the infos of a few steps of random play.
+
+    Raises HeadwayError, beginning with `subject` and `problem`, if the environment fails.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             env = replace(made, make=_EndingSlots(made.make))()
             try:
-                return _carried(env)
+                return _info_keys(env)
             finally:
                 env.close()
     except HeadwayError:
         raise
-    except Exception as error:  # anything may go wrong in the code of others
+    except Exception as error:  # third parties' code may raise anything
         reason = str(error).splitlines()[0] if str(error) else "no reason given"
-        raise HeadwayError(f"{who} {what}: {type(error).__name__}: {reason}") from error
+        raise HeadwayError(f"{subject} {problem}: {type(error).__name__}: {reason}") from error
 
 
 @dataclass(frozen=True)
 class _EndingSlots:
-    """A ParallelEnv in which a slot's stream ends at every step wherever agents come and go: in a few steps
-    of play that would hardly happen by itself."""
+    """A ParallelEnv factory in which every slot's stream ends at every step, if agents come and go.
+
+    In the few steps of a trial, `slot_ended` would hardly ever occur otherwise.
+    """
 
     make: Callable[[Any], Any]
 
@@ -119,20 +128,23 @@ class _EndingSlots:
         return Ending(self.make(prepared))
 
 
-def _carried(env: Any) -> set[str]:  # noqa: ANN401 - PettingZoo comes without types
+def _info_keys(env: Any) -> set[str]:  # noqa: ANN401 - PettingZoo comes without types
     _, infos = env.reset(seed=0)
     found: set[str] = set()
     for agent in env.possible_agents:
         env.action_space(agent).seed(0)
-    for _ in range(_TRIED_STEPS):
-        found |= {key for info in infos.values() for key in info if key in CARRIED}
+    for _ in range(_TRIAL_STEPS):
+        found |= {key for info in infos.values() for key in info if key in _INFO_KEYS}
         if not env.agents:
             break
-        *_, infos = env.step({agent: _drawn(env, agent, infos.get(agent, {})) for agent in env.agents})
+        *_, infos = env.step(
+            {agent: _random_action(env, agent, infos.get(agent, {})) for agent in env.agents}
+        )
     return found
 
 
-def _drawn(env: Any, agent: str, info: Mapping[str, Any]) -> Any:  # noqa: ANN401 - an action of any space
+def _random_action(env: Any, agent: str, info: Mapping[str, Any]) -> Any:  # noqa: ANN401 - an action of any space
+    """Return a random action, allowed by the info's action mask if the space is Discrete."""
     from gymnasium.spaces import Discrete
 
     space, mask = env.action_space(agent), info.get("action_mask")

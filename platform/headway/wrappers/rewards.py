@@ -1,5 +1,7 @@
-"""Changes of each reward: SuperSuit's clip_reward_v0, and scale_reward_v0, which SuperSuit has only as a
-function to be written in Python."""
+"""Elementwise changes of rewards: SuperSuit's clip_reward_v0, and Headway's own scale_reward_v0.
+
+SuperSuit scales rewards only by a function written in Python, which YAML cannot hold.
+"""
 
 import math
 from collections.abc import Callable
@@ -24,7 +26,7 @@ class ClipReward:
     """Largest reward, at least 0."""
 
     def __post_init__(self) -> None:
-        # SuperSuit passes a reward on in as many pieces as there are agents, all but one 0, and clips each.
+        # SuperSuit clips a reward in N summands, all but one of them 0.
         if not self.lower_bound <= 0 <= self.upper_bound:
             raise ValueError(
                 f"lower_bound {self.lower_bound} and upper_bound {self.upper_bound} must have 0 between them"
@@ -36,7 +38,7 @@ class ScaleReward:
     """Arguments of scale_reward_v0."""
 
     scale: float
-    """Every reward is multiplied by it."""
+    """Factor of every reward."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.scale):
@@ -44,7 +46,10 @@ class ScaleReward:
 
 
 class ChangedRewards(BatchWrapper):
-    """`change`: rewards (C, N) -> rewards; what is 0 stays 0, so that whoever is away is paid as before."""
+    """Changes each reward by `change`, (C, N) -> (C, N).
+
+    `change` must map 0 to 0, so that absent agents still get 0, and must be picklable.
+    """
 
     def __init__(
         self, inner: BatchedEnv, change: Callable[[NDArray[np.float32]], NDArray[np.floating[Any]]]
@@ -72,23 +77,24 @@ class _Scale:
     scale: float
 
     def __call__(self, rewards: NDArray[np.float32]) -> NDArray[np.floating[Any]]:
-        # In float64, as a ParallelEnv's rewards are multiplied.
+        # In float64, like the Python floats of a ParallelEnv's rewards.
         return np.multiply(rewards, self.scale, dtype=np.float64)
 
 
 def batched_clip_reward(arguments: ClipReward, bounds: ObservationBounds) -> BatchedWrapper:
-    """The twin of clip_reward_v0."""
+    """Return the batched form of clip_reward_v0."""
     clip = _Clip(arguments.lower_bound, arguments.upper_bound)
     return BatchedWrapper(partial(ChangedRewards, change=clip), bounds)
 
 
 def batched_scale_reward(arguments: ScaleReward, bounds: ObservationBounds) -> BatchedWrapper:
-    """The twin of scale_reward_v0."""
+    """Return the batched form of scale_reward_v0."""
     return BatchedWrapper(partial(ChangedRewards, change=_Scale(arguments.scale)), bounds)
 
 
 def scale_reward(env: Any, arguments: ScaleReward) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-    """A ParallelEnv with every reward, as float32 like those of batches, multiplied."""
+    """Return a ParallelEnv with every reward multiplied by `scale`, after rounding to float32 as in
+    batches."""
     import supersuit
 
     return supersuit.reward_lambda_v0(env, lambda reward: float(np.float32(reward)) * arguments.scale)

@@ -26,29 +26,29 @@ from headway.wrappers.rewards import (
 )
 
 _SUMMARIES = {
-    "agent_indicator_v0": "append to each observation which agent observes, one-hot",
-    "black_death_v3": "agents that die stay, observe zeros and are paid nothing",
+    "agent_indicator_v0": "append the agent to its observation, one-hot",
+    "black_death_v3": "agents that die stay, with observations and rewards of zero",
     "clip_actions_v0": "clip Box actions to their bounds",
-    "clip_reward_v0": "clip each reward to two bounds, while learning",
-    "color_reduction_v0": "images: one colour, or grey",
-    "delay_observations_v0": "observe what was so many steps ago",
+    "clip_reward_v0": "clip each reward to two bounds, in training only",
+    "color_reduction_v0": "images: one colour channel, or greyscale",
+    "delay_observations_v0": "observations from some steps ago",
     "dtype_v0": "observations as another numpy type",
     "flatten_v0": "observations as vectors",
     "frame_skip_v0": "repeat each action for some steps",
-    "frame_stack_v1": "the last observations side by side, zeros before the first",
-    "frame_stack_v2": "the last observations side by side, the first one repeated",
+    "frame_stack_v1": "the last observations side by side; zeros before the first",
+    "frame_stack_v2": "the last observations side by side; the first repeated before it",
     "max_observation_v0": "the maximum of the last observations",
     "nan_noop_v0": "a given action in place of NaN",
     "nan_random_v0": "a random action in place of NaN",
     "nan_zeros_v0": "zeros in place of a NaN action",
     "normalize_obs_v0": "observations scaled by the bounds of their space",
-    "pad_action_space_v0": "Discrete or Box actions as many as the richest agent's",
-    "pad_observations_v0": "observations padded with zeros to the longest agent's",
+    "pad_action_space_v0": "Discrete or Box actions padded to the largest action space",
+    "pad_observations_v0": "observations padded with zeros to the longest",
     "reshape_v0": "observations in another shape",
     "resize_v1": "images in another size",
     "scale_actions_v0": "Box actions multiplied",
-    "scale_reward_v0": "each reward multiplied, while learning (Headway's own)",
-    "sticky_actions_v0": "the action before is repeated with some probability",
+    "scale_reward_v0": "each reward multiplied by a factor, in training only (Headway's own)",
+    "sticky_actions_v0": "the previous action is repeated with some probability",
 }
 _ONLY_REWARDS = ("clip_reward_v0",)
 _SKIP_STEPS = ("frame_skip_v0",)
@@ -63,20 +63,20 @@ _BATCHED: Mapping[str, Batched] = {
     "frame_stack_v2": (FrameStack, partial(batched_frame_stack, True)),
     "normalize_obs_v0": (NormalizeObs, batched_normalize_obs),
 }
-"""Arguments, typed, and the twin for batches."""
+"""Argument record and batched form of the wrappers that have one."""
 _NOT_FROM_YAML = ("_lambda_v", "vec_env_v", "vec_envs_v", "vectorize_")
 
 
 def supersuit_names() -> tuple[str, ...]:
-    """Every versioned name of SuperSuit, those that YAML cannot use included. SuperSuit's `__getattr__`
-    raises ImportError for unknown names, `hasattr` included, so they are looked up in its dictionary."""
+    """Return every versioned name of SuperSuit, including those that YAML cannot use."""
     import supersuit
 
+    # Not by `hasattr`: SuperSuit's `__getattr__` raises ImportError for unknown names.
     return tuple(sorted(name for name in vars(supersuit) if name.rpartition("_v")[2].isdigit()))
 
 
 def why_not(name: str) -> str | None:
-    """Why YAML cannot use this wrapper of SuperSuit; None where it can."""
+    """Return the reason why YAML cannot use this wrapper of SuperSuit; None if it can."""
     if "_lambda_v" in name:
         return (
             "it takes Python functions, which YAML cannot hold; register a wrapper of your own by entry "
@@ -89,7 +89,7 @@ def why_not(name: str) -> str | None:
 
 @cache
 def supersuit_entries() -> Mapping[str, WrapperEntry]:
-    """SuperSuit's wrappers by name, and scale_reward_v0."""
+    """Return SuperSuit's wrappers by name, and scale_reward_v0."""
     entries = {name: _entry(name) for name in supersuit_names() if why_not(name) is None}
     entries["scale_reward_v0"] = WrapperEntry(
         _SUMMARIES["scale_reward_v0"], ScaleReward, scale_reward, batched_scale_reward, only_rewards=True
@@ -100,7 +100,7 @@ def supersuit_entries() -> Mapping[str, WrapperEntry]:
 def _entry(name: str) -> WrapperEntry:
     record, batched = _BATCHED.get(name, (None, None))
     if record is None:
-        record = argument_record("Arguments", _described(name), first=1)
+        record = argument_record("Arguments", _signature_source(name), first=1)
     return WrapperEntry(
         summary=_SUMMARIES.get(name, "a wrapper of SuperSuit"),
         config=record,
@@ -112,8 +112,11 @@ def _entry(name: str) -> WrapperEntry:
     )
 
 
-def _described(name: str) -> Callable[..., Any]:
-    """Whose signature tells a wrapper's arguments: some are choosers between two classes."""
+def _signature_source(name: str) -> Callable[..., Any]:
+    """Return the callable whose signature lists a wrapper's arguments.
+
+    Some of SuperSuit's names choose between an AEC and a parallel class; they take any arguments themselves.
+    """
     import supersuit
 
     wrapper = vars(supersuit)[name]
@@ -129,9 +132,9 @@ def _wrap(name: str, env: Any, arguments: Any) -> Any:  # noqa: ANN401 - Petting
 
         return BlackDeath(env)
     if name == "delay_observations_v0":
-        from headway.wrappers.kept_observations import KeptObservations
+        from headway.wrappers.copied_observations import CopiedObservations
 
-        env = KeptObservations(env)
+        env = CopiedObservations(env)
     import supersuit
 
     given = {key: as_tuples(value) for key, value in vars(arguments).items()}

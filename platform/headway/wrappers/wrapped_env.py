@@ -1,8 +1,8 @@
-"""An environment entry with wrappers around it.
+"""Environment entries with wrappers around them.
 
-Wrappers are applied in order. From the end of the list forward, those that have twins are applied to batches
-of copies; where all have, a native environment stays native. The last that has none, and all before it, are
-applied to the environment's ParallelEnv, and the adapter makes a batch of that.
+Wrappers are applied in the order of the list. All up to and including the last one without a batched form are
+applied to the environment's ParallelEnv, which the adapter then turns into a batch; the others are applied to
+batches. If all have a batched form, a native environment stays native.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,76 +28,82 @@ from headway.contracts import (
     Rule,
     RuleEntry,
 )
-from headway.wrappers.batch import AbsentObserveZeros
+from headway.wrappers.batch import ZeroAbsentObservations
 from headway.wrappers.listed import ListedWrapper
 from headway.wrappers.parallel import WrappedParallelEnv, bounds_of, wrapped_parallel_env
 
 
 @dataclass(frozen=True)
 class Wrapped:
-    """What all copies of a wrapped environment share. Picklable."""
+    """Data that all copies of a wrapped environment share. Picklable."""
 
     name: str
+    """Name of the environment, for messages."""
     prepared: Any
-    """What the environment's own `prepare` gave."""
+    """Result of the environment's own `prepare`."""
     make: Callable[[Any, int], BatchedEnv]
     """The environment's own `make`."""
     parallel: WrappedParallelEnv | None
-    """The ParallelEnv with the wrappers that have no twin; None where all have: `make` is used."""
+    """Factory of the ParallelEnv with the wrappers that are applied to it; None: all are batched and `make`
+    is used."""
     options: AdapterOptions | None
+    """How the ParallelEnv is adapted; None if `parallel` is."""
     batched: tuple[BatchedWrapper, ...]
-    """Twins, the innermost first."""
+    """Batched wrappers, the innermost first."""
     shows_native: bool = True
-    """Rules can look behind the wrappers."""
+    """Rules can inspect the environment behind the wrappers."""
     notices: tuple[str, ...] = ()
     """Lines for the user."""
 
     def batch(self, copies: int) -> BatchedEnv:
-        """The wrapped environment."""
+        """Return the wrapped environment."""
         if self.parallel is None or self.options is None:
             env = self.make(self.prepared, copies)
         else:
             env = self.options.adapt(self.parallel, copies, self.name)
         if env.spec.agents_come_and_go and not isinstance(env, ParallelEnvBatch):
-            env = AbsentObserveZeros(env)
+            env = ZeroAbsentObservations(env)
         for wrapper in self.batched:
             env = wrapper.wrap(env)
         return env
 
 
 def make_wrapped(wrapped: Wrapped, copies: int) -> BatchedEnv:
-    """The wrapped entry's `make`."""
+    """Return the wrapped environment: `EnvEntry.make` of wrapped entries, at the top level so that it
+    pickles."""
     return wrapped.batch(copies)
 
 
 def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper]) -> EnvEntry:
-    """The entry of an environment with wrappers around it, the first of the list innermost.
+    """Return the entry of an environment with wrappers around it, the first of the list innermost.
 
-    The environment's own rules look behind the wrappers: they see the environment and the observations
-    that it gives, and play the wrapped game. Behind a wrapper that changes what actions mean only `random`
-    is left, which plays the wrapped environment.
+    The environment's own rules inspect the environment and its unwrapped observations while playing the
+    wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
+    wrapped environment.
     """
     rules = {"random": entry.rules["random"]} if _any_changes_actions(wrappers) else entry.rules
-    beside = entry.prepare_beside
+    prepare_variant = entry.prepare_variant
     return replace(
         entry,
         make=make_wrapped,
         prepare=lambda config: _prepare(name, entry, tuple(wrappers), entry.prepare(config)),
-        prepare_beside=None if beside is None else _prepare_beside(name, entry, tuple(wrappers), beside),
+        prepare_variant=None
+        if prepare_variant is None
+        else _prepare_variant(name, entry, tuple(wrappers), prepare_variant),
         parallel_env=None,
-        rules={rule: _behind(rule, own) for rule, own in rules.items()},
+        rules={rule: _rule_behind(rule, own) for rule, own in rules.items()},
         renderer=None if entry.renderer is None else _renderer_behind(entry.renderer),
     )
 
 
-def _prepare_beside(
+def _prepare_variant(
     name: str,
     entry: EnvEntry,
     wrappers: tuple[ListedWrapper, ...],
-    beside: Callable[[Any, Any], Any],
+    prepare_variant: Callable[[Any, Any], Any],
 ) -> Callable[[Any, Wrapped], Wrapped]:
-    """The wrapped entry's, from the entry's own."""
-    return lambda config, other: _prepare(name, entry, wrappers, beside(config, other.prepared))
+    """Return the wrapped entry's `prepare_variant`, given that of the entry."""
+    return lambda config, other: _prepare(name, entry, wrappers, prepare_variant(config, other.prepared))
 
 
 def _renderer_behind(make: Callable[[Any], Renderer]) -> Callable[[Wrapped], Renderer]:
@@ -105,13 +111,19 @@ def _renderer_behind(make: Callable[[Any], Renderer]) -> Callable[[Wrapped], Ren
 
 
 def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
-    """The environment itself, of a ParallelEnv the batch of one copy behind the first, where it has one."""
+    """Return the environment inside all wrappers.
+
+    For a ParallelEnv with a native batch behind it, return that batch of one copy, of the first copy.
+    """
     inner, _ = _innermost(env, None)
     return _natives(inner)[0][0] if _shows_native(inner) else inner
 
 
 def _innermost(env: BatchedEnv, observed: Observations | None) -> tuple[BatchedEnv, Observations | None]:
-    """What the batched wrappers are around, and what that observed last, where `env` observed `observed`."""
+    """Return the environment inside the batched wrappers and its last observations.
+
+    Without wrappers these are `env` and `observed` themselves.
+    """
     inner: Any = env
     while hasattr(inner, "inner"):
         observed, inner = inner.inner_observed, inner.inner
@@ -127,7 +139,7 @@ def _has_native(parallel_env: Any) -> bool:  # noqa: ANN401 - PettingZoo comes w
 
 
 def _natives(env: ParallelEnvBatch) -> list[tuple[BatchedEnv, Observations]]:
-    """Of each copy, the batch of one behind its ParallelEnv, and what that observed last."""
+    """Return, per copy, the batch of one copy behind its ParallelEnv and that batch's last observations."""
     return [one.unwrapped.native for one in env.parallel_envs]
 
 
@@ -139,36 +151,39 @@ def _prepare(
     name: str,
     entry: EnvEntry,
     wrappers: tuple[ListedWrapper, ...],
-    prepared: Any,  # noqa: ANN401 - the entry's
+    prepared: Any,  # noqa: ANN401 - the entry's own type
 ) -> Wrapped:
-    """Raises HeadwayError where a wrapper cannot be applied."""
-    bounds = _first_bounds(name, entry, prepared) if wrappers else None
-    parallel, culprit, shows_native = None, "", True
+    """Apply the wrappers. Raises HeadwayError if one cannot be applied."""
+    bounds = _native_bounds(name, entry, prepared) if wrappers else None
+    parallel, unbatched, shows_native = None, "", True
     batched: list[BatchedWrapper] = []
     for index, wrapper in enumerate(wrappers):
-        twin = _twin(wrapper, bounds)
-        if twin is not None:
-            batched.append(twin)
-            bounds = twin.bounds
+        form = _batched_form(wrapper, bounds)
+        if form is not None:
+            batched.append(form)
+            bounds = form.bounds
             continue
         if entry.parallel_env is None:
             raise HeadwayError(
-                f"{wrapper.path}: {wrapper.name} has no batched form, and {name} no ParallelEnv that "
-                "SuperSuit could wrap; leave it out"
+                f"{wrapper.path}: {wrapper.name} has no batched form, and {name} no ParallelEnv for "
+                "SuperSuit to wrap; leave it out"
             )
-        culprit, batched = wrapper.name, []
+        unbatched, batched = wrapper.name, []
         parallel = wrapped_parallel_env(name, entry.parallel_env, prepared, wrappers[: index + 1])
         env = parallel()
         bounds, shows_native = bounds_of(env), _has_native(env)
         env.close()
     if parallel is None:
         return Wrapped(name, prepared, entry.make, None, None, tuple(batched))
-    options, notices = _adapting(name, entry, prepared, culprit)
+    options, notices = _adapter_options(name, entry, prepared, unbatched)
     return Wrapped(name, prepared, entry.make, parallel, options, tuple(batched), shows_native, notices)
 
 
-def _first_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBounds | None:
-    """Of the environment itself; none are known of one that has no ParallelEnv."""
+def _native_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBounds | None:
+    """Return the bounds of the unwrapped environment's observations.
+
+    Infinite if it has no ParallelEnv to ask; None if its agents do not observe one vector alike.
+    """
     if entry.parallel_env is None:
         env = entry.make(prepared, 1)
         spec = env.spec
@@ -181,7 +196,7 @@ def _first_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBo
     return bounds
 
 
-def _twin(wrapper: ListedWrapper, bounds: ObservationBounds | None) -> BatchedWrapper | None:
+def _batched_form(wrapper: ListedWrapper, bounds: ObservationBounds | None) -> BatchedWrapper | None:
     if wrapper.entry.batched is None or bounds is None:
         return None
     try:
@@ -190,21 +205,21 @@ def _twin(wrapper: ListedWrapper, bounds: ObservationBounds | None) -> BatchedWr
         raise HeadwayError(f"{wrapper.path}: {error}") from error
 
 
-def _adapting(
-    name: str, entry: EnvEntry, prepared: object, culprit: str
+def _adapter_options(
+    name: str, entry: EnvEntry, prepared: object, unbatched: str
 ) -> tuple[AdapterOptions, tuple[str, ...]]:
-    """How the wrapped ParallelEnv is adapted, and what the user is told."""
+    """Return how the wrapped ParallelEnv is adapted, and the lines for the user."""
     if isinstance(prepared, ModuleEnv):
         return prepared.options, ()
     env = entry.make(prepared, 1)
     spec = env.spec
     env.close()
     lost = "; it has no snapshots: episodes start anew on resume" if spec.snapshots else ""
-    line = f"{culprit} has no batched form: {name} is played as a ParallelEnv, one copy after another{lost}"
-    return _options(spec), (line,)
+    line = f"{unbatched} has no batched form: {name} is played as a ParallelEnv, one copy after another{lost}"
+    return _options_of(spec), (line,)
 
 
-def _options(spec: EnvSpec) -> AdapterOptions:
+def _options_of(spec: EnvSpec) -> AdapterOptions:
     return AdapterOptions(
         shared_reward=spec.shared_reward,
         groups=spec.groups,
@@ -214,7 +229,7 @@ def _options(spec: EnvSpec) -> AdapterOptions:
     )
 
 
-def _behind(name: str, own: RuleEntry) -> RuleEntry:
+def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:
     def make_behind(wrapped: Wrapped) -> Rule:
         rule = own.make(wrapped.prepared)
         if not (wrapped.shows_native or isinstance(rule, RandomRule)):
@@ -232,16 +247,17 @@ class RuleBehindWrappers:
     """A rule of an environment that has wrappers around it."""
 
     rule: Rule
+    """The environment's own rule."""
     through_parallel_env: bool
-    """Between the wrappers and what the rule looks into is a ParallelEnv."""
+    """The rule inspects a native batch behind a ParallelEnv."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
-        """As the rule does, given the environment behind the wrappers and what that observed last."""
+        """Return the rule's actions, given the environment behind the wrappers and its last observations."""
         if isinstance(self.rule, RandomRule):
             return self.rule.act(env, observed)
-        inner, seen = _innermost(env, observed)
+        inner, inner_observed = _innermost(env, observed)
         if not self.through_parallel_env:
-            assert seen is not None
-            return self.rule.act(inner, seen)
+            assert inner_observed is not None
+            return self.rule.act(inner, inner_observed)
         assert isinstance(inner, ParallelEnvBatch)
         return np.concatenate([self.rule.act(*native) for native in _natives(inner)])

@@ -328,4 +328,6 @@ def test_what_is_kept_beside_a_checkpoint_is_foretold(
     for iteration in range(iterations):
         learner._remember(fabricate(spec, 12, 2, seed=iteration))
     real = sum(array.nbytes for array in learner.experience()["memory"]["arrays"].values())
-    assert real == pytest.approx(ENTRIES[config.name].kept_bytes(config, spec, iterations * steps), rel=0.15)
+    assert real == pytest.approx(
+        ENTRIES[config.name].replay_bytes(config, spec, iterations * steps), rel=0.15
+    )

@@ -146,7 +146,7 @@ def test_a_wrapper_that_loses_what_infos_carry_is_refused(
     entry = wrapped_entry("visitors", ENTRIES["visitors"], [dropping])
     lost = request.node.callspec.params["dropping"]
     with pytest.raises(
-        HeadwayError, match=rf"env.wrappers\[0\]: dropping_v0 loses {lost} from the infos of vis"
+        HeadwayError, match=rf"env.wrappers\[0\]: dropping_v0 drops {lost} from the infos of vis"
     ):
         entry.prepare(ENTRIES["visitors"].config())
 

@@ -1,4 +1,4 @@
-"""Observations that stay as they were when they were given."""
+"""Observations that keep their values after later steps."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,9 +7,11 @@ import numpy as np
 from pettingzoo.utils import BaseParallelWrapper
 
 
-class KeptObservations(BaseParallelWrapper):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
-    """Gives copies. SuperSuit's frame stack, and many an environment, write each observation over the one
-    before; whoever keeps observations, as its delay_observations_v0 does, would keep the newest many times.
+class CopiedObservations(BaseParallelWrapper):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
+    """Returns copies of all observations.
+
+    SuperSuit's frame stack and many environments overwrite the previous observation in place. A wrapper that
+    stores observations, such as delay_observations_v0, would then store the newest one several times.
     """
 
     def reset(
