@@ -43,6 +43,7 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
         training = _module_entry(config, {**config.args, **config.training_args})
     if not config.wrappers:
         return ChosenEnv(entry, training, options)
+    # Imported here: they import Gymnasium, which most runs without wrappers do not need.
     from headway.wrappers.listed import listed_wrappers
     from headway.wrappers.wrapped_env import wrapped_entry
 

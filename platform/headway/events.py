@@ -76,6 +76,7 @@ class CheckpointSaved:
     """Everything up to `iteration` is durable in the run folders."""
 
     iteration: int
+    """Last iteration in the checkpoint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,7 @@ class Finished:
     """Last event of a job that ended normally."""
 
     iteration: int
+    """Last finished iteration."""
     stopped: bool
     """The job was asked to stop before its budget was used."""
     usage: Usage | None = None

@@ -70,6 +70,7 @@ def _depends_on_pettingzoo(package: str, origin: str) -> bool:
 
 
 def _provides(distribution: importlib.metadata.Distribution, package: str, origin: str) -> bool:
+    """Return whether a distribution contains the package; `origin` is the package's file."""
     if any(file.parts[0] in (package, f"{package}.py") for file in distribution.files or ()):
         return True
     # Editable: its files are not listed, its folder is.

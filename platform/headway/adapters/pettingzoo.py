@@ -233,6 +233,7 @@ class ParallelEnvBatch:
         self._write_observations(copy, observations)
         self._outcome.rewards[copy] = self._slot_rewards(rewards, live)
         ended = False
+        # Fast path of most steps: no stream ended and every agent is in `env.agents`.
         if (
             live is None
             and len(env.agents) == len(agents)
@@ -254,6 +255,7 @@ class ParallelEnvBatch:
     def _write_observations(self, copy: int, observations: Mapping[str, Any]) -> None:
         rows, agents = self._observed.observations[copy], self._spec.agents
         try:
+            # One call takes a third to two thirds of the time of N assignments.
             if self._flat and len(observations) == len(agents):
                 np.concatenate([observations[agent] for agent in agents], out=rows.reshape(-1))
                 return

@@ -129,6 +129,7 @@ def assert_same(one: Recording, other: Recording) -> None:
 
 
 def _between(trajectory: Trajectory, spec: EnvSpec, first: int, last: int) -> Trajectory:
+    """Return steps first to last - 1 of a trajectory, with the observations that follow."""
     names = TrajectoryLayout(spec, steps=1, copies=1).arrays
     return Trajectory(
         **{name: getattr(trajectory, name)[first : last + 1 if name in _OBSERVED else last] for name in names}
@@ -159,7 +160,8 @@ def _store_observed(track: Trajectory, step: int, observed: Observations) -> Non
         assert observed.action_masks is None, "there are action masks that the spec does not declare"
 
 
-def _store(place: NDArray[Any], value: NDArray[Any], name: str) -> None:
-    assert value.dtype == place.dtype, f"{name} is {value.dtype}, not {place.dtype}"
-    assert value.shape == place.shape, f"{name} has shape {value.shape}, not {place.shape}"
-    place[...] = value
+def _store(out: NDArray[Any], value: NDArray[Any], name: str) -> None:
+    """Copy `value` to `out`. Raises AssertionError if shape or dtype differ."""
+    assert value.dtype == out.dtype, f"{name} is {value.dtype}, not {out.dtype}"
+    assert value.shape == out.shape, f"{name} has shape {value.shape}, not {out.shape}"
+    out[...] = value

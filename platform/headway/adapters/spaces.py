@@ -93,6 +93,7 @@ def _require_equal(
     equal: Callable[[Space, Space], bool],
     wrapper: str,
 ) -> None:
+    """Raise HeadwayError, naming agents and a wrapper as remedy, if spaces differ between agents."""
     groups: list[tuple[Space, list[str]]] = []
     for agent, space in by_agent.items():
         agents = next((agents for known, agents in groups if equal(known, space)), None)

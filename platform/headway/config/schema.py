@@ -303,6 +303,7 @@ def _number_hint(text: str, wanted: str) -> str:
 
 
 def _show(value: object) -> str:
+    """Return a value as YAML writes it, shortened for a message."""
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -138,7 +138,7 @@ class BatchedEnv(Protocol):
         """
         ...
 
-    def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the engine
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the platform
         """Return a value from which `restore` continues bit for bit.
 
         A checkpoint must be able to hold it: numpy arrays and scalars, numbers, strings, bytes, None, and

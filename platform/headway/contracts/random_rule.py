@@ -30,6 +30,7 @@ class RandomRule:
             case Discrete(n=n):
                 score = draw.random((*shape, n))
                 if observed.action_masks is not None:
+                    # Draws are at least 0, so -1 loses against every allowed action.
                     score = np.where(observed.action_masks, score, -1.0)
                 actions: NDArray[Any] = score.argmax(axis=-1)
                 return actions

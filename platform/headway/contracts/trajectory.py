@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from headway.contracts.environment import EnvSpec
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 
-_ALIGNMENT = 64
+_ALIGNMENT = 64  # bytes, a cache line
 
 
 @dataclass(frozen=True)

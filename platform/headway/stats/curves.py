@@ -68,6 +68,7 @@ def value_range(curves: Iterable[ArrayLike]) -> tuple[float, float]:
 
 
 def _curve(env_steps: ArrayLike, values: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return steps and values, checked, shape (points,) each."""
     steps, curve = as_sample(env_steps, "env_steps"), as_sample(values, "values")
     if steps.shape != curve.shape:
         raise ValueError(

@@ -105,15 +105,15 @@ def summary(scores: pd.DataFrame) -> pd.DataFrame:
     """
     rows = []
     for controller, of_controller in scores.groupby("controller", sort=False):
-        figures = mean_std(of_controller["score"].to_numpy())
+        statistics = mean_std(of_controller["score"].to_numpy())
         tasks = list(_by_task(of_controller).values())
         interval, known = stratified_bootstrap_interval(tasks), _several_runs(tasks)
         rows.append(
             {
                 "controller": controller,
-                "runs": figures.count,
-                "mean": figures.mean,
-                "std": figures.std,
+                "runs": statistics.count,
+                "mean": statistics.mean,
+                "std": statistics.std,
                 "iqm": interval.estimate,
                 "iqm_low": interval.low if known else np.nan,
                 "iqm_high": interval.high if known else np.nan,
@@ -199,8 +199,8 @@ def costs(summaries: pd.DataFrame) -> pd.DataFrame:
     without an energy measurement are left out. Unknown values are NaN, never 0; CO2 is NaN unless it is known
     for every such run.
     """
-    whole = summaries.reindex(columns=["task", "controller", *_COSTS])
-    measured = whole[whole["kwh"].notna()].astype(dict.fromkeys(_COSTS, np.float64))
+    selected = summaries.reindex(columns=["task", "controller", *_COSTS])
+    measured = selected[selected["kwh"].notna()].astype(dict.fromkeys(_COSTS, np.float64))
     grouped = measured.groupby(["task", "controller"], sort=False)
     deviations = grouped[list(_COSTS)].std(ddof=1).add_suffix("_std")
     found = grouped[list(_COSTS)].mean().join(deviations).assign(runs=grouped.size())

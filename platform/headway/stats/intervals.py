@@ -12,13 +12,13 @@ from headway.stats.samples import CONFIDENCE, Interval, as_sample, check_confide
 
 
 def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Return the mean of a - b with its interval by Student's t over evaluation days.
+    """Return the mean of a - b with its interval by Student's t over evaluation episodes.
 
-    `a` and `b` have shape (days,), entry j from evaluation day j. Raises ValueError for fewer than two days,
-    different shapes, values that are not finite, or a confidence outside (0, 1).
+    `a` and `b` have shape (episodes,), entry j from evaluation episode j. Raises ValueError for fewer than
+    two episodes, different shapes, values that are not finite, or a confidence outside (0, 1).
     """
     mean, half = mean_and_half_width(_differences(a, b, 1), confidence)
-    return Interval(float(mean), float(mean - half), float(mean + half), confidence, "t over days")
+    return Interval(float(mean), float(mean - half), float(mean + half), confidence, "t over episodes")
 
 
 def mean_and_half_width(
@@ -37,32 +37,32 @@ def mean_and_half_width(
 
 
 def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Return the mean of a - b with an interval that covers both training seeds and evaluation days.
+    """Return the mean of a - b with an interval over both training seeds and evaluation episodes.
 
-    `a` and `b` have shape (seeds, days), entry (i, j) from training seed i on evaluation day j. The
-    interval's half width is the root of the sum of the squared half widths of Student's t over seeds and over
-    days (Banerjee 1961).
+    `a` and `b` have shape (seeds, episodes), entry (i, j) from training seed i on evaluation episode j. The
+    half width is the root of the sum of the squared half widths of Student's t over seeds and over episodes
+    (Banerjee 1961).
 
-    Why: all seeds are evaluated on the same days, so entries are not independent. With variances s2 of seeds,
-    d2 of days and e2 of the rest, the mean over S seeds and D days has variance s2/S + d2/D + e2/(S D). The
-    sample variances of the seeds' means and of the days' means estimate s2 + e2/D and d2 + e2/S,
-    independently of each other. For normal effects the sum covers at least as often as stated, whatever share
-    of the variance each part has. A single t with pooled degrees of freedom (Satterthwaite) covers too rarely
-    with two seeds, and the bootstrap over both axes with few of either.
+    Why: all seeds are evaluated on the same episodes, so entries are not independent. With variances s2 of
+    seeds, d2 of episodes and e2 of the rest, the mean over S seeds and D episodes has variance s2/S + d2/D +
+    e2/(S D). The sample variances of the seeds' means and of the episodes' means estimate s2 + e2/D and d2 +
+    e2/S, independently of each other. For normal effects the sum covers at least as often as stated, whatever
+    share of the variance each part has. A single t with pooled degrees of freedom (Satterthwaite) covers too
+    rarely with two seeds, and the bootstrap over both axes with few of either.
 
     Limits: the interval is somewhat too wide, since e2/(S D) counts twice, and two seeds alone give 12.7
     standard errors. It cannot account for failures that did not occur: if one seed in four fails, five seeds
     are often all good, and in simulation only three intervals in four contained the true value.
 
-    Raises ValueError for fewer than two seeds or two days, different shapes, values that are not finite, or a
-    confidence outside (0, 1).
+    Raises ValueError for fewer than two seeds or two episodes, different shapes, values that are not finite,
+    or a confidence outside (0, 1).
     """
     difference = _differences(a, b, 2)
     mean = float(difference.mean())
     _, of_seeds = mean_and_half_width(difference.mean(axis=1), confidence)
-    _, of_days = mean_and_half_width(difference.mean(axis=0), confidence)
-    half = float(np.hypot(of_seeds, of_days))
-    return Interval(mean, mean - half, mean + half, confidence, "t over seeds and days")
+    _, of_episodes = mean_and_half_width(difference.mean(axis=0), confidence)
+    half = float(np.hypot(of_seeds, of_episodes))
+    return Interval(mean, mean - half, mean + half, confidence, "t over seeds and episodes")
 
 
 def difference_of_means(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
@@ -89,11 +89,14 @@ def difference_of_means(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDEN
 
 
 def _differences(a: ArrayLike, b: ArrayLike, axes: int) -> NDArray[np.float64]:
+    """Return a - b, checked for shape, size and finite values."""
     left, right = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if left.shape != right.shape or left.ndim != axes:
         raise ValueError(f"a {left.shape} and b {right.shape} must have the same shape, of {axes} axes")
     if min(left.shape) < 2:
-        raise ValueError(f"an interval needs at least two {'days' if axes == 1 else 'seeds and two days'}")
+        raise ValueError(
+            f"an interval needs at least two {'episodes' if axes == 1 else 'seeds and two episodes'}"
+        )
     difference: NDArray[np.float64] = left - right
     if not np.isfinite(difference).all():
         raise ValueError("a and b must be finite")

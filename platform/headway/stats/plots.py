@@ -188,9 +188,9 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
         else:
             axes.plot([], [], label=f"rule {rule} (off scale: {_four_digits(value)})", **style)
     if near and not upright and not axes.get_autoscaley_on():
-        shown = [rules[rule] for rule in near]
-        edge = 0.05 * (max(high, *shown) - min(low, *shown))
-        axes.set_ylim(min(low, min(shown) - edge), max(high, max(shown) + edge))
+        drawn = [rules[rule] for rule in near]
+        edge = 0.05 * (max(high, *drawn) - min(low, *drawn))
+        axes.set_ylim(min(low, min(drawn) - edge), max(high, max(drawn) + edge))
 
 
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:

@@ -27,7 +27,7 @@ class Interval:
     high: float
     confidence: float
     method: str
-    """Method of the interval, and what it averages over: `t over days`."""
+    """Method of the interval, and what it averages over: `t over episodes`."""
 
     @property
     def excludes_zero(self) -> bool:

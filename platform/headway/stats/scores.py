@@ -85,6 +85,7 @@ def probability_of_improvement(
     generator = np.random.default_rng(seed)
     estimates, drawn = [], []
     for ours, theirs in zip(left, right, strict=True):
+        # (runs of a, runs of b): 1 for a win of a, 0.5 for a tie, 0 for a loss.
         wins = (np.sign(ours[:, None] - theirs) + 1) / 2
         rows = _draw(generator, len(ours), resamples)
         columns = _draw(generator, len(theirs), resamples)
@@ -135,6 +136,7 @@ def sample_efficiency(
     generator = np.random.default_rng(seed)
     drawn = [_draw(generator, len(task), resamples) for task in tasks]
     everything = np.concatenate(tasks)
+    # Point by point: all points at once would need resamples x runs x points numbers.
     resampled = np.stack(
         [
             _trimmed(
@@ -159,6 +161,7 @@ def normalised(score: ArrayLike, random: float, best: float) -> NDArray[np.float
 
 
 def _trimmed(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the interquartile mean along the last axis."""
     count = scores.shape[-1]
     cut = count // 4
     middle: NDArray[np.float64] = np.sort(scores, axis=-1)[..., cut : count - cut].mean(axis=-1)
@@ -166,17 +169,20 @@ def _trimmed(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _tasks(scores: Sequence[ArrayLike], name: str) -> list[NDArray[np.float64]]:
+    """Return each task's scores, checked; `name` is used in messages."""
     if not len(scores):
         raise ValueError(f"{name} must hold at least one task")
     return [as_sample(task, f"{name}[{index}]") for index, task in enumerate(scores)]
 
 
 def _draw(generator: np.random.Generator, runs: int, resamples: int) -> NDArray[np.int64]:
+    """Draw run indices with replacement, shape (resamples, runs)."""
     return generator.integers(0, runs, (resamples, runs))
 
 
 def _percentiles(
     resampled: NDArray[np.float64], confidence: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the ends of the percentile interval along axis 0, the resamples."""
     low, high = np.quantile(resampled, [(1 - confidence) / 2, (1 + confidence) / 2], axis=0)
     return low, high

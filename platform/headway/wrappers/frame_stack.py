@@ -57,6 +57,7 @@ class FrameStackBatch(BatchWrapper):
 
     def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
         over = outcome.terminated | outcome.truncated
+        # Before `_push`: `observed` already belongs to the next episode where one ended.
         if over.any():
             self._finals[over, :-1] = self._frames[over, 1:]
             self._finals[over, -1] = outcome.final_observations[over]

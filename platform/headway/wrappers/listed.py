@@ -35,6 +35,7 @@ def listed_wrappers(items: Sequence[Any], path: str = "env.wrappers") -> tuple[L
 
 
 def _listed(item: Any, path: str) -> ListedWrapper:  # noqa: ANN401 - whatever YAML holds
+    """Return one item of the list, validated; `path` is its key."""
     arguments = {"name": item} if isinstance(item, str) else item
     if not isinstance(arguments, Mapping) or not isinstance(arguments.get("name"), str):
         raise HeadwayError(

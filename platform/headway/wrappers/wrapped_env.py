@@ -131,6 +131,7 @@ def _innermost(env: BatchedEnv, observed: Observations | None) -> tuple[BatchedE
 
 
 def _shows_native(env: BatchedEnv) -> TypeGuard[ParallelEnvBatch]:
+    """Return whether rules can inspect a native batch behind the ParallelEnv."""
     return isinstance(env, ParallelEnvBatch) and _has_native(env.parallel_envs[0])
 
 
@@ -168,6 +169,7 @@ def _prepare(
                 f"{wrapper.path}: {wrapper.name} has no batched form, and {name} no ParallelEnv for "
                 "SuperSuit to wrap; leave it out"
             )
+        # Batched forms found so far are inside this wrapper, so they move to the ParallelEnv too.
         unbatched, batched = wrapper.name, []
         parallel = wrapped_parallel_env(name, entry.parallel_env, prepared, wrappers[: index + 1])
         env = parallel()
@@ -230,6 +232,8 @@ def _options_of(spec: EnvSpec) -> AdapterOptions:
 
 
 def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:
+    """Return the entry of a rule that is played behind wrappers."""
+
     def make_behind(wrapped: Wrapped) -> Rule:
         rule = own.make(wrapped.prepared)
         if not (wrapped.shows_native or isinstance(rule, RandomRule)):

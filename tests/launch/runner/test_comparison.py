@@ -21,7 +21,7 @@ def test_one_seed_is_compared_day_by_day(capsys: pytest.CaptureFixture[str]) -> 
     assert learner[:4] == ["ippo", "3", "4", ""]
     figures = [2.0, expected.estimate, expected.low, expected.high]
     assert [float(cell) for cell in rule[2:6]] == pytest.approx(figures, rel=1e-5)
-    assert rule[6:] == ["t over days", "1"]
+    assert rule[6:] == ["t over episodes", "1"]
 
 
 def test_several_seeds_are_compared_over_seeds_and_days(capsys: pytest.CaptureFixture[str]) -> None:
@@ -31,7 +31,7 @@ def test_several_seeds_are_compared_over_seeds_and_days(capsys: pytest.CaptureFi
     assert learner[:3] == ["ippo, 2 seeds", "2", "3"]
     figures = [expected.estimate, expected.low, expected.high]
     assert [float(cell) for cell in rule[3:6]] == pytest.approx(figures, rel=1e-5)
-    assert rule[6] == "t over seeds and days"
+    assert rule[6] == "t over seeds and episodes"
 
 
 @pytest.mark.parametrize(("seeds", "told"), [(1, "1 seed: "), (9, "9 seeds: "), (10, "")])

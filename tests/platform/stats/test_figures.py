@@ -133,7 +133,7 @@ def test_without_a_day_effect_it_is_the_t_interval_over_seeds() -> None:
     result = paired_difference_over_seeds(learned, np.ones((3, 4)))
     expected = scipy_stats.ttest_1samp([2.0, 4.0, 9.0], 0).confidence_interval(0.95)
     assert (result.estimate, result.low, result.high) == pytest.approx((5, expected.low, expected.high))
-    assert result.method == "t over seeds and days"
+    assert result.method == "t over seeds and episodes"
     over_days = paired_difference_over_seeds(learned.T, np.ones((4, 3)))
     assert (over_days.low, over_days.high) == pytest.approx((expected.low, expected.high))
 
@@ -141,11 +141,11 @@ def test_without_a_day_effect_it_is_the_t_interval_over_seeds() -> None:
 def test_pairs_must_match() -> None:
     with pytest.raises(ValueError, match="same shape"):
         paired_difference([1, 2], [1, 2, 3])
-    with pytest.raises(ValueError, match="two days"):
+    with pytest.raises(ValueError, match="two episodes"):
         paired_difference([1], [2])
-    with pytest.raises(ValueError, match="two seeds and two days"):
+    with pytest.raises(ValueError, match="two seeds and two episodes"):
         paired_difference_over_seeds([[1, 2]], [[1, 2]])
-    with pytest.raises(ValueError, match="two seeds and two days"):
+    with pytest.raises(ValueError, match="two seeds and two episodes"):
         paired_difference_over_seeds([[1], [2]], [[1], [2]])
     with pytest.raises(ValueError, match="confidence"):
         paired_difference([1, 2], [2, 3], confidence=95)
