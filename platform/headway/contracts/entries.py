@@ -47,7 +47,7 @@ class RuleEntry:
     summary: str
     """One line for `headway list rules`: what the rule does, and its source if it has one."""
     make: Callable[[Any], Rule]
-    """(prepared environment) -> rule. `prepared` is the result of `EnvEntry.prepare`."""
+    """(prepared) -> rule, where `prepared` is the result of `EnvEntry.prepare`."""
 
 
 class Renderer(Protocol):
@@ -104,8 +104,7 @@ class EnvEntry:
     rules: Mapping[str, RuleEntry] = field(default_factory=dict)
     """Rules by name. The rule `random` is added unless one is registered under this name."""
     metrics: Mapping[str, str] = field(default_factory=dict)
-    """Description of each episode metric, with its unit, in the order of `EnvSpec.metrics`, for `headway
-    list`."""
+    """Description of each episode metric, with its unit, in the order of `EnvSpec.metrics`."""
     renderer: Callable[[Any], Renderer] | None = None
     """(prepared) -> renderer, for `headway render`; None: the environment cannot be rendered."""
     preload: tuple[str, ...] = ()
