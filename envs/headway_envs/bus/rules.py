@@ -4,6 +4,7 @@ arrival time."""
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from headway_envs.bus.kernel.layout import (
     TERMINAL,
     WAIT,
 )
+
+if TYPE_CHECKING:
+    from headway_envs.bus.prepared import Prepared
 
 Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
@@ -133,17 +137,23 @@ def _early(scene: FleetState) -> NDArray[np.bool_]:
     return scene.terminal & (scene.event < scene.departure)
 
 
+@dataclass(frozen=True)
 class AlwaysMove:
     """Baseline that always moves: it leaves every stop and terminal at once and never goes to the service
     centre."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, MOVE, np.int64)
 
 
+@dataclass(frozen=True)
 class MoveWithService:
     """Baseline that never holds but is serviced in time like the holding rules, so that their gain over it is
     due to holding alone."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return _actions(look(env), np.zeros(observed.alive.shape, np.bool_))
@@ -154,18 +164,21 @@ class HeadwayHolding:
     """Forward headway control: hold, at stops and terminals, while the headway to the bus ahead is below a
     share of the target. A bus leaves a terminal at most one dispatch window after schedule."""
 
+    prepared: "Prepared"
     share: float
-    window_s: float
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         scene = look(env)
-        overdue = scene.terminal & (scene.event > scene.departure + self.window_s)
+        overdue = scene.terminal & (scene.event > scene.departure + self.prepared.config.dispatch_window_s)
         return _actions(scene, _spaced(scene, self.share) & ~overdue)
 
 
+@dataclass(frozen=True)
 class EvenHeadway:
     """Hold while the bus behind is farther away than the bus ahead and that one is nearer than the target
     headway; leave terminals by schedule."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         scene = look(env)
@@ -173,8 +186,11 @@ class EvenHeadway:
         return _actions(scene, uneven | _early(scene))
 
 
+@dataclass(frozen=True)
 class ScheduleHolding:
     """Hold until the planned time, at stops and terminals."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         scene = look(env)

@@ -1,5 +1,7 @@
 """Checks of the `BatchedEnv` contract, for any environment, third parties' included.
 
+    from headway.api import CHECKS, play
+
     recording = play(make)
     for check in CHECKS.values():
         check(make, recording)

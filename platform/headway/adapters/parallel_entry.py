@@ -52,8 +52,8 @@ def parallel_entry(
 ) -> EnvEntry:
     """Return the entry of an environment written as a ParallelEnv.
 
-    `parallel_env` maps a config to a ParallelEnv. It must be a function at the top level of a module, since
-    workers find it by name.
+    `parallel_env` maps a config to a ParallelEnv. Workers unpickle it, so it must be a function at the top
+    level of a module or a `Lazy`.
     """
     return EnvEntry(
         summary=summary,

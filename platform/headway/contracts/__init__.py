@@ -1,7 +1,8 @@
 """The interfaces between environments, algorithms and the platform.
 
-Environments and algorithms import nothing else of `headway`. Array axes have one letter each, used in every
-docstring of the platform and of the algorithms (an environment's kernel lists its own):
+Environments and algorithms import nothing else of `headway`; other packages import these names from
+`headway.api`. Array axes have one letter each, used in every docstring of the platform and of the algorithms
+(an environment's kernel lists its own):
 
 - R: replicas, the seeds trained together
 - T: steps of an iteration
@@ -23,6 +24,7 @@ from headway.contracts.acting_policy import ActingPolicy, RecurrentPolicy
 from headway.contracts.entries import AlgoEntry, EnvEntry, Renderer, Rule, RuleEntry
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observations, StepResult
 from headway.contracts.errors import HeadwayError
+from headway.contracts.lazy import Lazy
 from headway.contracts.learner import (
     AsynchronousLearner,
     Contribution,
@@ -51,6 +53,7 @@ __all__ = [
     "EnvEntry",
     "EnvSpec",
     "HeadwayError",
+    "Lazy",
     "Learner",
     "LearnerWithReplay",
     "MultiDiscrete",

@@ -1,7 +1,8 @@
 """Registry entries: everything the platform needs to know about a named environment or algorithm.
 
 Third parties register theirs by entry point (`headway.envs`, `headway.algos`), each a mapping from name to
-entry. Wrapper entries are in `headway.contracts.wrapper`.
+entry. Wrapper entries are in `headway.contracts.wrapper`. Callables in entries may be a `Lazy`, which is
+imported when it is first called.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -76,8 +77,8 @@ class EnvEntry:
     make: Callable[[Any, int], BatchedEnv]
     """(prepared, copies) -> batched environment of `copies` copies.
 
-    Runs in light workers: it must import neither pandas nor torch. Workers find it by name, so it must be
-    defined at the top level of a module.
+    Runs in light workers, so it imports neither pandas nor torch. Must be picklable: a function or class at
+    the top level of a module, a `functools.partial` of one, or a `Lazy`.
     """
     prepare: Callable[[Any], Any] = _identity
     """(config) -> picklable data that all copies share, such as tables read or networks built.

@@ -109,7 +109,7 @@ class StepResult:
 class BatchedEnv(Protocol):
     """C independent copies of an environment, stepped together; each resets itself when its episode ends.
 
-    `headway.adapters.conformance` checks an implementation against this contract.
+    `headway.api.CHECKS` are checks of this contract (see `headway.adapters.conformance`).
     """
 
     @property
