@@ -15,13 +15,13 @@ HOLDING_SHARES = (0.7, 0.9)
 
 
 def _prepare(config: BusConfig) -> "Prepared":
-    from headway_envs.bus.prepared import prepare
+    from headway_envs.bus.prepare import prepare
 
     return prepare(config)
 
 
 def _prepare_beside(config: BusConfig, other: "Prepared") -> "Prepared":
-    from headway_envs.bus.prepared import prepare_beside
+    from headway_envs.bus.prepare import prepare_beside
 
     return prepare_beside(config, other)
 

@@ -1,4 +1,4 @@
-"""Fixed ways to drive the buses, to compare with. `random` is `headway.contracts.RandomRule`."""
+"""Simple fixed rules, for comparison."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from headway_envs.bus_published.kernel.layout import DETOUR_SHARE, FUEL_UNIT_S, 
 
 @dataclass(frozen=True)
 class Always:
-    """The same action in every step."""
+    """Baseline that takes the same action in every step."""
 
     action: int
 
@@ -22,13 +22,13 @@ class Always:
 
 @dataclass(frozen=True)
 class MoveWithService:
-    """MOVE, and to the centre at the first step at which the uptime is below a share and the fuel lasts for
-    the way."""
+    """Baseline that moves, and goes to the centre at the first step at which its uptime is below a share and
+    the fuel lasts for the way."""
 
     below: float
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """Raises TypeError for any other environment."""
+        """Return the actions (C, N). Raises TypeError for any other environment."""
         if not isinstance(env, BusPublishedBatchedEnv):
             raise TypeError(f"move_with_service needs a BusPublishedBatchedEnv, not {type(env).__name__}")
         net, buses = env.network, env.world.buses

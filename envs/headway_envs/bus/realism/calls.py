@@ -28,7 +28,7 @@ leaving, NaN at the last call."""
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedDay:
     """One recorded day of some lines."""
 
     date: str
@@ -48,8 +48,8 @@ def simulated_days(
     if days < 1:
         raise HeadwayError(f"days must be at least 1, not {days}")
     env = BusBatchedEnv(prepared, 1, traced=True)
-    where = _trips_calls(tables, prepared)
-    act = _always_move(len(prepared.agents)) if rule is None else _by(rule, env)
+    where = _trace_calls(tables, prepared)
+    act = _always_move(len(prepared.agents)) if rule is None else _act_by_rule(rule, env)
     observed = env.reset(np.array([seed], np.uint64))
     for _ in range(days):
         ended = False
@@ -64,13 +64,13 @@ def simulated_days(
         yield day.loc[day["time"].notna(), list(COLUMNS)].reset_index(drop=True)
 
 
-def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
+def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
     """The recorded day from which the scenario has its timetable, its lines only, of the files below `raw`.
 
     The date is that of the meta data. Raises HeadwayError where they name none or no date, where there is no
     such file, or no trip of these lines."""
     files = find_days(raw)
-    stated = _stated_date(tables, day_type)
+    stated = _timetable_date(tables, day_type)
     found = {str(date): (date, file) for date, file in files.items()}
     if stated not in found:
         raise HeadwayError(
@@ -102,10 +102,10 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
     last = frame["seq0"] == frame["calls"] - 1
     frame.loc[last, ["left", "load"]] = np.nan
     frame.loc[frame["seq0"] == 0, "arrived"] = np.nan
-    return Recorded(stated, frame.reset_index(drop=True), day.fares)
+    return RecordedDay(stated, frame.reset_index(drop=True), day.fares)
 
 
-def _stated_date(tables: Tables, day_type: str) -> str:
+def _timetable_date(tables: Tables, day_type: str) -> str:
     """Of the timetable of that day type, YYYY-MM-DD, by the meta data."""
     dates = tables.meta.get("dates") or {}
     if not isinstance(dates, Mapping):
@@ -126,11 +126,11 @@ def _always_move(slots: int) -> Callable[[Observations], NDArray[np.int64]]:
     return lambda _: actions
 
 
-def _by(rule: Rule, env: BusBatchedEnv) -> Callable[[Observations], NDArray[np.int64]]:
+def _act_by_rule(rule: Rule, env: BusBatchedEnv) -> Callable[[Observations], NDArray[np.int64]]:
     return lambda observed: np.asarray(rule.act(env, observed), np.int64)
 
 
-def _trips_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
+def _trace_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
     """line, dir, pattern, trip, seq0, calls, stop and visit of every entry of the trace."""
     network = prepared.network
     patterns = np.array(pattern_rows(tables, prepared.config))

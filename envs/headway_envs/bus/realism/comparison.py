@@ -9,7 +9,7 @@ import pandas as pd
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import prepare_replay, source_of
+from headway_envs.bus.prepare import prepare_replay, source_of
 from headway_envs.bus.realism import trip_statistics
 from headway_envs.bus.realism.calls import recorded_day, simulated_days
 from headway_envs.bus.realism.measured import CITY_LINES, NEARLY_ALL, TOLERANCES, WHOLE_CITY
@@ -28,7 +28,7 @@ OWN, RECORDS, CITY = "its own tables", "records of its lines", "records of the w
 class Row:
     """One figure."""
 
-    figure: str
+    statistic: str
     simulated: float
     """Mean over the simulated days that have it; NaN, which does not hold, if none has."""
     deviation: float | None
@@ -76,31 +76,31 @@ def compare_replay(
         )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
     prepared = prepare_replay(config, tables)
-    measured = {**_city_figures(tables, config), **_tables_figures(tables, config)}
+    measured = {**_city_statistics(tables, config), **_table_statistics(tables, config)}
     if records is not None:
-        measured |= _record_figures(records, tables, config.day_type)
+        measured |= _record_statistics(records, tables, config.day_type)
     km = call_km(tables).groupby("pattern").last()
     found = []
     for calls in simulated_days(tables, prepared, days):
-        day = trip_statistics.of_trips(trip_statistics.trips_of(calls, km))
+        day = trip_statistics.of_trips(trip_statistics.finished_trips(calls, km))
         found.append({**day, **trip_statistics.of_headways(calls), **trip_statistics.of_passengers(calls)})
         after_day()
     simulated = pd.DataFrame(found)
-    is_city = lines_of(tables, config) >= NEARLY_ALL * CITY_LINES[config.day_type]
+    is_city = line_count(tables, config) >= NEARLY_ALL * CITY_LINES[config.day_type]
     rows = []
-    for figure, tolerance in TOLERANCES.items():
-        value, source = measured.get(figure, (np.nan, ""))
+    for statistic, tolerance in TOLERANCES.items():
+        value, source = measured.get(statistic, (np.nan, ""))
         if np.isnan(value):
             continue
-        mean = float(simulated[figure].mean())
-        deviation = float(simulated[figure].std()) if days > 1 else None
+        mean = float(simulated[statistic].mean())
+        deviation = float(simulated[statistic].std()) if days > 1 else None
         rows.append(
-            Row(figure, mean, deviation, value, tolerance.of(value), source, source != CITY or is_city)
+            Row(statistic, mean, deviation, value, tolerance.of(value), source, source != CITY or is_city)
         )
     return rows
 
 
-def lines_of(tables: Tables, config: BusConfig) -> int:
+def line_count(tables: Tables, config: BusConfig) -> int:
     """How many lines have trips on the day."""
     patterns = trips_of_day(tables, config)["pattern"]
     return int(tables.patterns.set_index("pattern")["line"].reindex(patterns).nunique())
@@ -135,15 +135,15 @@ def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
     return frame[inside].reset_index(drop=True)
 
 
-def _from(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, str]]:
+def _with_source(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, str]]:
     return {name: (value, source) for name, value in values.items()}
 
 
-def _city_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+def _city_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
     """The whole city's figures, if the tables are of that city."""
     if DOI not in source_of(tables.meta):
         return {}
-    return _from(CITY, WHOLE_CITY[config.day_type])
+    return _with_source(CITY, WHOLE_CITY[config.day_type])
 
 
 def _made_up(tables: Tables) -> str:
@@ -157,7 +157,7 @@ def _made_up(tables: Tables) -> str:
     return f"by made_up in its meta.json {names} are made up or scheduled"
 
 
-def _tables_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
     """The figures of the tables; boardings only if the meta data do not say that they were made up."""
     values = trip_statistics.of_trips(observed_trips(tables, config))
     made_from = tables.meta.get("made_from")
@@ -165,13 +165,13 @@ def _tables_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float,
     if not str(origin).startswith("made up"):
         demand = tables.demand[tables.demand["daytype"] == config.day_type]
         values[trip_statistics.BOARDINGS] = float(demand["board"].sum())
-    return _from(OWN, values)
+    return _with_source(OWN, values)
 
 
-def _record_figures(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
+def _record_statistics(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
     day = recorded_day(records, tables, day_type)
     values = trip_statistics.of_headways(day.calls)
     if day.fares:
         loads = trip_statistics.of_passengers(day.calls)
         values |= {name: value for name, value in loads.items() if name != trip_statistics.BOARDINGS}
-    return _from(f"{RECORDS}, {day.date}", values)
+    return _with_source(f"{RECORDS}, {day.date}", values)

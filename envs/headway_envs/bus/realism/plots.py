@@ -70,11 +70,11 @@ def draw_load_profile(
     axes.legend()
 
 
-def draw_headways_along(axes: "Axes", figures: Mapping[str, Mapping[str, float]]) -> None:
-    """Headway CV by fifth of the route, of each of `figures` (name: figures by name); those that lack some
+def draw_headways_along(axes: "Axes", statistics: Mapping[str, Mapping[str, float]]) -> None:
+    """Headway CV by fifth of the route, of each of `statistics` (name: figures by name); those that lack some
     are drawn without them, and those that lack all not at all."""
     fifths = list(range(1, FIFTHS + 1))
-    for name, values in figures.items():
+    for name, values in statistics.items():
         there = [fifth for fifth in fifths if cv_name(fifth - 1) in values]
         cvs = [values[cv_name(fifth - 1)] for fifth in there]
         if there:

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 FIFTHS = 5
 SPEED_HOURS = (5, 7, 10, 17, 22)
 WINDOW_S = 7200.0
-LEAST_HEADWAYS = 4
+MIN_HEADWAYS = 4
 """In a window."""
 _FROM_S, _TO_S = 6 * 3600.0, 20 * 3600.0
 BUNCHED = 0.25
@@ -76,7 +76,7 @@ def of_trips(trips: pd.DataFrame) -> dict[str, float]:
     logs = pd.Series(np.log(minutes), index=trips.index)
     groups = logs.groupby([trips["pattern"], trips["dep"] // WINDOW_S])
     count = groups.transform("size")
-    inside = count >= LEAST_HEADWAYS
+    inside = count >= MIN_HEADWAYS
     away = (logs - groups.transform("mean"))[inside]
     free = float((1.0 - 1.0 / count[inside]).sum())
     found[TRIP_SPREAD] = 100.0 * float(np.sqrt((away**2).sum() / free)) if free > 0 else np.nan
@@ -118,7 +118,7 @@ def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def trips_of(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
+def finished_trips(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
     """The finished trips of a day's calls, as `of_trips` takes them; `km` by pattern."""
     first = calls[calls["seq0"] == 0].set_index("trip")
     last = calls[calls["seq0"] == calls["calls"] - 1].set_index("trip")
@@ -130,7 +130,7 @@ def trips_of(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
 
 
 def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
-    """The calls that have a headway within a window of at least `LEAST_HEADWAYS`, with `ratio`: the headway
+    """The calls that have a headway within a window of at least `MIN_HEADWAYS`, with `ratio`: the headway
     over the window's mean, `window`: its number, and `count`: its headways."""
     place = calls.groupby(["line", "dir", "stop", "visit"], sort=False).ngroup().to_numpy()
     time = calls["time"].to_numpy(np.float64)
@@ -147,7 +147,7 @@ def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
     )
     count = np.bincount(window)[window]
     mean = np.bincount(window, headway)[window] / count
-    kept = (count >= LEAST_HEADWAYS) & (mean > 0)
+    kept = (count >= MIN_HEADWAYS) & (mean > 0)
     kept_rows: pd.DataFrame = rows[kept]
     return kept_rows.assign(ratio=headway[kept] / mean[kept], window=window[kept], count=count[kept])
 

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
 
-LEAST_LAYOVER_S = 300.0
+MIN_LAYOVER_S = 300.0
 """Between two trips of a vehicle. Of SUNT's vehicles 97.9% go on where they arrived, after 286 s in the
 median."""
 TERMINAL_M = 300.0
@@ -24,7 +24,7 @@ def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
 
     ends = np.unique(ends)
     lat, lon = stops["lat"].to_numpy(np.float64)[ends], stops["lon"].to_numpy(np.float64)[ends]
-    places = np.column_stack((lat, lon * np.cos(np.radians(lat.mean())))) * METRES_A_DEGREE
+    places = np.column_stack((lat, lon * np.cos(np.radians(lat.mean())))) * METRES_PER_DEGREE
     near = KDTree(places).query_pairs(TERMINAL_M, output_type="ndarray")
     joined = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(ends),) * 2)
     # Stops that hang together may stretch over kilometres: each such row falls into terminals.
@@ -58,6 +58,6 @@ def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
         else:
             vehicle[trip] = count
             count += 1
-        ready = (float(arrives[trip]) + LEAST_LAYOVER_S, int(vehicle[trip]))
+        ready = (float(arrives[trip]) + MIN_LAYOVER_S, int(vehicle[trip]))
         heapq.heappush(waiting.setdefault(int(last[trip]), []), ready)
     return vehicle

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DayFigures:
+class DayStatistics:
     """One day type."""
 
     day_type: str
@@ -33,7 +33,7 @@ class DayFigures:
     headway_midday: float | None
     headway_evening: float | None
     boardings: float
-    boardings_a_trip: float
+    boardings_per_trip: float
     busiest_hour: int
     """The hour in which most board."""
 
@@ -51,13 +51,13 @@ class DayFigures:
         "headway_midday": "headway 10-14 h, min",
         "headway_evening": "headway 17-19 h, min",
         "boardings": "boardings",
-        "boardings_a_trip": "boardings a trip",
+        "boardings_per_trip": "boardings a trip",
         "busiest_hour": "busiest hour",
     }
 
 
 @dataclass(frozen=True)
-class LineFigures:
+class LineStatistics:
     """One line on one day type."""
 
     line: str
@@ -83,7 +83,7 @@ class LineFigures:
     }
 
 
-def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayFigures]:
+def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayStatistics]:
     """Figures of each day type that has trips; of a city each takes seconds. `after_day` is called when one
     of `DAY_TYPES` is done."""
     found = []
@@ -94,11 +94,11 @@ def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) ->
             continue
         demand = tables.demand[tables.demand["daytype"] == day]
         by_hour = demand.groupby("hour")["board"].sum()
-        moments, buses = buses_at_once(trips)
+        times, buses = buses_at_once(trips)
         peak = int(np.argmax(buses))
         line_of = tables.patterns.set_index("pattern")["line"]
         found.append(
-            DayFigures(
+            DayStatistics(
                 day_type=day,
                 lines=int(line_of.reindex(trips["pattern"]).nunique()),
                 trips=len(trips),
@@ -106,14 +106,14 @@ def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) ->
                 last_h=float(trips["arr_s"].max() / 3600.0),
                 vehicles=int(trips["vehicle"].nunique()),
                 peak_buses=int(buses[peak]),
-                peak_h=float(moments[peak] / 3600.0),
+                peak_h=float(times[peak] / 3600.0),
                 agents=int(_agents(tables, day).sum()),
                 trip_min=float((trips["arr_s"] - trips["dep_s"]).mean() / 60.0),
                 headway_morning=_headway(trips, 6, 8),
                 headway_midday=_headway(trips, 10, 14),
                 headway_evening=_headway(trips, 17, 19),
                 boardings=float(by_hour.sum()),
-                boardings_a_trip=float(by_hour.sum() / len(trips)),
+                boardings_per_trip=float(by_hour.sum() / len(trips)),
                 busiest_hour=int(str(by_hour.idxmax())) if len(by_hour) else 0,
             )
         )
@@ -121,7 +121,7 @@ def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) ->
     return found
 
 
-def by_line(tables: Tables, day: str) -> list[LineFigures]:
+def by_line(tables: Tables, day: str) -> list[LineStatistics]:
     """Figures of the lines that run, most trips first."""
     trips = tables.trips[tables.trips["daytype"] == day].merge(
         tables.patterns[["pattern", "line"]], on="pattern"
@@ -137,7 +137,7 @@ def by_line(tables: Tables, day: str) -> list[LineFigures]:
         patterns = own["pattern"].unique()
         calls = tables.pattern_stops["pattern"].isin(patterns)
         found.append(
-            LineFigures(
+            LineStatistics(
                 line=str(line),
                 patterns=len(patterns),
                 stops=int(tables.pattern_stops.loc[calls, "stop"].nunique()),
@@ -149,7 +149,7 @@ def by_line(tables: Tables, day: str) -> list[LineFigures]:
                 boardings=float(boards.reindex(patterns).sum()),
             )
         )
-    return sorted(found, key=lambda figures: (-figures.trips, figures.line))
+    return sorted(found, key=lambda statistics: (-statistics.trips, statistics.line))
 
 
 def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
@@ -165,10 +165,10 @@ def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
 
 def buses_at_once(trips: pd.DataFrame) -> tuple[Floats, NDArray[np.int64]]:
     """Moments at which trips begin or end, s, and how many are under way from then on."""
-    moments = np.concatenate((trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)))
+    times = np.concatenate((trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)))
     change = np.repeat([1, -1], len(trips))
-    order = np.lexsort((change, moments))  # arrivals first
-    return moments[order], np.cumsum(change[order])
+    order = np.lexsort((change, times))  # arrivals first
+    return times[order], np.cumsum(change[order])
 
 
 def _agents(tables: Tables, day: str) -> "pd.Series[int]":

@@ -11,17 +11,22 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Network
+from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOT_HOURS, KNOT_S, KNOTS, Network
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
-from headway_envs.bus.scenario.timetable import Departures, Trip, as_observed, chain, smooth, work_until_depot
+from headway_envs.bus.scenario.timetable import (
+    Departures,
+    Trip,
+    chain_trips,
+    observed_departures,
+    smooth_departures,
+    work_until_depot,
+)
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-KNOT_HOURS = np.arange(FIRST_KNOT_HOUR, FIRST_KNOT_HOUR + KNOTS)
-KNOT_S: Floats = np.asarray(KNOT_HOURS * 3600.0 + 1800.0, np.float64)
-_LARGEST_SD = 0.8
+_MAX_SD = 0.8
 """Cells of few observations have log sds up to 1.5; larger ones than this are taken for faults."""
 
 
@@ -37,7 +42,7 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
     calls = calls_of(tables, patterns)
     call_counts = calls.groupby("p").size().to_numpy(np.int64)
     pattern_calls = _offsets(call_counts)
-    spread = as_observed if replay else smooth
+    spread = observed_departures if replay else smooth_departures
     departures = [
         spread(np.asarray(trips.loc[trips["pattern"] == p, "dep_s"], np.float64), KNOT_S) for p in patterns
     ]
@@ -73,7 +78,7 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
         regular_waiting=regular,
         target=np.array([d.headway for d in departures]),
         detour=_detours(tables, calls, config),
-        queue_first=_queue_rooms(rates, per_call, config),
+        queue_first=_queue_offsets(rates, per_call, config),
     )
     # One memory layout: another would be compiled anew.
     arrays: list[Any] = [np.ascontiguousarray(array) for array in network]
@@ -130,7 +135,7 @@ def _call_index(calls: pd.DataFrame) -> pd.Series:
     return pd.Series(np.arange(len(calls)), index=keys)
 
 
-def _rows(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integers]:
+def _rows_of_calls(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integers]:
     """The rows of `frame` whose (pattern, seq0) is a call, and that call's index."""
     keys = pd.MultiIndex.from_frame(frame[["pattern", "seq0"]].astype(np.int64))
     index = _call_index(calls).reindex(keys).to_numpy()
@@ -140,7 +145,7 @@ def _rows(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integ
 
 def _hourly_boarding(tables: Tables, calls: pd.DataFrame, day: str) -> Floats:
     """(Q, K) passengers who board in each hour."""
-    frame, index = _rows(calls, tables.demand[tables.demand["daytype"] == day])
+    frame, index = _rows_of_calls(calls, tables.demand[tables.demand["daytype"] == day])
     if frame.empty:
         raise HeadwayError(f"table demand has no rows of day_type {day}: add them or choose another day_type")
     boarding = np.zeros((len(calls), KNOTS))
@@ -152,7 +157,7 @@ def _hourly_boarding(tables: Tables, calls: pd.DataFrame, day: str) -> Floats:
 
 def _alighting(tables: Tables, calls: pd.DataFrame) -> Floats:
     """(Q, 4) alighting shares; at a pattern's end everyone."""
-    frame, index = _rows(calls, tables.alighting)
+    frame, index = _rows_of_calls(calls, tables.alighting)
     alighting = np.zeros((len(calls), 4))
     alighting[index, frame["period"].to_numpy(np.int64)] = frame["p_alight"].to_numpy(float)
     alighting[calls["seq0"].to_numpy() == 0] = 0.0
@@ -190,7 +195,7 @@ def _remaining_sd(link_sd: Floats, config: BusConfig) -> Floats:
     noise = config.noise
     incidents = noise.incident_probability * math.log(max(noise.incident_factor, 1.0)) ** 2
     others = noise.trip_sd**2 + noise.day_sd**2 + noise.network_sd**2 + noise.dwell_sd**2 + incidents
-    left = np.minimum(link_sd, _LARGEST_SD) ** 2 - others
+    left = np.minimum(link_sd, _MAX_SD) ** 2 - others
     return np.sqrt(np.maximum(left, noise.link_floor_sd**2)) * (link_sd > 0)
 
 
@@ -273,7 +278,7 @@ def _timetable(
     before, work_left = np.zeros(len(trips)), np.zeros(len(trips))
     for line, (begin, end) in enumerate(pairwise(line_patterns)):
         mine = [i for i, trip in enumerate(trips) if begin <= trip.pattern < end]
-        for driven in chain([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
+        for driven in chain_trips([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
             block = [mine[i] for i in driven]
             for last, following in pairwise(block):
                 before[following] = deadhead[line][
@@ -347,7 +352,7 @@ def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
     return np.asarray(seconds, dtype=np.float64)
 
 
-def _queue_rooms(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
+def _queue_offsets(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
     """(Q + 1,) offsets of the queues' storage: room for a bus load, three peak hours of passengers, and those
     of the competing service."""
     peak = rates.max(axis=1) * 3.0 * 3600.0

@@ -7,14 +7,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import generator
+from headway_envs.bus.kernel.layout import KNOT_S
 from headway_envs.bus.scenario.fitted import (
     ALIGHTING_TENTHS,
     ATTRACTIVENESS_SD,
     BOARDING_TENTHS,
     HOUR_SHARES,
 )
-from headway_envs.bus.scenario.network import KNOT_S
-from headway_envs.bus.scenario.timetable import smooth
+from headway_envs.bus.scenario.timetable import smooth_departures
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[np.generic]]
@@ -27,15 +27,15 @@ ALIGHTING_SD = 1.0
 """Assumption: sd of the log of a stop's alightings within its tenth of the pattern."""
 
 
-def spread_by_tenth(tenths: Sequence[float], pull: Floats) -> Floats:
+def spread_by_tenth(tenths: Sequence[float], weight: Floats) -> Floats:
     """(n,) shares, sum 1, of a pattern's n stops: each tenth's share, within it by the stops' pull (n,)."""
-    tenth = np.minimum(np.arange(len(pull)) * 10 // len(pull), 9)
-    total = np.bincount(tenth, pull, minlength=10)[tenth]
-    share = np.array(tenths)[tenth] * pull / np.maximum(total, 1e-12)
+    tenth = np.minimum(np.arange(len(weight)) * 10 // len(weight), 9)
+    total = np.bincount(tenth, weight, minlength=10)[tenth]
+    share = np.array(tenths)[tenth] * weight / np.maximum(total, 1e-12)
     return np.asarray(share / share.sum(), np.float64)
 
 
-def hazards(boarding: Floats, alighting: Floats) -> Floats:
+def alighting_shares(boarding: Floats, alighting: Floats) -> Floats:
     """(n,) the share of the load on arrival that alights at each stop, 1 at the last."""
     alight, load = np.zeros(len(boarding)), 0.0
     for stop in range(len(boarding)):
@@ -46,7 +46,7 @@ def hazards(boarding: Floats, alighting: Floats) -> Floats:
     return alight
 
 
-def passengers(
+def synthetic_passengers(
     calls: pd.DataFrame, trips: pd.DataFrame, per_trip: Mapping[str, Mapping[int, float]], seed: int
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The tables demand and alighting for the given pattern_stops and trips.
@@ -56,7 +56,7 @@ def passengers(
     stop they fall to the hours in which buses serve it, by the measured shares."""
     places, which = np.unique(calls["stop"].to_numpy(), return_inverse=True)
     draws = generator(seed, "bus stops", 0)
-    pulls = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
+    weights = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
     leaves = draws.lognormal(0.0, ALIGHTING_SD, len(places))[which]
     numbers, first = np.unique(calls["pattern"].to_numpy(), return_index=True)
     ends = np.append(first[1:], len(calls))
@@ -65,17 +65,17 @@ def passengers(
     alighting: list[Columns] = []
     days: list[str] = []
     for pattern, begin, end in zip(numbers.tolist(), first, ends, strict=True):
-        pull, leave = pulls[begin:end].copy(), leaves[begin:end].copy()
-        pull[-1] = leave[0] = 0.0
-        boarding = spread_by_tenth(BOARDING_TENTHS, pull)
-        alight = hazards(boarding, spread_by_tenth(ALIGHTING_TENTHS, leave))
+        weight, leave = weights[begin:end].copy(), leaves[begin:end].copy()
+        weight[-1] = leave[0] = 0.0
+        boarding = spread_by_tenth(BOARDING_TENTHS, weight)
+        alight = alighting_shares(boarding, spread_by_tenth(ALIGHTING_TENTHS, leave))
         alighting.append(_by_period(pattern, alight))
         for day, means in per_trip.items():
             if (day, pattern) in driven:
                 rows = _boardings(pattern, day, boarding, driven[day, pattern], means[pattern])
                 demand.append(rows)
                 days += [day] * len(rows["board"])
-    return _stacked(demand).assign(daytype=days), _stacked(alighting)
+    return _stack(demand).assign(daytype=days), _stack(alighting)
 
 
 def _by_period(pattern: int, alight: Floats) -> Columns:
@@ -113,25 +113,25 @@ def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64],
     As there, passengers of an hour come from the middle of the hour before to that of the next one, most of
     them in between. Stops are reached at even times; an hour of less than half the best one's share has 0."""
     departures = np.sort(trips["dep_s"].to_numpy(np.float64))
-    headway = np.interp(departures[0], KNOT_S, smooth(departures, KNOT_S).headway)
+    headway = np.interp(departures[0], KNOT_S, smooth_departures(departures, KNOT_S).headway)
     lasting = float((trips["arr_s"].to_numpy(np.float64) - trips["dep_s"].to_numpy(np.float64)).mean())
     reached = np.linspace(0.0, lasting, count)
     opens, closes = departures[0] - headway + reached, departures[-1] + reached
     # A service day that begins with the first bus has no passengers of the hours before it.
     earliest = max(min(departures[0] // 3600.0, FIRST_SHARE_HOUR), opens[0] // 3600.0, 0.0)
     hours = np.arange(int(min(earliest, _LAST_HOUR)), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
-    served = _come_by(closes[:, None], hours) - _come_by(opens[:, None], hours)
+    served = _arrived_share(closes[:, None], hours) - _arrived_share(opens[:, None], hours)
     # Of a stop that is reached after the last hour there is.
     served[served.max(axis=1) <= 0.0, -1] = 1.0
     best = served.max(axis=1, keepdims=True)
     return hours, np.where(served >= 0.5 * best, served, 0.0)
 
 
-def _come_by(moment: Floats, hours: NDArray[np.int64]) -> Floats:
+def _arrived_share(time: Floats, hours: NDArray[np.int64]) -> Floats:
     """The share of each hour's passengers who have come by a moment, s."""
-    since = np.clip(moment / 3600.0 - hours - 0.5, -1.0, 1.0)
+    since = np.clip(time / 3600.0 - hours - 0.5, -1.0, 1.0)
     return np.asarray(0.5 + since - 0.5 * since * np.abs(since), np.float64)
 
 
-def _stacked(parts: Sequence[Columns]) -> pd.DataFrame:
+def _stack(parts: Sequence[Columns]) -> pd.DataFrame:
     return pd.DataFrame({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})

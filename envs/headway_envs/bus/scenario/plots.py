@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.description import buses_at_once
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE, link_loads
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, link_loads
 from headway_envs.bus.scenario.tables import Tables
 
 if TYPE_CHECKING:
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_LEAST_ASPECT = 0.4
+_MIN_ASPECT = 0.4
 """Of the map: the shorter of its sides over the longer."""
-_WIDEST = 7.0
+_MAX_LINK_WIDTH = 7.0
 """Points: the link with the greatest load."""
 _LINE_COLOURS = 10
 """Up to so many lines each have a colour of their own; more are coloured by their headway."""
@@ -65,9 +65,9 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     )
     places = tables.stops.set_index("stop")
     latitude = float(places["lat"].mean())
-    across = math.cos(math.radians(latitude)) * METRES_A_DEGREE / 1000.0
+    across = math.cos(math.radians(latitude)) * METRES_PER_DEGREE / 1000.0
     x = (places["lon"] - places["lon"].min()) * across
-    y = (places["lat"] - places["lat"].min()) * METRES_A_DEGREE / 1000.0
+    y = (places["lat"] - places["lat"].min()) * METRES_PER_DEGREE / 1000.0
     departures = trips.groupby("pattern").size()
     inner = calls[calls["seq0"] > 0].merge(tables.links[["link", "from_stop"]], on="link")
     inner["departures"] = departures.reindex(inner["pattern"]).to_numpy()
@@ -81,7 +81,7 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
         np.column_stack((x.reindex(links[stop]).to_numpy(), y.reindex(links[stop]).to_numpy()))
         for stop in ("from_stop", "stop")
     ]
-    widths = 0.5 + _WIDEST * links["load"].to_numpy() / max(float(links["load"].max()), 1e-9)
+    widths = 0.5 + _MAX_LINK_WIDTH * links["load"].to_numpy() / max(float(links["load"].max()), 1e-9)
     hours = float((trips["dep_s"].max() - trips["dep_s"].min()) / 3600.0)
     if of_lines:
         colour = {line: colormaps["tab10"](i) for i, line in enumerate(lines)}
@@ -122,8 +122,8 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     axes.autoscale()
     axes.margins(0.03)
     # A line whose stops lie nearly along one of the axes would be a strip beneath its own legend.
-    axes.set_xlim(_widened(axes.get_xlim(), _LEAST_ASPECT * float(np.ptp(axes.get_ylim()))))
-    axes.set_ylim(_widened(axes.get_ylim(), _LEAST_ASPECT * float(np.ptp(axes.get_xlim()))))
+    axes.set_xlim(_widened(axes.get_xlim(), _MIN_ASPECT * float(np.ptp(axes.get_ylim()))))
+    axes.set_ylim(_widened(axes.get_ylim(), _MIN_ASPECT * float(np.ptp(axes.get_xlim()))))
     axes.set_xlabel("km to the east")
     axes.set_ylabel("km to the north")
     axes.set_title(
@@ -140,8 +140,8 @@ def _widened(limits: tuple[float, float], least: float) -> tuple[float, float]:
 
 
 def _draw_buses(axes: "Axes", trips: pd.DataFrame) -> None:
-    moments, buses = buses_at_once(trips)
-    axes.plot(moments / 3600.0, buses, color="#0072B2", linewidth=1.0, drawstyle="steps-post")
+    times, buses = buses_at_once(trips)
+    axes.plot(times / 3600.0, buses, color="#0072B2", linewidth=1.0, drawstyle="steps-post")
     axes.set_ylim(bottom=0)
     axes.set_title(f"buses on the road (at most {buses.max():,})", fontsize="medium")
 

@@ -27,10 +27,10 @@ from headway_envs.bus.scenario.fitted import (
     SYNTHETIC,
     WITHIN_HOUR_SD,
 )
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, TIMED_HOURS
 from headway_envs.bus.scenario.network import build
-from headway_envs.bus.scenario.passengers import hazards, spread_by_tenth
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
+from headway_envs.bus.scenario.passengers import alighting_shares, spread_by_tenth
+from headway_envs.bus.scenario.tables import NO_LINK, Tables
 
 FLEETS = {"line": (14,), "corridor": (20, 16, 14, 12, 11, 10, 9, 8, 6, 4)}
 """Buses at once on each line of a size, at the weekday's peak."""
@@ -43,7 +43,7 @@ Floats = NDArray[np.float64]
 
 def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
     """The tables of a size of SCENARIOS. In `line` and `corridor` line i depends on (seed, i) alone.
-    `after_line` is called when a line has its timetable, `lines_of(size)` times."""
+    `after_line` is called when a line has its timetable, `line_count(size)` times."""
     if size not in FLEETS:
         from headway_envs.bus.scenario.town import generate_town
 
@@ -58,7 +58,7 @@ def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None
     return Tables(**frames, meta={**_META, "size": size, "seed": seed})
 
 
-def lines_of(size: str) -> int:
+def line_count(size: str) -> int:
     """How many lines a size of SCENARIOS has."""
     if size in FLEETS:
         return len(FLEETS[size])
@@ -125,7 +125,7 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
                 }
             )
         )
-        links = np.append(FIRST_LINK, link0 + stops[:-1])
+        links = np.append(NO_LINK, link0 + stops[:-1])
         tables["pattern_stops"].append(
             pd.DataFrame(
                 {
@@ -155,8 +155,8 @@ def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside:
     """Coordinates `along` m from the centre of Salvador on a heading, `aside` m to its right."""
     north = along * math.cos(heading) - aside * math.sin(heading)
     east = along * math.sin(heading) + aside * math.cos(heading)
-    lat = -12.97 + north / METRES_A_DEGREE
-    lon = -38.50 + east / (METRES_A_DEGREE * math.cos(math.radians(12.97)))
+    lat = -12.97 + north / METRES_PER_DEGREE
+    lon = -38.50 + east / (METRES_PER_DEGREE * math.cos(math.radians(12.97)))
     return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
 
 
@@ -188,9 +188,9 @@ def _stop_shares(rng: np.random.Generator, calls: pd.DataFrame) -> dict[int, tup
         count = len(group)
         parts = []
         for tenths, sd in ((BOARDING_TENTHS, ATTRACTIVENESS_SD), (ALIGHTING_TENTHS, 1.0)):
-            pull = rng.lognormal(0.0, sd, count)
-            pull[-1 if tenths is BOARDING_TENTHS else 0] = 0.0
-            parts.append(spread_by_tenth(tenths, pull))
+            weight = rng.lognormal(0.0, sd, count)
+            weight[-1 if tenths is BOARDING_TENTHS else 0] = 0.0
+            parts.append(spread_by_tenth(tenths, weight))
         shares[int(str(pattern))] = (parts[0], parts[1])
     return shares
 
@@ -208,7 +208,7 @@ def _service(
                     "pattern": pattern,
                     "seq0": np.repeat(np.arange(count), 4),
                     "period": np.tile(np.arange(4), count),
-                    "p_alight": np.repeat(hazards(boarding, leaving), 4),
+                    "p_alight": np.repeat(alighting_shares(boarding, leaving), 4),
                 }
             )
         )

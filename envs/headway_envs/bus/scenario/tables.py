@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import SCENARIOS
 
-FIRST_LINK = 65535
+NO_LINK = 65535
 """The `link` of a pattern's first stop, to which no link leads."""
 
 PERIOD_HOURS = (9, 15, 20)
@@ -42,7 +42,18 @@ COLUMNS = {
 of the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
 
 _TEXT = {"line", "dir", "daytype"}
-_WHOLE = {"stop", "pattern", "vehicle", "link", "from_stop", "to_stop", "seq0", "n_stops", "hour", "period"}
+_INTEGERS = {
+    "stop",
+    "pattern",
+    "vehicle",
+    "link",
+    "from_stop",
+    "to_stop",
+    "seq0",
+    "n_stops",
+    "hour",
+    "period",
+}
 _RANGES = {
     "lat": (-90.0, 90.0),
     "lon": (-180.0, 180.0),
@@ -161,19 +172,19 @@ def check_tables(tables: Tables) -> None:
             _check_values(name, frame, column)
         if name in _KEYS:
             repeated = frame.duplicated(list(_KEYS[name])).to_numpy()
-            _refuse(name, frame, "+".join(_KEYS[name]), repeated, "repeats an earlier row; keep one")
+            _refuse_rows(name, frame, "+".join(_KEYS[name]), repeated, "repeats an earlier row; keep one")
     for name, column, other, key in _REFERENCES:
         frame = getattr(tables, name)
         missing = ~frame[column].isin(getattr(tables, other)[key]).to_numpy()
-        _refuse(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
+        _refuse_rows(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
     _check_patterns(tables)
     _check_calls(tables)
     _check_meta(tables.meta)
     backwards = (tables.trips["arr_s"] < tables.trips["dep_s"]).to_numpy()
-    _refuse("trips", tables.trips, "arr_s", backwards, "is before dep_s; mend the times")
+    _refuse_rows("trips", tables.trips, "arr_s", backwards, "is before dep_s; mend the times")
 
 
-def _refuse(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
+def _refuse_rows(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
     """Raise naming the first bad row, if any."""
     if not bad.any():
         return
@@ -191,22 +202,22 @@ def _check_columns(name: str, frame: pd.DataFrame, columns: tuple[str, ...]) -> 
 
 
 def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
-    _refuse(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
+    _refuse_rows(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
     if column == "daytype":
         wrong = ~frame[column].isin((*DAY_TYPES, "saturday")).to_numpy()
-        _refuse(name, frame, column, wrong, "is not weekday, saturday or sunday; mend it")
+        _refuse_rows(name, frame, column, wrong, "is not weekday, saturday or sunday; mend it")
     if column in _TEXT:
         empty = (frame[column].astype(str).str.strip() == "").to_numpy()
-        _refuse(name, frame, column, empty, "is empty; fill it in")
+        _refuse_rows(name, frame, column, empty, "is empty; fill it in")
         return
     if not pd.api.types.is_numeric_dtype(frame[column]):
         raise HeadwayError(f"table {name}, column {column} is not numeric: write numbers")
     low, high = _RANGES.get(column, (0.0, 2.0**53))
     values = frame[column].to_numpy(np.float64)
     outside = ~((values >= low) & (values <= high))
-    _refuse(name, frame, column, outside, f"lies outside {low:g} to {high:g}; mend it")
-    if column in _WHOLE:
-        _refuse(name, frame, column, values % 1 != 0, "is not a whole number; mend it")
+    _refuse_rows(name, frame, column, outside, f"lies outside {low:g} to {high:g}; mend it")
+    if column in _INTEGERS:
+        _refuse_rows(name, frame, column, values % 1 != 0, "is not a whole number; mend it")
 
 
 def _check_patterns(tables: Tables) -> None:
@@ -214,20 +225,22 @@ def _check_patterns(tables: Tables) -> None:
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     expected = calls.groupby("pattern").cumcount().to_numpy()
     gap = calls["seq0"].to_numpy() != expected
-    _refuse("pattern_stops", calls, "seq0", gap, "breaks the sequence 0, 1, 2, ... of its pattern")
+    _refuse_rows("pattern_stops", calls, "seq0", gap, "breaks the sequence 0, 1, 2, ... of its pattern")
     counts = calls.groupby("pattern").size()
     stated = tables.patterns.set_index("pattern")["n_stops"]
     wrong = (counts.reindex(stated.index).fillna(0) != stated).to_numpy()
-    _refuse("patterns", tables.patterns, "n_stops", wrong, "is not the pattern's number of pattern_stops")
+    _refuse_rows(
+        "patterns", tables.patterns, "n_stops", wrong, "is not the pattern's number of pattern_stops"
+    )
     inner = calls["seq0"].to_numpy() > 0
     links = tables.links.set_index("link")
     unknown = inner & ~calls["link"].isin(links.index).to_numpy()
-    _refuse("pattern_stops", calls, "link", unknown, "is not in table links; add it there")
+    _refuse_rows("pattern_stops", calls, "link", unknown, "is not in table links; add it there")
     before = calls["stop"].shift().to_numpy()
     starts = links["from_stop"].reindex(calls["link"]).to_numpy()
     ends = links["to_stop"].reindex(calls["link"]).to_numpy()
     apart = inner & ((starts != before) | (ends != calls["stop"].to_numpy()))
-    _refuse("pattern_stops", calls, "link", apart, "does not lead from the stop before to this one")
+    _refuse_rows("pattern_stops", calls, "link", apart, "does not lead from the stop before to this one")
 
 
 def _check_calls(tables: Tables) -> None:
@@ -236,16 +249,16 @@ def _check_calls(tables: Tables) -> None:
     for name in ("demand", "alighting"):
         frame: pd.DataFrame = getattr(tables, name)
         beyond = frame["seq0"].to_numpy() >= counts.reindex(frame["pattern"]).to_numpy()
-        _refuse(name, frame, "seq0", beyond, "is beyond the pattern's last stop; drop the row")
+        _refuse_rows(name, frame, "seq0", beyond, "is beyond the pattern's last stop; drop the row")
     frame = tables.alighting
     last = frame["seq0"].to_numpy() == counts.reindex(frame["pattern"]).to_numpy() - 1
     staying = last & (frame["p_alight"].to_numpy() < 1)
-    _refuse("alighting", frame, "p_alight", staying, "is below 1 at the last stop; set it to 1")
+    _refuse_rows("alighting", frame, "p_alight", staying, "is below 1 at the last stop; set it to 1")
     calls = tables.pattern_stops
     periods = frame.groupby(["pattern", "seq0"]).size()
     found = periods.reindex(pd.MultiIndex.from_frame(calls[["pattern", "seq0"]])).to_numpy(np.float64)
     what = f"has not {PERIODS} rows in table alighting, one for each period; add them"
-    _refuse("pattern_stops", calls, "pattern+seq0", ~(found == PERIODS), what)
+    _refuse_rows("pattern_stops", calls, "pattern+seq0", ~(found == PERIODS), what)
 
 
 def _check_meta(meta: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from headway_envs.bus.config import BusConfig
 
-LEAST_HEADWAY_S, MOST_HEADWAY_S = 150.0, 5400.0
+MIN_HEADWAY_S, MAX_HEADWAY_S = 150.0, 5400.0
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,14 @@ class Departures:
     """(K,) target headway at the knots, s"""
 
 
-def smooth(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
+def smooth_departures(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
     """Spread a pattern's observed departures (s, any order) evenly: departures per hour, smoothed over three
     hours with weights 1/4, 1/2, 1/4 and interpolated, give a rate; departures stand where its integral,
     scaled to their number, is whole."""
     observed = np.sort(observed)
     first, last, count = observed[0], observed[-1], len(observed)
     if count == 1:
-        return Departures(observed, knots, np.full(len(knots), MOST_HEADWAY_S))
+        return Departures(observed, knots, np.full(len(knots), MAX_HEADWAY_S))
     begin = knots - 1800.0
     hourly = np.array([np.sum((observed >= b) & (observed < b + 3600.0)) for b in begin], np.float64)
     # The hours of the first and last departure are in service only in part.
@@ -43,19 +43,19 @@ def smooth(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
     rate = np.interp(np.arange(len(rate)), inside, rate[inside])
     padded = np.concatenate((rate[:1], rate, rate[-1:]))
     rate = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
-    rate = np.maximum(rate, 3600.0 / MOST_HEADWAY_S)
+    rate = np.maximum(rate, 3600.0 / MAX_HEADWAY_S)
     grid = np.linspace(first, last, max(int((last - first) // 60.0), 1) + 1)
     flow = np.interp(grid, knots, rate)
     total = np.concatenate(([0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(grid))))
     scale = total[-1] / (count - 1)
     times = np.interp(np.arange(count) * scale, total, grid)
-    headway = np.clip(3600.0 / rate * scale / 3600.0, LEAST_HEADWAY_S, MOST_HEADWAY_S)
+    headway = np.clip(3600.0 / rate * scale / 3600.0, MIN_HEADWAY_S, MAX_HEADWAY_S)
     return Departures(times, knots, headway)
 
 
-def as_observed(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
-    """A pattern's departures (s, any order) as they are; the target headway is that of `smooth`."""
-    return replace(smooth(observed, knots), times=np.sort(observed))
+def observed_departures(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
+    """A pattern's departures (s, any order) as they are; the target headway is that of `smooth_departures`."""
+    return replace(smooth_departures(observed, knots), times=np.sort(observed))
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Trip:
     """Planned, s."""
 
 
-def chain(
+def chain_trips(
     trips: list[Trip], deadhead: NDArray[np.float64], first_pattern: int, recovery_share: float
 ) -> list[list[int]]:
     """The trips (indices, ordered by departure) of each slot of one line, for the fewest buses.

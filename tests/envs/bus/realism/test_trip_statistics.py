@@ -62,7 +62,7 @@ def test_windows_of_different_headways_are_not_irregular() -> None:
 
 
 def test_trips_durations_speeds_and_ends() -> None:
-    trips = trip_statistics.trips_of(_calls([0, 100, 200, 300, 800]), pd.Series({0: 2.0}))
+    trips = trip_statistics.finished_trips(_calls([0, 100, 200, 300, 800]), pd.Series({0: 2.0}))
     assert len(trips) == 5
     found = trip_statistics.of_trips(trips)
     assert found[trip_statistics.TRIP_MEAN] == pytest.approx(4.0)
@@ -80,11 +80,11 @@ def test_trips_durations_speeds_and_ends() -> None:
 def test_trips_that_were_not_finished_are_left_out() -> None:
     calls = _calls([0, 100])
     calls = calls[~((calls["trip"] == 1) & (calls["seq0"] == 4))]
-    assert list(trip_statistics.trips_of(calls, pd.Series({0: 2.0}))["trip"]) == [0]
+    assert list(trip_statistics.finished_trips(calls, pd.Series({0: 2.0}))["trip"]) == [0]
 
 
 def test_no_trip_at_all_is_refused() -> None:
-    none = trip_statistics.trips_of(_calls([0]), pd.Series({0: 2.0})).iloc[:0]
+    none = trip_statistics.finished_trips(_calls([0]), pd.Series({0: 2.0})).iloc[:0]
     with pytest.raises(HeadwayError, match="no trip was finished within the day"):
         trip_statistics.of_trips(none)
 

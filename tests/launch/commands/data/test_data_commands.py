@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import prepare
+from headway_envs.bus.prepare import prepare
 from headway_envs.bus.scenario.fitted import DOI
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose

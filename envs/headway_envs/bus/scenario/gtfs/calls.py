@@ -70,8 +70,8 @@ def clean_calls(
 ) -> tuple[Calls, Counter[str]]:
     """The calls of `trips` (trip_id), and how many of each oddity were met."""
     counted: Counter[str] = Counter()
-    frame = _past_midnight(_placed(_given(feed, trips, rows), counted), counted)
-    frame = _whole_trips(frame, len(trips), counted)
+    frame = _unwrap_midnight(_drop_unplaced_calls(_stop_time_rows(feed, trips, rows), counted), counted)
+    frame = _drop_incomplete_trips(frame, len(trips), counted)
     if frame.empty:
         raise HeadwayError(
             "FEED: no trip of the chosen days has two calls with times; look at stop_times.txt"
@@ -80,23 +80,23 @@ def clean_calls(
     time, shape = frame["time"].to_numpy(np.float64).copy(), frame["shape"].to_numpy(np.float64)
     begins = np.append(True, np.diff(trip) > 0)
     ends = np.append(begins[1:], True)
-    along = _since_first(_crow(stops, stop) * ~begins, begins)
+    along = _sum_along_trip(_leg_metres(stops, stop) * ~begins, begins)
     counted["times blank, set by distance"] += int(np.isnan(time).sum())
-    falling = _falling(time, trip)
-    counted["times before the one before, set by distance"] += int(falling.sum())
-    time[falling] = np.nan
+    decreasing = _decreasing(time, trip)
+    counted["times before the one before, set by distance"] += int(decreasing.sum())
+    time[decreasing] = np.nan
     known = ~np.isnan(time)
-    same = _same_as_next(time, known, trip, ends)
+    same = _repeated(time, known, trip, ends)
     counted["times equal to the one before, spread by distance"] += int(same.sum())
-    shape = _in_metres(shape, along, begins)
-    way = np.where(_complete(shape, trip, begins, len(trips))[trip], shape, along)
+    shape = _scale_to_metres(shape, along, begins)
+    way = np.where(_has_complete_shape(shape, trip, begins, len(trips))[trip], shape, along)
     legs = np.append(0.0, np.diff(way))
     legs[begins] = 0.0
-    time = _spread(time, known & ~same, trip, _since_first(legs + 1.0, begins))
+    time = _interpolate_times(time, known & ~same, trip, _sum_along_trip(legs + 1.0, begins))
     return Calls(trip, stop, time, along), counted
 
 
-def _given(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFrame:
+def _stop_time_rows(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFrame:
     """The rows of stop_times of `trips` in the order of driving: trip, stop (-1: no place), sequence, time,
     shape."""
     times = feed["stop_times"]
@@ -122,7 +122,7 @@ def _given(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFram
     return frame.assign(time=frame["time"].where(~leaves, frame["departure"]))
 
 
-def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
+def _drop_unplaced_calls(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     """Without calls at no place, calls given twice and calls at one place in a row."""
     lost = frame["stop"] < 0
     counted["calls at stops without a place, left out"] += int(lost.sum())
@@ -135,7 +135,7 @@ def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     return kept
 
 
-def _past_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
+def _unwrap_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     """With 24 h more where a trip's times fall by over 12 h, until they rise by as much again: after 23:58
     some feeds write 00:10 for 24:10."""
     timed = frame[frame["time"].notna()]
@@ -146,7 +146,7 @@ def _past_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     return frame.assign(time=frame["time"] + _DAY_S * days.reindex(frame.index, fill_value=0))
 
 
-def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
+def _drop_incomplete_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
     """Only trips of at least two calls, with times at both ends, the last not before the first."""
     trip = frame["trip"].to_numpy()
     begins, finishes = ~frame["trip"].duplicated(), ~frame["trip"].duplicated(keep="last")
@@ -164,19 +164,19 @@ def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.D
     return kept
 
 
-def _crow(stops: pd.DataFrame, stop: Integers) -> Floats:
+def _leg_metres(stops: pd.DataFrame, stop: Integers) -> Floats:
     """(Q,) m from the call before."""
     lat, lon = stops["lat"].to_numpy()[stop], stops["lon"].to_numpy()[stop]
     return distance_m(lat, lon, np.append(lat[0], lat[:-1]), np.append(lon[0], lon[:-1]))
 
 
-def _since_first(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
+def _sum_along_trip(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
     """(Q,) sums along each trip, 0 at its beginning."""
     total = np.cumsum(leg)
     return np.asarray(total - total[begins][np.cumsum(begins) - 1], np.float64)
 
 
-def _in_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Floats:
+def _scale_to_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Floats:
     """(Q,) shape_dist_traveled since each trip's first call, of whatever unit, scaled to the trip's crow's
     metres; NaN for trips whose last call is not beyond the first."""
     trip = np.cumsum(begins) - 1
@@ -186,7 +186,9 @@ def _in_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Float
     return np.asarray(since * (along[last] / total)[trip], np.float64)
 
 
-def _complete(shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+def _has_complete_shape(
+    shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: int
+) -> NDArray[np.bool_]:
     """(trips,) whether shape_dist_traveled is there all along and never falls."""
     good = np.ones(count, np.bool_)
     good[trip[np.isnan(shape)]] = False
@@ -195,7 +197,7 @@ def _complete(shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: i
     return good
 
 
-def _falling(time: Floats, trip: Integers) -> NDArray[np.bool_]:
+def _decreasing(time: Floats, trip: Integers) -> NDArray[np.bool_]:
     """Times before an earlier one of their trip; a trip's last is kept, what is later than it falls."""
     shifted = np.where(np.isnan(time), -np.inf, time) + trip * 1e7
     highest = np.maximum.accumulate(shifted)
@@ -205,7 +207,7 @@ def _falling(time: Floats, trip: Integers) -> NDArray[np.bool_]:
     return np.asarray(~np.isnan(time) & ~first & ~last & ((shifted < highest) | (time > latest)), np.bool_)
 
 
-def _same_as_next(
+def _repeated(
     time: Floats, known: NDArray[np.bool_], trip: Integers, ends: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Known times that repeat the known one before; of the last two of a trip the former."""
@@ -225,7 +227,7 @@ def _same_as_next(
     return same
 
 
-def _spread(time: Floats, fixed: NDArray[np.bool_], trip: Integers, way: Floats) -> Floats:
+def _interpolate_times(time: Floats, fixed: NDArray[np.bool_], trip: Integers, way: Floats) -> Floats:
     """Times between the fixed ones, by the share of the way; both ends of each trip are fixed."""
     place = way + trip * 1e8
     return np.asarray(np.interp(place, place[fixed], time[fixed]), np.float64)

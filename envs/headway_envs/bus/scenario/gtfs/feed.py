@@ -18,7 +18,7 @@ from headway.contracts import HeadwayError
 
 Floats = NDArray[np.float64]
 
-NEEDED = {
+REQUIRED = {
     "stops": ("stop_id", "stop_lat", "stop_lon"),
     "routes": ("route_id", "route_type"),
     "trips": ("route_id", "service_id", "trip_id"),
@@ -56,22 +56,22 @@ class Feed:
 def read_feed(path: Path) -> Feed:
     """Raises HeadwayError naming the file, and the column, that is missing or cannot be read."""
     if path.is_dir():
-        inside = _by_name(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
+        inside = _locate_files(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
         frames = {
-            name: _frame(name, (path / inside[name]).read_bytes() if name in inside else None)
-            for name in {**NEEDED, **_OPTIONAL}
+            name: _read_frame(name, (path / inside[name]).read_bytes() if name in inside else None)
+            for name in {**REQUIRED, **_OPTIONAL}
         }
     elif path.is_file() and zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
-            inside = _by_name(path, archive.namelist())
+            inside = _locate_files(path, archive.namelist())
             frames = {
-                name: _frame(name, archive.read(inside[name]) if name in inside else None)
-                for name in {**NEEDED, **_OPTIONAL}
+                name: _read_frame(name, archive.read(inside[name]) if name in inside else None)
+                for name in {**REQUIRED, **_OPTIONAL}
             }
     else:
         what = "is no zip file" if path.is_file() else "does not exist"
         raise HeadwayError(f"FEED: {path} {what}; give a GTFS feed, as a zip or a folder of .txt files")
-    for name in NEEDED:
+    for name in REQUIRED:
         if frames[name].empty:
             raise HeadwayError(f"FEED: {name}.txt has no rows; a timetable cannot be read without it")
     if frames["calendar"].empty and frames["calendar_dates"].empty:
@@ -105,13 +105,13 @@ def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
     return np.asarray(values, np.float64)
 
 
-def _by_name(feed: Path, files: Iterable[str]) -> dict[str, str]:
+def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
     """Where each known file lies, in whatever folder. Raises HeadwayError if one is there twice: those of two
     feeds name each other's stops and trips."""
     found: dict[str, str] = {}
     for file in sorted(files):
         name = PurePosixPath(file).name.removesuffix(".txt")
-        if f"{name}.txt" != PurePosixPath(file).name or name not in {**NEEDED, **_OPTIONAL}:
+        if f"{name}.txt" != PurePosixPath(file).name or name not in {**REQUIRED, **_OPTIONAL}:
             continue
         if name in found:
             raise HeadwayError(
@@ -121,9 +121,9 @@ def _by_name(feed: Path, files: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _frame(name: str, content: bytes | None) -> pd.DataFrame:
+def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
     """The known columns of a file, stripped."""
-    needed, wanted = NEEDED.get(name, ()), (*NEEDED.get(name, ()), *_OPTIONAL.get(name, ()))
+    needed, wanted = REQUIRED.get(name, ()), (*REQUIRED.get(name, ()), *_OPTIONAL.get(name, ()))
     if content is None:
         if needed:
             raise HeadwayError(f"FEED: there is no {name}.txt; a timetable cannot be read without it")
@@ -151,11 +151,11 @@ def _frame(name: str, content: bytes | None) -> pd.DataFrame:
         )
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
         raise HeadwayError(f"FEED: {name}.txt is no table of comma-separated values ({error})") from error
-    frame = pd.DataFrame({column: _stripped(table[column]) for column in here})
+    frame = pd.DataFrame({column: _strip(table[column]) for column in here})
     return frame.assign(**{column: pd.Series(dtype="str") for column in wanted if column not in here})
 
 
-def _stripped(column: pa.ChunkedArray) -> pd.Series:
+def _strip(column: pa.ChunkedArray) -> pd.Series:
     """Without blanks around; nothing but blanks is missing."""
     # Few texts are repeated often: one look at each.
     encoded = column.combine_chunks().dictionary_encode()

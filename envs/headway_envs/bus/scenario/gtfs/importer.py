@@ -17,9 +17,9 @@ from headway_envs.bus.scenario.fitted import BOARDINGS_PER_TRIP, SOURCE, WITHIN_
 from headway_envs.bus.scenario.gtfs.calls import Calls, clean_calls, places
 from headway_envs.bus.scenario.gtfs.feed import Feed, numbers, read_feed, seconds
 from headway_envs.bus.scenario.gtfs.service import chosen_days
-from headway_envs.bus.scenario.measures import FASTEST_MPS, TIMED_HOURS
-from headway_envs.bus.scenario.passengers import passengers
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
+from headway_envs.bus.scenario.measures import MAX_SPEED_MPS, TIMED_HOURS
+from headway_envs.bus.scenario.passengers import synthetic_passengers
+from headway_envs.bus.scenario.tables import NO_LINK, Tables
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -33,7 +33,7 @@ BUS_TYPES = (
 )
 """Route types of buses, trolleybuses and coaches, the extended ones too."""
 _FIRST_HOUR, _LAST_HOUR = int(TIMED_HOURS[0]), int(TIMED_HOURS[-1])
-_LEAST_LINK_S = 5.0
+_MIN_LINK_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -65,16 +65,16 @@ def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
     calls, oddities = clean_calls(feed, trips, stops, rows)
     counted.update(oddities)
     trips = trips.assign(pattern=_patterns(trips, calls))
-    driven = _driven(feed, trips, calls, days, counted)
+    day_trips = _day_trips(feed, trips, calls, days, counted)
     tables = _network(trips, calls, stops)
-    table = _trip_table(driven, trips, calls, stops, counted)
-    times = _link_times(tables, driven, trips, calls, counted)
+    table = _trip_table(day_trips, trips, calls, stops, counted)
+    times = _link_times(tables, day_trips, trips, calls, counted)
     scale = options.boardings_per_trip / BOARDINGS_PER_TRIP["weekday"]
     per_trip = {
         day: dict.fromkeys(tables["patterns"]["pattern"].tolist(), BOARDINGS_PER_TRIP[day] * scale)
         for day in days
     }
-    demand, alighting = passengers(tables["pattern_stops"], table, per_trip, options.seed)
+    demand, alighting = synthetic_passengers(tables["pattern_stops"], table, per_trip, options.seed)
     return Tables(
         **tables,
         link_times=times,
@@ -162,7 +162,7 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
                 "pattern": np.repeat(np.arange(len(example)), counts),
                 "seq0": seq0,
                 "stop": stop,
-                "link": _filled(len(seq0), inner, link.ravel(), FIRST_LINK),
+                "link": _filled(len(seq0), inner, link.ravel(), NO_LINK),
                 "leg_m": np.where(inner, legs, 0.0),
             }
         ),
@@ -183,7 +183,7 @@ def _filled(count: int, where: NDArray[np.bool_], values: Integers, other: int) 
     return filled
 
 
-def _driven(
+def _day_trips(
     feed: Feed,
     trips: pd.DataFrame,
     calls: Calls,
@@ -203,10 +203,10 @@ def _driven(
         counted["departures of frequencies.txt"] += len(here)
         part = pd.concat([pd.DataFrame({"trip": single, "shift": 0.0}), here], ignore_index=True)
         parts.append(part.assign(daytype=day))
-    driven: pd.DataFrame = pd.concat(parts, ignore_index=True)
-    if driven.empty:
+    day_trips: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    if day_trips.empty:
         raise HeadwayError("FEED: no trip of the chosen days can be used; look at stop_times.txt")
-    return driven
+    return day_trips
 
 
 def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame:
@@ -233,7 +233,7 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
 
 
 def _trip_table(
-    driven: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
+    day_trips: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
 ) -> pd.DataFrame:
     """The table trips; vehicles by block_id where every trip of the day has one, else chained, as are those
     of a block's trips that overlap."""
@@ -250,27 +250,27 @@ def _trip_table(
         },
         index=calls.trip[begin],
     )
-    row = driven["trip"].to_numpy()
+    row = day_trips["trip"].to_numpy()
     table = ends.reindex(row).reset_index(drop=True)
     table = table.assign(
         pattern=trips["pattern"].to_numpy()[row],
-        dep_s=table["dep_s"] + driven["shift"].to_numpy(),
-        arr_s=table["arr_s"] + driven["shift"].to_numpy(),
+        dep_s=table["dep_s"] + day_trips["shift"].to_numpy(),
+        arr_s=table["arr_s"] + day_trips["shift"].to_numpy(),
         block=trips["block_id"].to_numpy()[row],
-        daytype=driven["daytype"].to_numpy(),
+        daytype=day_trips["daytype"].to_numpy(),
     )
     parts = []
     for _, part in table.groupby("daytype", sort=False):
         # A trip that frequencies.txt repeats cannot be in one block with itself.
-        blocked = part["block"].notna().all() and not driven["trip"].iloc[part.index].duplicated().any()
+        blocked = part["block"].notna().all() and not day_trips["trip"].iloc[part.index].duplicated().any()
         counted["days with vehicles by block_id"] += int(blocked)
-        vehicle = _by_block(part, counted) if blocked else chain_at_terminals(part)
+        vehicle = _vehicles_by_block(part, counted) if blocked else chain_at_terminals(part)
         parts.append(part.assign(vehicle=vehicle))
     columns = ["pattern", "vehicle", "dep_s", "arr_s", "n_stops", "daytype"]
     return pd.concat(parts, ignore_index=True)[columns]
 
 
-def _by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
+def _vehicles_by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
     """(J,) a vehicle for each trip: one a block or, where its trips overlap, as many as it takes."""
     vehicle = pd.factorize(trips["block"])[0].astype(np.int64)
     ordered = trips.assign(vehicle=vehicle).sort_values(["vehicle", "dep_s", "arr_s"])
@@ -285,7 +285,7 @@ def _by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
 
 def _link_times(
     network: dict[str, pd.DataFrame],
-    driven: pd.DataFrame,
+    day_trips: pd.DataFrame,
     trips: pd.DataFrame,
     calls: Calls,
     counted: Counter[str],
@@ -299,7 +299,7 @@ def _link_times(
     link = network["pattern_stops"]["link"].to_numpy()[pattern_first[pattern] + position]
     metres = network["links"]["leg_m"].to_numpy(np.float64)
     leg = np.diff(calls.time, prepend=0.0)
-    least = np.maximum(metres[np.where(position > 0, link, 0)] / FASTEST_MPS, _LEAST_LINK_S)
+    least = np.maximum(metres[np.where(position > 0, link, 0)] / MAX_SPEED_MPS, _MIN_LINK_S)
     counted["links scheduled faster than 90 km/h or in under 5 s, slowed"] += int(
         ((leg < least) & (position > 0)).sum()
     )
@@ -308,7 +308,7 @@ def _link_times(
     where[:, calls.trip[begin]] = begin, counts
     hours = _LAST_HOUR - _FIRST_HOUR + 1
     frames = []
-    for day, part in driven.groupby("daytype", sort=False):
+    for day, part in day_trips.groupby("daytype", sort=False):
         first, count = where[:, part["trip"].to_numpy()]
         offset = np.cumsum(count) - count
         call = np.repeat(first - offset, count) + np.arange(count.sum())
@@ -317,16 +317,16 @@ def _link_times(
         hour = np.clip((calls.time[call - 1] + shift) // 3600, _FIRST_HOUR, _LAST_HOUR).astype(np.int64)
         key = link[call] * hours + hour - _FIRST_HOUR
         total = np.bincount(key, leg[call], minlength=len(metres) * hours)
-        driven_here = np.bincount(key, minlength=len(metres) * hours)
-        met = np.flatnonzero(driven_here)
+        count_here = np.bincount(key, minlength=len(metres) * hours)
+        present = np.flatnonzero(count_here)
         frames.append(
             pd.DataFrame(
                 {
-                    "link": met // hours,
-                    "hour": met % hours + _FIRST_HOUR,
-                    "n": driven_here[met],
+                    "link": present // hours,
+                    "hour": present % hours + _FIRST_HOUR,
+                    "n": count_here[present],
                     "log_sigma": WITHIN_HOUR_SD,
-                    "mean_s": total[met] / driven_here[met],
+                    "mean_s": total[present] / count_here[present],
                     "daytype": day,
                 }
             )

@@ -7,26 +7,26 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway_envs.bus.scenario.fitted import ALIGHTING_TENTHS, BOARDING_TENTHS
-from headway_envs.bus.scenario.passengers import hazards, spread_by_tenth
+from headway_envs.bus.scenario.passengers import alighting_shares, spread_by_tenth
 from headway_envs.bus.scenario.sunt.records import Day
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, PERIODS
 
 _PRIOR_LOAD = 30.0
 """Passengers' worth of the measured shares by tenth that a stop's own share of alightings is mixed with."""
-_LEAST_RATE = 0.05
+_MIN_RATE = 0.05
 """Boardings of a call at a stop where none were seen, in splitting a stop's count over its lines."""
 LINE_STOP = ["line", "dir", "stop_id"]
 
 
-def counted_demand(calls: pd.DataFrame, days: Sequence[Day]) -> tuple[pd.DataFrame, float]:
+def demand_from_records(calls: pd.DataFrame, days: Sequence[Day]) -> tuple[pd.DataFrame, float]:
     """Rows of demand (pattern, seq0, hour, calls, board) of a timetable's calls, by the mean boardings of
     `days` at each line, direction, stop and hour; and the boardings that found no call there then."""
     every = pd.concat([day.calls for day in days])
     wanted = every.assign(hour=every["time"] // 3600).groupby([*LINE_STOP, "hour"])["board"].sum() / len(days)
-    return _split(calls, wanted.reset_index(), [*LINE_STOP, "hour"], None)
+    return _split_over_calls(calls, wanted.reset_index(), [*LINE_STOP, "hour"], None)
 
 
-def node_demand(
+def demand_from_stop_counts(
     calls: pd.DataFrame, nodes: pd.DataFrame, rates: "pd.Series[float]"
 ) -> tuple[pd.DataFrame, float]:
     """The same by boardings at each stop and hour, split over what calls there by calls times the `rates` of
@@ -36,11 +36,11 @@ def node_demand(
         keys = pd.MultiIndex.from_frame(calls[LINE_STOP])
         of_stop = rates.groupby("stop_id").mean().reindex(calls["stop_id"]).fillna(float(rates.mean()))
         own = pd.Series(rates.reindex(keys).to_numpy()).fillna(pd.Series(of_stop.to_numpy()))
-        weight = np.maximum(own.to_numpy(np.float64), _LEAST_RATE)
-    return _split(calls, nodes, ["stop_id", "hour"], weight)
+        weight = np.maximum(own.to_numpy(np.float64), _MIN_RATE)
+    return _split_over_calls(calls, nodes, ["stop_id", "hour"], weight)
 
 
-def _split(
+def _split_over_calls(
     calls: pd.DataFrame, wanted: pd.DataFrame, keys: list[str], weight: NDArray[np.float64] | None
 ) -> tuple[pd.DataFrame, float]:
     """Boardings of each key shared among its calls by their weight."""
@@ -98,4 +98,4 @@ def alighting_table(
 
 def _prior(count: int) -> NDArray[np.float64]:
     even = np.ones(count)
-    return hazards(spread_by_tenth(BOARDING_TENTHS, even), spread_by_tenth(ALIGHTING_TENTHS, even))
+    return alighting_shares(spread_by_tenth(BOARDING_TENTHS, even), spread_by_tenth(ALIGHTING_TENTHS, even))

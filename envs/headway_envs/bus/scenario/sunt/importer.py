@@ -12,8 +12,12 @@ import pandas as pd
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.fitted import BOARDINGS_PER_TRIP
 from headway_envs.bus.scenario.measures import distance_m
-from headway_envs.bus.scenario.passengers import passengers
-from headway_envs.bus.scenario.sunt.counts import alighting_table, counted_demand, node_demand
+from headway_envs.bus.scenario.passengers import synthetic_passengers
+from headway_envs.bus.scenario.sunt.counts import (
+    alighting_table,
+    demand_from_records,
+    demand_from_stop_counts,
+)
 from headway_envs.bus.scenario.sunt.records import (
     Day,
     DayType,
@@ -23,13 +27,13 @@ from headway_envs.bus.scenario.sunt.records import (
     read_places,
 )
 from headway_envs.bus.scenario.sunt.times import link_times
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
+from headway_envs.bus.scenario.tables import NO_LINK, Tables
 
 ATTRIBUTION = (
     "SUNT, Salvador Urban Network Transportation (LabIA-UFBA), doi 10.17632/85fdtx3kr5.1, "
     "https://github.com/LabIA-UFBA/SUNT"
 )
-PATTERN = ["line", "reg", "dir"]
+PATTERN_KEYS = ["line", "reg", "dir"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ def import_sunt(raw: Path, options: SuntOptions) -> Tables:
     places = read_places(raw)
     days = [read_day(file, date, counted) for date, file in files.items()]
     timetable = _timetable_days(days, {"weekday": options.weekday, "sunday": options.sunday})
-    days = [_with_places(day, places, counted) for day in days]
+    days = [_drop_unplaced_calls(day, places, counted) for day in days]
     timetable = {kind: next(d for d in days if d.date == day.date) for kind, day in timetable.items()}
     network, calls = _network(timetable, places, counted)
     nodes = read_node_boardings(raw, counted)
@@ -65,17 +69,17 @@ def import_sunt(raw: Path, options: SuntOptions) -> Tables:
     for kind, here in calls.items():
         own = [day for day in days if day.day_type == kind and day.fares]
         if own:
-            rows, lost = counted_demand(here, own)
+            rows, lost = demand_from_records(here, own)
             made_from[f"demand {kind}"] = f"trip records of {_dates(own)}, expanded counts"
         elif kind in nodes:
-            rows, lost = node_demand(here, nodes[kind], rates)
+            rows, lost = demand_from_stop_counts(here, nodes[kind], rates)
             made_from[f"demand {kind}"] = f"counts by stop of {nodes[kind].attrs['days']} days, raw counts"
         else:
             means: dict[str, dict[int, float]] = {
                 kind: dict.fromkeys(range(len(network["patterns"])), BOARDINGS_PER_TRIP[kind])
             }
             made = trips[trips["daytype"] == kind]
-            rows, lost = passengers(network["pattern_stops"], made, means, options.seed)[0], 0.0
+            rows, lost = synthetic_passengers(network["pattern_stops"], made, means, options.seed)[0], 0.0
             made_from[f"demand {kind}"] = f"made up: {BOARDINGS_PER_TRIP[kind]:g} boardings a trip"
         counted[f"boardings of a {kind} without a call there in that hour, left out"] += round(lost)
         demand.append(rows.assign(daytype=kind))
@@ -99,14 +103,14 @@ def import_sunt(raw: Path, options: SuntOptions) -> Tables:
             "link_times_include_dwell": True,
         },
     )
-    return _of_lines(tables, options.lines)
+    return _select_lines(tables, options.lines)
 
 
 def _dates(days: Sequence[Day]) -> str:
     return ", ".join(str(day.date) for day in days)
 
 
-def _of_lines(tables: Tables, lines: Sequence[str]) -> Tables:
+def _select_lines(tables: Tables, lines: Sequence[str]) -> Tables:
     """What belongs to the named lines; passengers have been shared with the others before."""
     if not lines:
         return tables
@@ -144,7 +148,7 @@ def _timetable_days(days: Sequence[Day], wanted: Mapping[DayType, dt.date | None
     return found
 
 
-def _with_places(day: Day, places: pd.DataFrame, counted: Counter[str]) -> Day:
+def _drop_unplaced_calls(day: Day, places: pd.DataFrame, counted: Counter[str]) -> Day:
     """Without the calls at stops that no file places, and trips that have but one call elsewhere."""
     known = day.calls["stop_id"].isin(places.index)
     counted["calls at stops without a place, left out"] += int((~known).sum())
@@ -160,10 +164,10 @@ def _network(
     """The tables stops, patterns, pattern_stops and links, and the calls of the timetable's days with
     pattern, seq0 and hour. Patterns are in the order of their calls: files of sequences are older."""
     every = pd.concat([day.calls for day in timetable.values()], ignore_index=True)
-    stops = every.groupby([*PATTERN, "seq"])["stop_id"]
+    stops = every.groupby([*PATTERN_KEYS, "seq"])["stop_id"]
     counted["positions of patterns with another stop on the Sunday"] += int(stops.nunique().gt(1).sum())
     order = stops.first().reset_index()
-    order["pattern"] = order.groupby(PATTERN).ngroup()
+    order["pattern"] = order.groupby(PATTERN_KEYS).ngroup()
     order["seq0"] = order.groupby("pattern").cumcount()
     counts = order.groupby("pattern").size()
     order = order[order["pattern"].map(counts) >= 2]
@@ -176,7 +180,7 @@ def _network(
     order["leg_m"] = np.where(inner, np.round(legs), 0.0)
     pairs = np.column_stack((np.roll(stop, 1), stop))[inner]
     links, first, link = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
-    order["link"] = FIRST_LINK
+    order["link"] = NO_LINK
     order.loc[inner, "link"] = link.ravel()
     patterns = order.groupby("pattern").agg(
         line=("line", "first"), dir=("dir", "first"), reg=("reg", "first"), n_stops=("seq0", "size")
@@ -195,9 +199,9 @@ def _network(
             }
         ),
     }
-    place = order[[*PATTERN, "seq", "pattern", "seq0", "stop"]]
+    place = order[[*PATTERN_KEYS, "seq", "pattern", "seq0", "stop"]]
     calls = {
-        kind: day.calls.merge(place, on=[*PATTERN, "seq"]).assign(hour=lambda rows: rows["time"] // 3600)
+        kind: day.calls.merge(place, on=[*PATTERN_KEYS, "seq"]).assign(hour=lambda rows: rows["time"] // 3600)
         for kind, day in timetable.items()
     }
     return network, calls

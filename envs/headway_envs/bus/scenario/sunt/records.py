@@ -25,7 +25,7 @@ ALIGHTINGS_MISSING = 0.9
 """With fewer alightings a boarding than this they were not expanded as boardings were (until April 2024)."""
 UNPHYSICAL_LOAD = 150.0
 """Passengers on one bus."""
-TRIP = ("vehicle", "trip_id", "start_trip")
+TRIP_KEYS = ("vehicle", "trip_id", "start_trip")
 _COLUMNS = (
     *("route_short_name", "register_code", "direction_id", "pt_sequence", "stop_id", "vehicle", "trip_id"),
     *("start_trip", "stop_time", "n-boardings", "n-alighting", "lag_loading", "loading"),
@@ -90,7 +90,7 @@ def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
             "dir": frame["direction_id"],
             "seq": frame["pt_sequence"].astype(np.int64),
             "stop_id": frame["stop_id"].astype(str),
-            "trip": frame.groupby(list(TRIP), sort=False).ngroup(),
+            "trip": frame.groupby(list(TRIP_KEYS), sort=False).ngroup(),
             "vehicle": frame["vehicle"],
             "time": time,
             "board": frame["n-boardings"].astype(np.float64),

@@ -8,17 +8,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway_envs.bus.scenario.fitted import LINK_S_LOG, WITHIN_HOUR_SD
-from headway_envs.bus.scenario.measures import FASTEST_MPS, TIMED_HOURS
+from headway_envs.bus.scenario.measures import MAX_SPEED_MPS, TIMED_HOURS
 from headway_envs.bus.scenario.sunt.records import Day
 
-LONGEST_S = 1800.0
+MAX_LINK_S = 1800.0
 """Longer times from stop to stop are faults of the positions, or breaks."""
-_WORTH = 4.0
+_MODEL_WEIGHT = 4.0
 """Drives that the model of link and hour counts for, beside those seen in a cell."""
-_SD_WORTH = 8.0
+_SD_WEIGHT = 8.0
 """Drives that the measured spread counts for, beside those of a link."""
-_LARGEST_SD = 0.8
-_LEAST_S = 5.0
+_MAX_SD = 0.8
+_MIN_LINK_S = 5.0
 
 
 def link_times(
@@ -35,12 +35,12 @@ def link_times(
     for kind in ("weekday", "sunday"):
         own = [day.calls for day in days if day.day_type == kind]
         if own:
-            legs = pd.concat([_legs(calls, ends, metres, counted) for calls in own], ignore_index=True)
-            frames.append(_table(legs, metres, counted).assign(daytype=kind))
+            legs = pd.concat([_drives(calls, ends, metres, counted) for calls in own], ignore_index=True)
+            frames.append(_smoothed_times(legs, metres, counted).assign(daytype=kind))
     return pd.concat(frames, ignore_index=True)
 
 
-def _legs(
+def _drives(
     calls: pd.DataFrame, ends: pd.MultiIndex, metres: NDArray[np.float64], counted: Counter[str]
 ) -> pd.DataFrame:
     """link, hour and s of each drive from one stop to the next, without faults."""
@@ -51,14 +51,14 @@ def _legs(
     legs = pd.DataFrame({"link": link, "hour": time[:-1][following] // 3600, "s": np.diff(time)[following]})
     legs = legs[legs["link"] >= 0]
     counted["link times of 0 s, not used"] += int((legs["s"] <= 0).sum())
-    counted[f"link times above {LONGEST_S:g} s, not used"] += int((legs["s"] > LONGEST_S).sum())
-    fast = (legs["s"] > 0) & (metres[legs["link"]] / legs["s"].clip(lower=0.1) > FASTEST_MPS)
+    counted[f"link times above {MAX_LINK_S:g} s, not used"] += int((legs["s"] > MAX_LINK_S).sum())
+    fast = (legs["s"] > 0) & (metres[legs["link"]] / legs["s"].clip(lower=0.1) > MAX_SPEED_MPS)
     counted["link times faster than 90 km/h, not used"] += int(fast.sum())
-    kept: pd.DataFrame = legs[(legs["s"] > 0) & (legs["s"] <= LONGEST_S) & ~fast]
+    kept: pd.DataFrame = legs[(legs["s"] > 0) & (legs["s"] <= MAX_LINK_S) & ~fast]
     return kept.assign(hour=kept["hour"].clip(TIMED_HOURS[0], TIMED_HOURS[-1]).astype(np.int64))
 
 
-def _table(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str]) -> pd.DataFrame:
+def _smoothed_times(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str]) -> pd.DataFrame:
     """One row for each link and hour: n, mean_s and log_sigma.
 
     The model is a link's mean times the hour's factor; a link never driven takes the fitted time of its
@@ -67,27 +67,27 @@ def _table(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str
     count = np.bincount(legs["link"], minlength=len(metres))
     fitted = np.exp(intercept + slope * np.log(np.maximum(metres, 1.0)))
     total = np.bincount(legs["link"], legs["s"], minlength=len(metres))
-    base = (total + _WORTH * fitted) / (count + _WORTH)
+    base = (total + _MODEL_WEIGHT * fitted) / (count + _MODEL_WEIGHT)
     counted["links never driven, times by length"] += int((count == 0).sum())
     hour = legs["hour"].to_numpy() - TIMED_HOURS[0]
-    seen = np.bincount(hour, legs["s"], minlength=len(TIMED_HOURS)) + _WORTH * base.mean()
-    expected = np.bincount(hour, base[legs["link"]], minlength=len(TIMED_HOURS)) + _WORTH * base.mean()
+    seen = np.bincount(hour, legs["s"], minlength=len(TIMED_HOURS)) + _MODEL_WEIGHT * base.mean()
+    expected = np.bincount(hour, base[legs["link"]], minlength=len(TIMED_HOURS)) + _MODEL_WEIGHT * base.mean()
     model = np.outer(base, seen / expected)
     cell = legs["link"].to_numpy() * len(TIMED_HOURS) + hour
     n = np.bincount(cell, minlength=model.size).reshape(model.shape)
     sums = np.bincount(cell, legs["s"], minlength=model.size).reshape(model.shape)
-    mean = np.maximum((sums + _WORTH * model) / (n + _WORTH), _LEAST_S)
+    mean = np.maximum((sums + _MODEL_WEIGHT * model) / (n + _MODEL_WEIGHT), _MIN_LINK_S)
     logs = np.log(legs["s"].to_numpy())
     middle = np.bincount(cell, logs, minlength=model.size) / np.maximum(n.ravel(), 1)
     squares = np.bincount(legs["link"], (logs - middle[cell]) ** 2, minlength=len(metres))
     free = np.maximum(count - (n > 0).sum(axis=1), 0)
-    sigma = np.sqrt((squares + _SD_WORTH * WITHIN_HOUR_SD**2) / (free + _SD_WORTH))
+    sigma = np.sqrt((squares + _SD_WEIGHT * WITHIN_HOUR_SD**2) / (free + _SD_WEIGHT))
     return pd.DataFrame(
         {
             "link": np.repeat(np.arange(len(metres)), len(TIMED_HOURS)),
             "hour": np.tile(TIMED_HOURS, len(metres)),
             "n": n.ravel(),
-            "log_sigma": np.repeat(np.minimum(sigma, _LARGEST_SD), len(TIMED_HOURS)),
+            "log_sigma": np.repeat(np.minimum(sigma, _MAX_SD), len(TIMED_HOURS)),
             "mean_s": mean.ravel(),
         }
     )
