@@ -1,7 +1,7 @@
-"""The scenario format: eight tables and `meta.json`, read by one loader that checks everything.
+"""Scenario format: eight tables and `meta.json`, and the loader that checks them.
 
-Times are seconds after midnight of the service day and may pass 86,400. Every value of the columns named here
-is checked, whether a given experiment reads it or not. Columns beyond those are kept, and neither read nor
+Times are seconds after midnight of the service day and may exceed 86,400. Every value of the columns named
+here is checked, also where an experiment does not read it. Other columns are kept, but neither read nor
 checked: they may hold blanks.
 """
 
@@ -20,11 +20,11 @@ from headway.contracts import HeadwayError
 from headway_envs.bus.config import SCENARIOS
 
 NO_LINK = 65535
-"""The `link` of a pattern's first stop, to which no link leads."""
+"""Value of `link` at a pattern's first stop, to which no link leads."""
 
 PERIOD_HOURS = (9, 15, 20)
 PERIODS = len(PERIOD_HOURS) + 1
-"""Of the day, in which other shares alight: before 9 h, 9-15, 15-20 and after."""
+"""Number of periods of the day with alighting shares of their own: before 9 h, 9-15, 15-20 and after."""
 
 DAY_TYPES = ("weekday", "sunday")
 
@@ -38,8 +38,8 @@ COLUMNS = {
     "alighting": ("pattern", "seq0", "period", "p_alight"),
     "trips": ("pattern", "vehicle", "dep_s", "arr_s", "daytype"),
 }
-"""The tables and the columns they must have. `board` is passengers a day in that hour; `p_alight` the share
-of the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
+"""Tables and their required columns. `board`: mean number of passengers who board in that hour of a day;
+`p_alight`: share of the load on arrival that alights, in periods before 9 h, 9-15, 15-20 and after."""
 
 _TEXT = {"line", "dir", "daytype"}
 _INTEGERS = {
@@ -93,7 +93,7 @@ _REFERENCES = (
 
 @dataclass(frozen=True)
 class Tables:
-    """A scenario as data frames with the columns of `COLUMNS`."""
+    """Tables of a scenario as data frames with the columns of `COLUMNS`."""
 
     stops: pd.DataFrame
     patterns: pd.DataFrame
@@ -104,17 +104,18 @@ class Tables:
     alighting: pd.DataFrame
     trips: pd.DataFrame
     meta: dict[str, Any] = field(default_factory=dict)
-    """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool."""
+    """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool; others as
+    in FORMAT.md."""
 
 
 def read_tables(folder: str | Path) -> Tables:
-    """Read and check a scenario folder. Raises HeadwayError naming folder, table, row and column."""
+    """Read and check a scenario folder. Raises HeadwayError that names folder, table, row and column."""
     folder = Path(folder)
     if not folder.is_dir():
         near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise HeadwayError(
-            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and no folder{hint} "
+            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and not a folder{hint} "
             "(a scenario folder holds eight Parquet tables and meta.json)"
         )
     frames = {}
@@ -135,12 +136,12 @@ def read_tables(folder: str | Path) -> Tables:
         meta = json.loads(meta_path.read_text())
     except FileNotFoundError as error:
         raise HeadwayError(
-            f"{meta_path} is missing; it says where the tables come from: write one, {{}} at least"
+            f"{meta_path} is missing; it states the source of the tables: write one, at least {{}}"
         ) from error
     except ValueError as error:
-        raise HeadwayError(f"{meta_path} is not valid JSON: {error}; mend or remove it") from error
+        raise HeadwayError(f"{meta_path} is not valid JSON: {error}; correct it") from error
     if not isinstance(meta, dict):
-        raise HeadwayError(f"{meta_path} holds no JSON object; write one, {{}} at least")
+        raise HeadwayError(f"{meta_path} holds no JSON object; write one, at least {{}}")
     tables = Tables(**frames, meta=meta)
     try:
         check_tables(tables)
@@ -150,7 +151,7 @@ def read_tables(folder: str | Path) -> Tables:
 
 
 def write_tables(tables: Tables, folder: str | Path) -> None:
-    """Write a scenario folder that `read_tables` reads back."""
+    """Write a scenario folder that `read_tables` can read."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in COLUMNS:
@@ -159,8 +160,9 @@ def write_tables(tables: Tables, folder: str | Path) -> None:
 
 
 def check_tables(tables: Tables) -> None:
-    """Raise HeadwayError at the first fault: columns, blanks, ranges, repeats, references, sequences."""
-    # Rows are named by their index, also after sorting: their numbers in the file.
+    """Raise HeadwayError at the first fault: missing columns, blanks, ranges, duplicates, references,
+    sequences."""
+    # Errors name rows by their index, which must be their number in the file also after sorting.
     numbered = {name: getattr(tables, name).reset_index(drop=True) for name in COLUMNS}
     tables = replace(tables, **numbered)
     for name, columns in COLUMNS.items():
@@ -181,11 +183,11 @@ def check_tables(tables: Tables) -> None:
     _check_calls(tables)
     _check_meta(tables.meta)
     backwards = (tables.trips["arr_s"] < tables.trips["dep_s"]).to_numpy()
-    _refuse_rows("trips", tables.trips, "arr_s", backwards, "is before dep_s; mend the times")
+    _refuse_rows("trips", tables.trips, "arr_s", backwards, "is before dep_s; correct the times")
 
 
 def _refuse_rows(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
-    """Raise naming the first bad row, if any."""
+    """Raise HeadwayError that names the first row where `bad`, if any."""
     if not bad.any():
         return
     place = int(np.flatnonzero(bad)[0])
@@ -205,7 +207,7 @@ def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
     _refuse_rows(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
     if column == "daytype":
         wrong = ~frame[column].isin((*DAY_TYPES, "saturday")).to_numpy()
-        _refuse_rows(name, frame, column, wrong, "is not weekday, saturday or sunday; mend it")
+        _refuse_rows(name, frame, column, wrong, "is not weekday, saturday or sunday; correct it")
     if column in _TEXT:
         empty = (frame[column].astype(str).str.strip() == "").to_numpy()
         _refuse_rows(name, frame, column, empty, "is empty; fill it in")
@@ -215,13 +217,14 @@ def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
     low, high = _RANGES.get(column, (0.0, 2.0**53))
     values = frame[column].to_numpy(np.float64)
     outside = ~((values >= low) & (values <= high))
-    _refuse_rows(name, frame, column, outside, f"lies outside {low:g} to {high:g}; mend it")
+    _refuse_rows(name, frame, column, outside, f"lies outside {low:g} to {high:g}; correct it")
     if column in _INTEGERS:
-        _refuse_rows(name, frame, column, values % 1 != 0, "is not a whole number; mend it")
+        _refuse_rows(name, frame, column, values % 1 != 0, "is not a whole number; correct it")
 
 
 def _check_patterns(tables: Tables) -> None:
-    """Positions run from 0, and each link leads from the stop before."""
+    """Check that the positions of each pattern run from 0, and that each link leads from the previous
+    stop."""
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     expected = calls.groupby("pattern").cumcount().to_numpy()
     gap = calls["seq0"].to_numpy() != expected
@@ -244,7 +247,8 @@ def _check_patterns(tables: Tables) -> None:
 
 
 def _check_calls(tables: Tables) -> None:
-    """Demand and alighting stand at positions that exist; everyone has left at the last one."""
+    """Check that demand and alighting refer to existing positions, and that all passengers alight at the last
+    one."""
     counts = tables.patterns.set_index("pattern")["n_stops"]
     for name in ("demand", "alighting"):
         frame: pd.DataFrame = getattr(tables, name)
@@ -257,7 +261,7 @@ def _check_calls(tables: Tables) -> None:
     calls = tables.pattern_stops
     periods = frame.groupby(["pattern", "seq0"]).size()
     found = periods.reindex(pd.MultiIndex.from_frame(calls[["pattern", "seq0"]])).to_numpy(np.float64)
-    what = f"has not {PERIODS} rows in table alighting, one for each period; add them"
+    what = f"has not {PERIODS} rows in table alighting, one per period; add them"
     _refuse_rows("pattern_stops", calls, "pattern+seq0", ~(found == PERIODS), what)
 
 

@@ -65,7 +65,7 @@ def test_a_feed_s_schedule_is_no_measurement(recorded: Tables) -> None:
 
 
 def test_boardings_that_were_made_up_are_left_out(recorded: Tables) -> None:
-    meta = {"source": "a test", "made_from": {"demand weekday": "made up: 60 boardings a trip"}}
+    meta = {"source": "a test", "made_from": {"demand weekday": "made up: 60 boardings per trip"}}
     names = {row.statistic for row in compare_replay(replace(recorded, meta=meta), BusConfig(), 1)}
     assert trip_statistics.BOARDINGS not in names
     assert trip_statistics.TRIP_MEAN in names

@@ -1,4 +1,4 @@
-"""From a GTFS feed to a scenario's tables."""
+"""Import of a GTFS feed as a scenario's tables."""
 
 import datetime as dt
 from collections import Counter
@@ -31,30 +31,32 @@ BUS_TYPES = (
     *(str(kind) for kind in range(700, 717)),
     "800",
 )
-"""Route types of buses, trolleybuses and coaches, the extended ones too."""
+"""Route types of buses, trolleybuses and coaches, including the extended ones."""
 _FIRST_HOUR, _LAST_HOUR = int(TIMED_HOURS[0]), int(TIMED_HOURS[-1])
 _MIN_LINK_S = 5.0
 
 
 @dataclass(frozen=True)
 class GtfsOptions:
-    """What of a feed is taken."""
+    """Selection from a feed, and assumptions about passengers."""
 
     weekday: dt.date | None = None
-    """The date of the weekday; none: that of most trips."""
+    """Date of the weekday's timetable; None: the weekday with the most trips."""
     sunday: dt.date | None = None
-    """The same of the Sunday."""
+    """Date of the Sunday's timetable; None: the Sunday with the most trips."""
     lines: Sequence[str] = ()
-    """Names of lines; none: all."""
+    """Names of the lines to import; empty: all."""
     route_types: Sequence[str] = BUS_TYPES
+    """Route types to import."""
     boardings_per_trip: float = BOARDINGS_PER_TRIP["weekday"]
-    """Mean on a weekday; on Sundays in the measured proportion."""
+    """Mean boardings per trip on a weekday; those on Sundays are in the fitted proportion."""
     seed: int = 0
-    """Of the pull of stops on passengers."""
+    """Seed of the random weights of stops in the demand."""
 
 
 def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
-    """The tables of a feed. Raises HeadwayError naming file, line and column of what cannot be read."""
+    """Return the tables of a feed. Raises HeadwayError that names file, line and column of what cannot be
+    read."""
     feed = read_feed(path)
     counted: Counter[str] = Counter()
     trips = _chosen_trips(feed, options)
@@ -86,7 +88,7 @@ def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
 
 
 def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
-    """Trips of the chosen lines, with `line` and `way`."""
+    """Return the trips of the chosen lines, with columns `line` and `way` (direction)."""
     routes = feed["routes"].drop_duplicates("route_id").copy()
     names = routes["route_short_name"].fillna(routes["route_long_name"]).fillna(routes["route_id"])
     agency = routes["agency_id"].fillna("")
@@ -97,7 +99,7 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
     chosen = routes[routes["route_type"].isin(list(options.route_types))]
     if chosen.empty:
         there = ", ".join(sorted(set(routes["route_type"].dropna())))
-        raise HeadwayError(f"FEED: no route is a bus; its route types are {there}: choose with --types")
+        raise HeadwayError(f"FEED: no route is a bus; its route types are {there}: choose some with --types")
     if options.lines:
         unknown = sorted(set(options.lines) - set(chosen["line"]))
         if unknown:
@@ -115,8 +117,8 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
 
 
 def _patterns(trips: pd.DataFrame, calls: Calls) -> Integers:
-    """(trips,) one number for each stop sequence of a line and direction, by line; -1 for trips without
-    calls."""
+    """Return a pattern number per trip (trips,): one per stop sequence of a line and direction, numbered by
+    line; -1 for trips without calls."""
     bounds = [*calls.first.tolist(), len(calls.trip)]
     line, way = trips["line"].to_numpy(), trips["way"].to_numpy()
     sequences: dict[tuple[str, str, bytes], list[int]] = {}
@@ -132,7 +134,7 @@ def _patterns(trips: pd.DataFrame, calls: Calls) -> Integers:
 
 
 def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """The tables stops, patterns, pattern_stops and links."""
+    """Return the tables stops, patterns, pattern_stops and links."""
     begins = calls.first
     numbers_here = trips["pattern"].to_numpy()[calls.trip[begins]]
     _, example = np.unique(numbers_here, return_index=True)
@@ -178,6 +180,7 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
 
 
 def _filled(count: int, where: NDArray[np.bool_], values: Integers, other: int) -> Integers:
+    """Return `values` where `where`, else `other`."""
     filled = np.full(count, other, np.int64)
     filled[where] = values
     return filled
@@ -190,7 +193,8 @@ def _day_trips(
     days: dict[str, tuple[dt.date, set[str]]],
     counted: Counter[str],
 ) -> pd.DataFrame:
-    """Each drive of a trip on a day type: daytype, trip (row), shift (s to its times in stop_times)."""
+    """Return one row per departure of a trip on a day type: daytype, trip (row), shift (of its times relative
+    to stop_times, s)."""
     whole = trips["pattern"].to_numpy() >= 0
     first = np.full(len(trips), np.nan)
     first[calls.trip[calls.first]] = calls.time[calls.first]
@@ -205,12 +209,12 @@ def _day_trips(
         parts.append(part.assign(daytype=day))
     day_trips: pd.DataFrame = pd.concat(parts, ignore_index=True)
     if day_trips.empty:
-        raise HeadwayError("FEED: no trip of the chosen days can be used; look at stop_times.txt")
+        raise HeadwayError("FEED: no trip of the chosen days can be used; check stop_times.txt")
     return day_trips
 
 
 def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame:
-    """Every departure of frequencies.txt: trip (row), shift."""
+    """Return every departure stated by frequencies.txt: trip (row), shift."""
     frame = feed["frequencies"]
     row = pd.Index(trips["trip_id"]).get_indexer(pd.Index(frame["trip_id"]))
     begin = seconds("frequencies", "start_time", frame["start_time"])
@@ -235,8 +239,8 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
 def _trip_table(
     day_trips: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
 ) -> pd.DataFrame:
-    """The table trips; vehicles by block_id where every trip of the day has one, else chained, as are those
-    of a block's trips that overlap."""
+    """Return the table trips. Vehicles follow block_id if every trip of the day has one; else, and for blocks
+    with overlapping trips, they are chained at terminals."""
     begin = calls.first
     last = np.append(begin[1:], len(calls.trip)) - 1
     terminal = terminals(stops, np.concatenate((calls.stop[begin], calls.stop[last])))
@@ -271,7 +275,7 @@ def _trip_table(
 
 
 def _vehicles_by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
-    """(J,) a vehicle for each trip: one a block or, where its trips overlap, as many as it takes."""
+    """Return a vehicle for each trip (J,): one per block, or as many as necessary if its trips overlap."""
     vehicle = pd.factorize(trips["block"])[0].astype(np.int64)
     ordered = trips.assign(vehicle=vehicle).sort_values(["vehicle", "dep_s", "arr_s"])
     before = ordered.groupby("vehicle")["arr_s"].cummax().groupby(ordered["vehicle"]).shift()
@@ -290,7 +294,7 @@ def _link_times(
     calls: Calls,
     counted: Counter[str],
 ) -> pd.DataFrame:
-    """The table link_times: means of the scheduled times by link and hour, at least those of 90 km/h."""
+    """Return the table link_times: mean scheduled times by link and hour, at least those at 90 km/h."""
     begin = calls.first
     counts = np.diff(np.append(begin, len(calls.trip)))
     position = np.arange(len(calls.trip)) - np.repeat(begin, counts)
@@ -340,6 +344,7 @@ def _meta(
     options: GtfsOptions,
     counted: Counter[str],
 ) -> dict[str, object]:
+    """Return the metadata of the scenario."""
     agencies = sorted(set(feed["agency"]["agency_name"].dropna()))
     version = [str(value) for value in feed["feed_info"]["feed_version"].dropna()[:1]]
     return {
@@ -347,10 +352,10 @@ def _meta(
         "licence": "that of the feed; ask its publisher",
         "dates": {day: str(date) for day, (date, _) in days.items()},
         "made_up": {
-            "demand, alighting": f"{options.boardings_per_trip:g} boardings a trip on weekdays, by shares "
+            "demand, alighting": f"{options.boardings_per_trip:g} boardings per trip on weekdays, by shares "
             f"fitted to {SOURCE}; seed {options.seed}",
             "link_times.log_sigma": f"{WITHIN_HOUR_SD}, of {SOURCE}",
-            "link_times.mean_s": "scheduled, which real means may differ from",
+            "link_times.mean_s": "scheduled times, from which real means may differ",
         },
         "counted": {name: count for name, count in counted.items() if count},
         "link_times_include_dwell": True,

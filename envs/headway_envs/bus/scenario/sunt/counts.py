@@ -1,4 +1,4 @@
-"""Passengers of SUNT: boardings by trip record or by stop, and the shares that alight."""
+"""Passengers of SUNT: boardings from trip records or from counts by stop, and alighting shares."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,15 +12,21 @@ from headway_envs.bus.scenario.sunt.records import Day
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, PERIODS
 
 _PRIOR_LOAD = 30.0
-"""Passengers' worth of the measured shares by tenth that a stop's own share of alightings is mixed with."""
+"""Weight, in passengers, of the fitted alighting shares by tenth when they are mixed with a stop's own
+share."""
 _MIN_RATE = 0.05
-"""Boardings of a call at a stop where none were seen, in splitting a stop's count over its lines."""
+"""Smallest boardings per call, used where none were observed, when a stop's count is divided among its
+lines."""
 LINE_STOP = ["line", "dir", "stop_id"]
+"""Columns that identify a stop of a line and direction."""
 
 
 def demand_from_records(calls: pd.DataFrame, days: Sequence[Day]) -> tuple[pd.DataFrame, float]:
-    """Rows of demand (pattern, seq0, hour, calls, board) of a timetable's calls, by the mean boardings of
-    `days` at each line, direction, stop and hour; and the boardings that found no call there then."""
+    """Return rows of demand (pattern, seq0, hour, calls, board) for a timetable's calls, and the number of
+    boardings without a call in that hour.
+
+    Boardings are means over `days` at each line, direction, stop and hour.
+    """
     every = pd.concat([day.calls for day in days])
     wanted = every.assign(hour=every["time"] // 3600).groupby([*LINE_STOP, "hour"])["board"].sum() / len(days)
     return _split_over_calls(calls, wanted.reset_index(), [*LINE_STOP, "hour"], None)
@@ -29,8 +35,12 @@ def demand_from_records(calls: pd.DataFrame, days: Sequence[Day]) -> tuple[pd.Da
 def demand_from_stop_counts(
     calls: pd.DataFrame, nodes: pd.DataFrame, rates: "pd.Series[float]"
 ) -> tuple[pd.DataFrame, float]:
-    """The same by boardings at each stop and hour, split over what calls there by calls times the `rates` of
-    other days (mean boardings of a call by line, dir and stop_id; at unknown ones the stop's mean)."""
+    """Return rows of demand (pattern, seq0, hour, calls, board) for a timetable's calls, and the number of
+    boardings without a call in that hour.
+
+    Boardings at each stop and hour are divided among its calls in proportion to `rates`: mean boardings per
+    call, by line, dir and stop_id, of other days. Unknown lines take the stop's mean.
+    """
     weight = None
     if len(rates):
         keys = pd.MultiIndex.from_frame(calls[LINE_STOP])
@@ -43,7 +53,8 @@ def demand_from_stop_counts(
 def _split_over_calls(
     calls: pd.DataFrame, wanted: pd.DataFrame, keys: list[str], weight: NDArray[np.float64] | None
 ) -> tuple[pd.DataFrame, float]:
-    """Boardings of each key shared among its calls by their weight."""
+    """Divide the boardings of each key among its calls in proportion to their weight. Return the rows of
+    demand, and the number of boardings without a call."""
     rows = calls[["pattern", "seq0", *LINE_STOP, "hour"]].assign(weight=1.0 if weight is None else weight)
     rows = rows.groupby(["pattern", "seq0", *LINE_STOP, "hour"], as_index=False)["weight"].agg(
         ["sum", "size"]
@@ -59,8 +70,11 @@ def _split_over_calls(
 def alighting_table(
     network: Mapping[str, pd.DataFrame], days: Sequence[Day]
 ) -> tuple[pd.DataFrame, list[Day]]:
-    """The table alighting, and the days it is made of: alightings over the load on arrival at each line,
-    direction, stop and period, mixed with the measured shares where few were seen."""
+    """Return the table alighting, and the days it is made from.
+
+    Shares are alightings over the load on arrival at each line, direction, stop and period, mixed with the
+    fitted shares where few passengers were observed.
+    """
     seen = pd.DataFrame(
         {"alight": [], "load_before": []}, index=pd.MultiIndex.from_tuples([], names=[*LINE_STOP, "period"])
     )
@@ -97,5 +111,6 @@ def alighting_table(
 
 
 def _prior(count: int) -> NDArray[np.float64]:
+    """Return the fitted alighting shares of a pattern of `count` stops."""
     even = np.ones(count)
     return alighting_shares(spread_by_tenth(BOARDING_TENTHS, even), spread_by_tenth(ALIGHTING_TENTHS, even))

@@ -1,4 +1,4 @@
-"""From raw files of SUNT to a scenario's tables."""
+"""Import of raw files of SUNT as a scenario's tables."""
 
 import datetime as dt
 from collections import Counter
@@ -34,23 +34,25 @@ ATTRIBUTION = (
     "https://github.com/LabIA-UFBA/SUNT"
 )
 PATTERN_KEYS = ["line", "reg", "dir"]
+"""Columns that identify a pattern."""
 
 
 @dataclass(frozen=True)
 class SuntOptions:
-    """What of the files is taken."""
+    """Selection from the raw files."""
 
     weekday: dt.date | None = None
-    """The date of the weekday's timetable; none: that of most trips."""
+    """Date of the weekday's timetable; None: the weekday with the most trips."""
     sunday: dt.date | None = None
+    """Date of the Sunday's timetable; None: the Sunday with the most trips."""
     lines: Sequence[str] = ()
-    """Names of lines; none: all."""
+    """Names of the lines to import; empty: all."""
     seed: int = 0
-    """Of demand that is made up where no counts are."""
+    """Seed of synthetic demand, used where there are no counts."""
 
 
 def import_sunt(raw: Path, options: SuntOptions) -> Tables:
-    """The tables of the files below `raw`. Raises HeadwayError naming what is missing or wrong."""
+    """Return the tables of the files below `raw`. Raises HeadwayError that names what is missing or wrong."""
     counted: Counter[str] = Counter()
     files = find_days(raw)
     places = read_places(raw)
@@ -80,12 +82,12 @@ def import_sunt(raw: Path, options: SuntOptions) -> Tables:
             }
             made = trips[trips["daytype"] == kind]
             rows, lost = synthetic_passengers(network["pattern_stops"], made, means, options.seed)[0], 0.0
-            made_from[f"demand {kind}"] = f"made up: {BOARDINGS_PER_TRIP[kind]:g} boardings a trip"
+            made_from[f"demand {kind}"] = f"made up: {BOARDINGS_PER_TRIP[kind]:g} boardings per trip"
         counted[f"boardings of a {kind} without a call there in that hour, left out"] += round(lost)
         demand.append(rows.assign(daytype=kind))
     alighting, alighting_days = alighting_table(network, [day for day in days if day.alightings])
     made_from["alighting"] = (
-        f"trip records of {_dates(alighting_days)}" if alighting_days else "made up by measured shares"
+        f"trip records of {_dates(alighting_days)}" if alighting_days else "made up from fitted shares"
     )
     times = link_times(network, days, counted)
     tables = Tables(
@@ -111,13 +113,14 @@ def _dates(days: Sequence[Day]) -> str:
 
 
 def _select_lines(tables: Tables, lines: Sequence[str]) -> Tables:
-    """What belongs to the named lines; passengers have been shared with the others before."""
+    """Return the part of the tables that belongs to the named lines. Boardings have been divided among all
+    lines before."""
     if not lines:
         return tables
     unknown = sorted(set(lines) - set(tables.patterns["line"]))
     if unknown:
         some = ", ".join(sorted(tables.patterns["line"].unique())[:8])
-        raise HeadwayError(f"--lines: there is no line {unknown[0]}; there is {some}, ...")
+        raise HeadwayError(f"--lines: there is no line {unknown[0]}; the lines are {some}, ...")
     own = tables.patterns.loc[tables.patterns["line"].isin(list(lines)), "pattern"]
     calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(own)]
     kept = {
@@ -132,7 +135,8 @@ def _select_lines(tables: Tables, lines: Sequence[str]) -> Tables:
 
 
 def _timetable_days(days: Sequence[Day], wanted: Mapping[DayType, dt.date | None]) -> dict[DayType, Day]:
-    """The day of each day type whose trips are the timetable."""
+    """Return the day of each day type whose trips make up the timetable. Raises HeadwayError if there is
+    none."""
     found: dict[DayType, Day] = {}
     for kind, date in wanted.items():
         own = [day for day in days if day.day_type == kind and day.trips]
@@ -140,16 +144,16 @@ def _timetable_days(days: Sequence[Day], wanted: Mapping[DayType, dt.date | None
             own = [day for day in own if day.date == date]
             if not own:
                 there = _dates([day for day in days if day.day_type == kind]) or "none"
-                raise HeadwayError(f"--{kind}: {date} is no {kind} with trips here; there is: {there}")
+                raise HeadwayError(f"--{kind}: {date} is no {kind} with trips here; available: {there}")
         if own:
             found[kind] = max(own, key=lambda day: day.trips)
     if not found:
-        raise HeadwayError("RAW: there is no trip on any weekday or sunday, only saturdays")
+        raise HeadwayError("RAW: there are trips on saturdays only, none on a weekday or sunday")
     return found
 
 
 def _drop_unplaced_calls(day: Day, places: pd.DataFrame, counted: Counter[str]) -> Day:
-    """Without the calls at stops that no file places, and trips that have but one call elsewhere."""
+    """Drop calls at stops without coordinates, and trips of which fewer than two calls remain."""
     known = day.calls["stop_id"].isin(places.index)
     counted["calls at stops without a place, left out"] += int((~known).sum())
     calls = day.calls[known]
@@ -161,8 +165,11 @@ def _drop_unplaced_calls(day: Day, places: pd.DataFrame, counted: Counter[str]) 
 def _network(
     timetable: Mapping[DayType, Day], places: pd.DataFrame, counted: Counter[str]
 ) -> tuple[dict[str, pd.DataFrame], dict[DayType, pd.DataFrame]]:
-    """The tables stops, patterns, pattern_stops and links, and the calls of the timetable's days with
-    pattern, seq0 and hour. Patterns are in the order of their calls: files of sequences are older."""
+    """Return the tables stops, patterns, pattern_stops and links, and the calls of the timetable's days with
+    pattern, seq0 and hour.
+
+    Patterns follow the recorded calls, because the dataset's files of stop sequences are older.
+    """
     every = pd.concat([day.calls for day in timetable.values()], ignore_index=True)
     stops = every.groupby([*PATTERN_KEYS, "seq"])["stop_id"]
     counted["positions of patterns with another stop on the Sunday"] += int(stops.nunique().gt(1).sum())
@@ -208,7 +215,7 @@ def _network(
 
 
 def _trips(calls: Mapping[DayType, pd.DataFrame]) -> pd.DataFrame:
-    """The table trips, vehicles renumbered."""
+    """Return the table trips, with vehicles renumbered."""
     parts = []
     for kind, rows in calls.items():
         trips = rows.groupby("trip").agg(
@@ -220,13 +227,13 @@ def _trips(calls: Mapping[DayType, pd.DataFrame]) -> pd.DataFrame:
         )
         parts.append(trips.assign(daytype=kind))
     table = pd.concat(parts, ignore_index=True)
-    # By departure, so that the numbers do not follow the fleet's.
+    # Sorted by departure, so that vehicle numbers do not reveal the fleet's own.
     table = table.sort_values(["daytype", "dep_s", "pattern"], kind="stable", ignore_index=True)
     return table.assign(vehicle=pd.factorize(table["vehicle"])[0])
 
 
 def _boarding_rates(days: Sequence[Day]) -> pd.Series:
-    """Mean boardings of a call by line, dir and stop_id, of all days with fares."""
+    """Return the mean boardings per call by line, dir and stop_id, over all days with fares."""
     fares = [day.calls for day in days if day.fares]
     if not fares:
         return pd.Series(dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Travel times of SUNT: means and spreads of links by hour, filled up where few buses drove."""
+"""Link times of SUNT: means and spreads by hour, completed where there are few observations."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,19 +12,20 @@ from headway_envs.bus.scenario.measures import MAX_SPEED_MPS, TIMED_HOURS
 from headway_envs.bus.scenario.sunt.records import Day
 
 MAX_LINK_S = 1800.0
-"""Longer times from stop to stop are faults of the positions, or breaks."""
+"""Largest plausible time between stops, s. Longer times are faults of the positions, or breaks."""
 _MODEL_WEIGHT = 4.0
-"""Drives that the model of link and hour counts for, beside those seen in a cell."""
+"""Weight of the model of link and hour, in observed drives."""
 _SD_WEIGHT = 8.0
-"""Drives that the measured spread counts for, beside those of a link."""
+"""Weight of the fitted spread, in observed drives."""
 _MAX_SD = 0.8
+"""Largest sd of the log of link times that is written."""
 _MIN_LINK_S = 5.0
 
 
 def link_times(
     network: Mapping[str, pd.DataFrame], days: Sequence[Day], counted: Counter[str]
 ) -> pd.DataFrame:
-    """The table link_times of the day types that `days` hold."""
+    """Return the table link_times for the day types of `days`."""
     links = network["links"]
     stop_id = network["stops"].set_index("stop")["stop_id"]
     ends = pd.MultiIndex.from_arrays(
@@ -43,7 +44,8 @@ def link_times(
 def _drives(
     calls: pd.DataFrame, ends: pd.MultiIndex, metres: NDArray[np.float64], counted: Counter[str]
 ) -> pd.DataFrame:
-    """link, hour and s of each drive from one stop to the next, without faults."""
+    """Return link, hour and duration (s) of each drive from one stop to the next, without implausible
+    ones."""
     stop, time = calls["stop_id"].to_numpy(), calls["time"].to_numpy()
     following = (np.diff(calls["trip"]) == 0) & (np.diff(calls["seq"]) == 1)
     pairs = pd.MultiIndex.from_arrays([stop[:-1][following], stop[1:][following]])
@@ -59,10 +61,11 @@ def _drives(
 
 
 def _smoothed_times(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Counter[str]) -> pd.DataFrame:
-    """One row for each link and hour: n, mean_s and log_sigma.
+    """Return one row per link and hour: n, mean_s and log_sigma.
 
-    The model is a link's mean times the hour's factor; a link never driven takes the fitted time of its
-    length. Cells are means of n drives and the model, which counts for four."""
+    The model is the link's mean times a factor of the hour; a link without drives takes the fitted time for
+    its length. mean_s is the mean of the n observed drives and of the model, which counts as four drives.
+    """
     intercept, slope, _ = LINK_S_LOG
     count = np.bincount(legs["link"], minlength=len(metres))
     fitted = np.exp(intercept + slope * np.log(np.maximum(metres, 1.0)))
