@@ -107,9 +107,9 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             for name in _WAITING:
                 # Older checkpoints also hold the unoccupied positions and need no unpacking.
                 if name in world and world[name].shape == occupied.shape:
-                    whole = np.zeros_like(getattr(self.world, name))
-                    whole.ravel()[occupied] = world[name]
-                    world[name] = whole
+                    full = np.zeros_like(getattr(self.world, name))
+                    full.ravel()[occupied] = world[name]
+                    world[name] = full
         return super().restore({**snapshot, "world": world})
 
     def _occupied(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:

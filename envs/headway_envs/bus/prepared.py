@@ -57,10 +57,11 @@ class Prepared:
 
 
 def _settings(prepared: Prepared) -> dict[str, float]:
+    """Return the values of the SETTINGS fields by name."""
     config = prepared.config
     noise, upkeep, reward = config.noise, config.upkeep, config.reward
     others = (1.0 - config.captive_share) * config.arrivals_per_boarding
-    same = [
+    names = [
         "tick_s",
         "hold_s",
         "boarding_s",
@@ -70,7 +71,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "minimum_layover_s",
         "capacity",
     ]
-    same_noise = [
+    noise_names = [
         "trip_sd",
         "day_sd",
         "evening_peak",
@@ -81,7 +82,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "demand_stop_hour_sd",
         "dispatch_s",
     ]
-    same_upkeep = [
+    upkeep_names = [
         "fuel_capacity",
         "idle_share",
         "warning",
@@ -92,9 +93,9 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "depot_gap_s",
     ]
     return {
-        **{name: getattr(config, name) for name in same},
-        **{name: getattr(noise, name) for name in same_noise},
-        **{name: getattr(upkeep, name) for name in same_upkeep},
+        **{name: getattr(config, name) for name in names},
+        **{name: getattr(noise, name) for name in noise_names},
+        **{name: getattr(upkeep, name) for name in upkeep_names},
         "start_s": config.start_hour * 3600.0,
         "end_s": config.end_hour * 3600.0,
         "captive_arrivals": config.captive_share / (config.captive_share + others),

@@ -145,7 +145,7 @@ class BusRenderer:
         day = env.world.days[0]
         if at_end:
             picture, caption = self._canvas.copy(), _summary(env.outputs.metrics[0])
-            self._write(picture, "The day is over", caption)
+            self._write(picture, "End of the day", caption)
             return _downsampled(picture)
         now = float(day["now"])
         if now <= self._last_time:
@@ -266,7 +266,7 @@ class BusRenderer:
         name = f"{self._prepared.lines[self._line]}, direction {self._directions[panel]}"
         draw.text(
             (FINER * left, FINER * (top - 5)),
-            f"{name}: way from its first stop by hour of the day; each stroke is a bus, coloured by its load",
+            f"{name}: distance from its first stop over the day; each stroke is a bus, coloured by load",
             TEXT,
             self._font,
             anchor="ls",
@@ -281,10 +281,10 @@ class BusRenderer:
         draw.text((x, y), "bus: empty to full", TEXT, self._font)
         x += 116 * FINER
         draw.ellipse([x, y, x + 9 * FINER, y + 9 * FINER], QUEUE)
-        draw.text((x + 14 * FINER, y), "stop: area by those who wait", TEXT, self._font)
+        draw.text((x + 14 * FINER, y), "stop: area by its queue", TEXT, self._font)
         x += 186 * FINER
         draw.rectangle([x, y, x + 9 * FINER, y + 9 * FINER], OUT_OF_SERVICE)
-        draw.text((x + 14 * FINER, y), "broken down or at a centre", TEXT, self._font)
+        draw.text((x + 14 * FINER, y), "broken down or at a service centre", TEXT, self._font)
 
     def _draw_queues(self, draw: ImageDraw.ImageDraw, env: BusBatchedEnv) -> int:
         """Draw each queue as a disc of proportional area, up to a largest radius, and return the number of
@@ -354,11 +354,11 @@ def _visible_buses(env: BusBatchedEnv) -> _VisibleBuses:
 
 def _summary(metrics: Floats) -> str:
     """Return a line of text with the main metrics of the day."""
-    of = dict(zip(METRICS, metrics.tolist(), strict=True))
+    value = dict(zip(METRICS, metrics.tolist(), strict=True))
     return (
-        f"mean wait {of['mean_wait_min']:.2f} min    headway CV {of['headway_cv']:.2f}    "
-        f"bunched {100 * of['bunched_share']:.1f}%    denied boardings {of['denied_boardings']:.0f}    "
-        f"breakdowns {of['breakdowns']:.0f}    team reward {of['team_reward']:.1f}"
+        f"mean wait {value['mean_wait_min']:.2f} min    headway CV {value['headway_cv']:.2f}    "
+        f"bunched {100 * value['bunched_share']:.1f}%    denied boardings {value['denied_boardings']:.0f}    "
+        f"breakdowns {value['breakdowns']:.0f}    team reward {value['team_reward']:.1f}"
     )
 
 

@@ -163,7 +163,9 @@ class HeadwayHolding:
     share of the target. A bus leaves a terminal at most one dispatch window after its scheduled departure."""
 
     share: float
+    """Share of the target headway below which a bus is held."""
     window_s: float
+    """Dispatch window, s."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         fleet = fleet_state(env)

@@ -26,6 +26,7 @@ class MoveWithService:
     the fuel lasts for the way."""
 
     below: float
+    """Uptime below which a bus goes to service."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """Return the actions (C, N). Raises TypeError for any other environment."""

@@ -34,6 +34,7 @@ class RecordedDay:
     """Recorded day of some lines."""
 
     date: str
+    """Date, YYYY-MM-DD."""
     calls: pd.DataFrame
     """Rows with the columns of `COLUMNS`."""
     fares: bool

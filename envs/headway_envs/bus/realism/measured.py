@@ -31,6 +31,7 @@ from headway_envs.bus.realism.trip_statistics import (
 
 
 def _by_fifth(cv: tuple[float, ...], bunched: tuple[float, ...]) -> dict[str, float]:
+    """Return headway CVs and bunched shares by name, for each fifth of the route."""
     found = {}
     for fifth in range(FIFTHS):
         found[cv_name(fifth)] = cv[fifth]
@@ -68,6 +69,7 @@ class Tolerance:
 
     size: float
     share: bool = False
+    """Whether `size` is a share of the measured value."""
 
     def of(self, measured: float) -> float:
         """Return the tolerance in the unit of the statistic."""

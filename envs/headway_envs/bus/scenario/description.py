@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DayStatistics:
-    """Statistics of one day type."""
+    """Statistics of one day type; `LABELS` names them and their units."""
 
     day_type: str
     lines: int
@@ -58,7 +58,7 @@ class DayStatistics:
 
 @dataclass(frozen=True)
 class LineStatistics:
-    """Statistics of one line on one day type."""
+    """Statistics of one line on one day type; `LABELS` names them and their units."""
 
     line: str
     patterns: int

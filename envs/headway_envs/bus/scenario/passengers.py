@@ -58,23 +58,23 @@ def synthetic_passengers(
     """
     places, which = np.unique(calls["stop"].to_numpy(), return_inverse=True)
     draws = generator(seed, "bus stops", 0)
-    weights = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
-    leaves = draws.lognormal(0.0, ALIGHTING_SD, len(places))[which]
+    boarding_weights = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
+    alighting_weights = draws.lognormal(0.0, ALIGHTING_SD, len(places))[which]
     numbers, first = np.unique(calls["pattern"].to_numpy(), return_index=True)
     ends = np.append(first[1:], len(calls))
-    driven = dict(list(trips.groupby(["daytype", "pattern"])))
+    trips_by_pattern = dict(list(trips.groupby(["daytype", "pattern"])))
     demand: list[Columns] = []
     alighting: list[Columns] = []
     days: list[str] = []
     for pattern, begin, end in zip(numbers.tolist(), first, ends, strict=True):
-        weight, leave = weights[begin:end].copy(), leaves[begin:end].copy()
-        weight[-1] = leave[0] = 0.0
+        weight, alighting_weight = boarding_weights[begin:end].copy(), alighting_weights[begin:end].copy()
+        weight[-1] = alighting_weight[0] = 0.0
         boarding = spread_by_tenth(BOARDING_TENTHS, weight)
-        alight = alighting_shares(boarding, spread_by_tenth(ALIGHTING_TENTHS, leave))
+        alight = alighting_shares(boarding, spread_by_tenth(ALIGHTING_TENTHS, alighting_weight))
         alighting.append(_by_period(pattern, alight))
         for day, means in per_trip.items():
-            if (day, pattern) in driven:
-                rows = _boardings(pattern, day, boarding, driven[day, pattern], means[pattern])
+            if (day, pattern) in trips_by_pattern:
+                rows = _boardings(pattern, day, boarding, trips_by_pattern[day, pattern], means[pattern])
                 demand.append(rows)
                 days += [day] * len(rows["board"])
     return _stack(demand).assign(daytype=days), _stack(alighting)

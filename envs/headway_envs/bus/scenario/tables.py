@@ -109,7 +109,7 @@ class Tables:
 
 
 def read_tables(folder: str | Path) -> Tables:
-    """Read and check a scenario folder. Raises HeadwayError that names folder, table, row and column."""
+    """Read and check a scenario folder. Raises HeadwayError naming folder, table, row and column."""
     folder = Path(folder)
     if not folder.is_dir():
         near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
@@ -187,7 +187,7 @@ def check_tables(tables: Tables) -> None:
 
 
 def _refuse_rows(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
-    """Raise HeadwayError that names the first row where `bad`, if any."""
+    """Raise HeadwayError naming the first row where `bad`, if any."""
     if not bad.any():
         return
     place = int(np.flatnonzero(bad)[0])

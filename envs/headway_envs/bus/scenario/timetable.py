@@ -66,6 +66,7 @@ class Trip:
     """Trip in the timetable."""
 
     pattern: int
+    """Index of the pattern."""
     departure: float
     """Planned departure, s."""
     arrival: float

@@ -48,6 +48,7 @@ class Feed:
     missing file is a frame without rows."""
 
     name: str
+    """Name of the folder or zip file."""
     frames: dict[str, pd.DataFrame]
 
     def __getitem__(self, file: str) -> pd.DataFrame:
@@ -55,7 +56,7 @@ class Feed:
 
 
 def read_feed(path: Path) -> Feed:
-    """Read a feed. Raises HeadwayError that names the file, and the column, that is missing or cannot be
+    """Read a feed. Raises HeadwayError naming the file, and the column, that is missing or cannot be
     read."""
     if path.is_dir():
         inside = _locate_files(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
@@ -97,7 +98,7 @@ def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
 
 
 def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
-    """Return texts as numbers; NaN for blanks. Raises HeadwayError that names the line of any other text."""
+    """Return texts as numbers; NaN for blanks. Raises HeadwayError naming the line of any other text."""
     values = pd.to_numeric(texts, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     wrong = np.isnan(values) & texts.notna().to_numpy()
     if wrong.any():

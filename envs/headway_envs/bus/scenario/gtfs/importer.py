@@ -55,7 +55,7 @@ class GtfsOptions:
 
 
 def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
-    """Return the tables of a feed. Raises HeadwayError that names file, line and column of what cannot be
+    """Return the tables of a feed. Raises HeadwayError naming file, line and column of what cannot be
     read."""
     feed = read_feed(path)
     counted: Counter[str] = Counter()
@@ -64,8 +64,8 @@ def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
     trips = trips[trips["service_id"].isin(set.union(*(services for _, services in days.values())))]
     trips = trips.reset_index(drop=True)
     stops, rows = places(feed)
-    calls, oddities = clean_calls(feed, trips, stops, rows)
-    counted.update(oddities)
+    calls, irregularities = clean_calls(feed, trips, stops, rows)
+    counted.update(irregularities)
     trips = trips.assign(pattern=_patterns(trips, calls))
     day_trips = _day_trips(feed, trips, calls, days, counted)
     tables = _network(trips, calls, stops)
@@ -195,13 +195,13 @@ def _day_trips(
 ) -> pd.DataFrame:
     """Return one row per departure of a trip on a day type: daytype, trip (row), shift (of its times relative
     to stop_times, s)."""
-    whole = trips["pattern"].to_numpy() >= 0
+    has_calls = trips["pattern"].to_numpy() >= 0
     first = np.full(len(trips), np.nan)
     first[calls.trip[calls.first]] = calls.time[calls.first]
     repeated = _frequencies(feed, trips, first)
     parts = []
     for day, (_, services) in days.items():
-        mine = whole & trips["service_id"].isin(services).to_numpy()
+        mine = has_calls & trips["service_id"].isin(services).to_numpy()
         here = repeated[mine[repeated["trip"].to_numpy()]]
         single = np.flatnonzero(mine & ~np.isin(np.arange(len(trips)), repeated["trip"]))
         counted["departures of frequencies.txt"] += len(here)

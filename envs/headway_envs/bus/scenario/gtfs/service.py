@@ -77,7 +77,7 @@ def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
 
 
 def _dates(file: str, column: str, texts: "pd.Series[str]") -> list[dt.date]:
-    """Return texts YYYYMMDD as dates. Raises HeadwayError that names the line of any other text."""
+    """Return texts YYYYMMDD as dates. Raises HeadwayError naming the line of any other text."""
     found = []
     for row, text in enumerate(texts):
         try:

@@ -75,21 +75,23 @@ def alighting_table(
     Shares are alightings over the load on arrival at each line, direction, stop and period, mixed with the
     fitted shares where few passengers were observed.
     """
-    seen = pd.DataFrame(
+    observed = pd.DataFrame(
         {"alight": [], "load_before": []}, index=pd.MultiIndex.from_tuples([], names=[*LINE_STOP, "period"])
     )
     if days:
         every = pd.concat([day.calls for day in days])
         every = every[every["load_before"].notna()]
         periods = np.searchsorted(PERIOD_HOURS, every["time"] // 3600, side="right")
-        seen = every.assign(period=periods).groupby([*LINE_STOP, "period"])[["alight", "load_before"]].sum()
+        observed = (
+            every.assign(period=periods).groupby([*LINE_STOP, "period"])[["alight", "load_before"]].sum()
+        )
     calls = network["pattern_stops"].merge(network["patterns"][["pattern", "line", "dir"]], on="pattern")
     calls = calls.merge(network["stops"][["stop", "stop_id"]], on="stop").sort_values(["pattern", "seq0"])
     prior = calls.groupby("pattern")["seq0"].transform(lambda rows: _prior(len(rows)))
     parts = []
     for period in range(PERIODS):
         keys = pd.MultiIndex.from_frame(calls[LINE_STOP].assign(period=period))
-        own = seen.reindex(keys).fillna(0.0)
+        own = observed.reindex(keys).fillna(0.0)
         share = (own["alight"].to_numpy() + _PRIOR_LOAD * prior.to_numpy()) / (
             own["load_before"].to_numpy() + _PRIOR_LOAD
         )

@@ -52,7 +52,7 @@ class SuntOptions:
 
 
 def import_sunt(raw: Path, options: SuntOptions) -> Tables:
-    """Return the tables of the files below `raw`. Raises HeadwayError that names what is missing or wrong."""
+    """Return the tables of the files below `raw`. Raises HeadwayError naming what is missing or wrong."""
     counted: Counter[str] = Counter()
     files = find_days(raw)
     places = read_places(raw)

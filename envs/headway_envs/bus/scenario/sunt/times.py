@@ -73,9 +73,9 @@ def _smoothed_times(legs: pd.DataFrame, metres: NDArray[np.float64], counted: Co
     base = (total + _MODEL_WEIGHT * fitted) / (count + _MODEL_WEIGHT)
     counted["links never driven, times by length"] += int((count == 0).sum())
     hour = legs["hour"].to_numpy() - TIMED_HOURS[0]
-    seen = np.bincount(hour, legs["s"], minlength=len(TIMED_HOURS)) + _MODEL_WEIGHT * base.mean()
+    observed = np.bincount(hour, legs["s"], minlength=len(TIMED_HOURS)) + _MODEL_WEIGHT * base.mean()
     expected = np.bincount(hour, base[legs["link"]], minlength=len(TIMED_HOURS)) + _MODEL_WEIGHT * base.mean()
-    model = np.outer(base, seen / expected)
+    model = np.outer(base, observed / expected)
     cell = legs["link"].to_numpy() * len(TIMED_HOURS) + hour
     n = np.bincount(cell, minlength=model.size).reshape(model.shape)
     sums = np.bincount(cell, legs["s"], minlength=model.size).reshape(model.shape)
