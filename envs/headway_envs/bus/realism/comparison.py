@@ -70,7 +70,7 @@ def compare_replay(
     called after each simulated day.
 
     Raises HeadwayError for tables that are made up or scheduled, and whatever `prepare_replay`,
-    `simulated_days`, `recorded_day` and `trip_statistics.of_trips` raise.
+    `simulated_days`, `recorded_day` and `trip_statistics.finished_trip_statistics` raise.
     """
     if made_up := _made_up(tables):
         raise HeadwayError(
@@ -85,8 +85,14 @@ def compare_replay(
     km = call_km(tables).groupby("pattern").last()
     found = []
     for calls in simulated_days(tables, prepared, days):
-        day = trip_statistics.of_trips(trip_statistics.finished_trips(calls, km))
-        found.append({**day, **trip_statistics.of_headways(calls), **trip_statistics.of_passengers(calls)})
+        day = trip_statistics.finished_trip_statistics(trip_statistics.finished_trips(calls, km))
+        found.append(
+            {
+                **day,
+                **trip_statistics.headway_statistics(calls),
+                **trip_statistics.passenger_statistics(calls),
+            }
+        )
         after_day()
     simulated = pd.DataFrame(found)
     is_city = line_count(tables, config) >= NEARLY_ALL * CITY_LINES[config.day_type]
@@ -116,7 +122,7 @@ def call_km(tables: Tables) -> "pd.Series[float]":
 
 
 def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
-    """Return the trips of the table in the form that `trip_statistics.of_trips` takes.
+    """Return the trips of the table in the form that `trip_statistics.finished_trip_statistics` takes.
 
     Trips that arrive after the end of the service day are left out, because a simulated day stops there, and
     so are trips that arrive when they leave.
@@ -165,7 +171,7 @@ def _made_up(tables: Tables) -> str:
 
 def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
     """Return the statistics of the tables; boardings only if the metadata do not call them made up."""
-    values = trip_statistics.of_trips(observed_trips(tables, config))
+    values = trip_statistics.finished_trip_statistics(observed_trips(tables, config))
     made_from = tables.meta.get("made_from")
     origin = made_from.get(f"demand {config.day_type}", "") if isinstance(made_from, Mapping) else ""
     if not str(origin).startswith("made up"):
@@ -177,8 +183,8 @@ def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[floa
 def _record_statistics(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
     """Return the statistics of the recorded day; loads only if it has fares."""
     day = recorded_day(records, tables, day_type)
-    values = trip_statistics.of_headways(day.calls)
+    values = trip_statistics.headway_statistics(day.calls)
     if day.fares:
-        loads = trip_statistics.of_passengers(day.calls)
+        loads = trip_statistics.passenger_statistics(day.calls)
         values |= {name: value for name, value in loads.items() if name != trip_statistics.BOARDINGS}
     return _with_source(f"{RECORDS}, {day.date}", values)

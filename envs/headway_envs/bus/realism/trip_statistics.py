@@ -50,7 +50,7 @@ RIDE = "ride length, stops"
 RESPONSE = "slope of boardings on the headway"
 
 
-def of_headways(calls: pd.DataFrame) -> dict[str, float]:
+def headway_statistics(calls: pd.DataFrame) -> dict[str, float]:
     """Return the headway CV and the bunched share by fifth of the route."""
     rows = _relative_headways(calls)
     fifth = (rows["seq0"] * FIFTHS // rows["calls"]).to_numpy(np.int64)
@@ -62,7 +62,7 @@ def of_headways(calls: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def of_trips(trips: pd.DataFrame) -> dict[str, float]:
+def finished_trip_statistics(trips: pd.DataFrame) -> dict[str, float]:
     """Return statistics of durations, their spread, speeds by hour of departure, and headway CVs at both
     ends.
 
@@ -96,7 +96,7 @@ def of_trips(trips: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
+def passenger_statistics(calls: pd.DataFrame) -> dict[str, float]:
     """Return quantiles of loads at departure, boardings, ride length, and the response of boardings to the
     headway.
 
@@ -126,7 +126,8 @@ def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
 
 
 def finished_trips(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
-    """Return the finished trips of a day's calls in the form that `of_trips` takes; `km` by pattern."""
+    """Return the finished trips of a day's calls, as `finished_trip_statistics` takes them. `km`: by
+    pattern."""
     first = calls[calls["seq0"] == 0].set_index("trip")
     last = calls[calls["seq0"] == calls["calls"] - 1].set_index("trip")
     trips = first.loc[first.index.isin(last.index), ["line", "dir", "pattern"]].copy()

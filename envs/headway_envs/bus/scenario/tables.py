@@ -275,7 +275,9 @@ def _check_meta(meta: Mapping[str, Any]) -> None:
     places = centres if isinstance(centres, list) else [None]
     for place in places:
         if not (isinstance(place, list) and len(place) == 2 and all(map(_is_number, place))):
-            raise HeadwayError(f"meta.json: service_centres must be a list of [lat, lon]; {place!r} is none")
+            raise HeadwayError(
+                f"meta.json: service_centres must be a list of [lat, lon]; {place!r} is not one"
+            )
         if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
             raise HeadwayError(
                 f"meta.json: service_centres: {place!r} lies nowhere on Earth; give [lat, lon]"
