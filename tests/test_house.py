@@ -1,14 +1,25 @@
 """The rules of the house: who may import whom, what must not be shadowed, what stays light."""
 
 import ast
+import json
+import re
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+import headway.api
+import headway_algos.api
+import headway_envs.api
+import headway_launch.api
+from headway.contracts import Lazy
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
@@ -206,3 +217,53 @@ def test_tests_lie_in_the_folders_of_what_they_test() -> None:
             if not folder.is_dir():
                 wrong.append(str(file.relative_to(ROOT)))
     assert wrong == []
+
+
+@pytest.mark.parametrize(
+    "public", [headway.api, headway_envs.api, headway_algos.api, headway_launch.api], ids=lambda m: m.__name__
+)
+def test_every_public_name_can_be_imported(public: ModuleType) -> None:
+    assert [name for name in public.__all__ if not hasattr(public, name)] == []
+
+
+def lazy_targets(value: object) -> Iterator[str]:
+    """Names that a registry entry loads later, however deep they stand in it."""
+    if isinstance(value, Lazy):
+        yield value.target
+    elif isinstance(value, partial):
+        yield from lazy_targets([value.func, *value.args, *value.keywords.values()])
+    elif isinstance(value, dict):
+        yield from lazy_targets(list(value.values()))
+    elif isinstance(value, list):
+        for each in value:
+            yield from lazy_targets(each)
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield from lazy_targets([getattr(value, field.name) for field in fields(value)])
+
+
+def test_every_name_in_the_registries_can_be_loaded() -> None:
+    targets = set(lazy_targets([headway_envs.api.ENTRIES, headway_algos.api.ENTRIES]))
+    assert len(targets) > 30
+    assert [target for target in targets if not callable(Lazy(target).load())] == []
+
+
+def example_code() -> Iterator[tuple[str, str]]:
+    """Each Python example of guides and notebooks: the file that it stands in, and its text."""
+    names = subprocess.run(
+        ["git", "ls-files", "*.md", "*.ipynb"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    for name in names:
+        text = (ROOT / name).read_text(encoding="utf-8")
+        if name.endswith(".ipynb"):
+            cells = json.loads(text)["cells"]
+            yield from ((name, "".join(cell["source"])) for cell in cells if cell["cell_type"] == "code")
+        else:
+            yield name, text
+
+
+def test_guides_and_notebooks_import_only_public_modules() -> None:
+    public = {f"{package}.api" for package in PACKAGES}
+    imports = re.compile(r"^\s*(?:from|import) (headway\w*(?:\.\w+)*)", re.MULTILINE)
+    found = [(name, module) for name, code in example_code() for module in imports.findall(code)]
+    assert len(found) > 10
+    assert [(name, module) for name, module in found if module not in public] == []

@@ -1,18 +1,8 @@
 """The registry of algorithms, name to entry. Importing it imports no torch."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
-from headway.contracts import (
-    AlgoEntry,
-    AsynchronousLearner,
-    Box,
-    Contributor,
-    Discrete,
-    EnvSpec,
-    Learner,
-    MultiDiscrete,
-)
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Lazy, MultiDiscrete
 from headway_algos.acting.gru import acting_policy
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import missing_groups
@@ -32,33 +22,7 @@ from headway_algos.recipes import (
     matrpo,
 )
 
-
-def _learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
-    from headway_algos.batches.policy_stack import resolve_device
-    from headway_algos.on_policy.learner import OnPolicyLearner
-    from headway_algos.on_policy.per_seed_learner import PerSeedLearner
-    from headway_algos.on_policy.split_learner import SplitLearner
-
-    make = SplitLearner if config.shared_until > 0 else OnPolicyLearner
-    if len(seeds) == 1 or resolve_device(device).type != "cpu":
-        return make(config, spec, seeds, device)
-    return PerSeedLearner([make(config, spec, (seed,), device) for seed in seeds])
-
-
-def _asynchronous_learner(
-    config: a3c.A3CConfig, spec: EnvSpec, seeds: Sequence[int], device: str
-) -> AsynchronousLearner:
-    from headway_algos.on_policy.a3c_learner import AsynchronousA2CLearner
-
-    return AsynchronousA2CLearner(config, spec, seeds, device)
-
-
-def _contributor(config: a3c.A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
-    from headway_algos.on_policy.a3c_learner import A2CContributor
-
-    return A2CContributor(config, spec, seeds)
-
-
+LEARNER = Lazy("headway_algos.on_policy.make_learner:make_learner")
 _AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
 """What a named algorithm of the sequential order is called without it."""
 
@@ -104,7 +68,7 @@ def _never_parts(config: AlgoConfig, iterations: int) -> str | None:
 
 
 def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
-    return AlgoEntry(summary, source, config, acting_policy, _learner, _refuses, refuses_budget=_never_parts)
+    return AlgoEntry(summary, source, config, acting_policy, LEARNER, _refuses, refuses_budget=_never_parts)
 
 
 _ALL = {
@@ -113,9 +77,9 @@ _ALL = {
         a3c.SOURCE,
         a3c.A3CConfig,
         acting_policy,
-        _asynchronous_learner,
+        Lazy("headway_algos.on_policy.a3c_learner:AsynchronousA2CLearner"),
         _refuses,
-        contributor=_contributor,
+        contributor=Lazy("headway_algos.on_policy.a3c_learner:A2CContributor"),
         preload=("headway_algos.on_policy.a3c_learner",),
     ),
     "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),

@@ -186,3 +186,8 @@ def _no_actions(spec: EnvSpec) -> NDArray[Any]:
             return np.zeros((1, spec.num_agents, len(nvec)), dtype=np.int64)
         case Box(low=low):
             return np.zeros((1, spec.num_agents, len(low)), dtype=np.float32)
+
+
+def from_batched(make: Callable[[Any, int], BatchedEnv], prepared: Any) -> ParallelEnvBase:  # noqa: ANN401
+    """Return one copy of `make(prepared, copies)` as a ParallelEnv without declared bounds."""
+    return ParallelEnvBase(lambda copies: make(prepared, copies))

@@ -1,28 +1,16 @@
 """The registry's part of algorithms that learn from a replay memory. Importing it imports no torch."""
 
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Learner
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Lazy
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 from headway_algos.grouping import Grouping, missing_groups
 from headway_algos.recipes import ddpg, madqn
 from headway_algos.replay_config import ReplayConfig
 
-
-def _madqn(config: madqn.MADQNConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
-    from headway_algos.off_policy.dqn import ValueMethod
-    from headway_algos.off_policy.learner import OffPolicyLearner
-
-    return OffPolicyLearner(config, spec, seeds, device, ValueMethod)
-
-
-def _ddpg(config: ddpg.DDPGConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
-    from headway_algos.off_policy.ddpg import DeterministicMethod
-    from headway_algos.off_policy.learner import OffPolicyLearner
-
-    return OffPolicyLearner(config, spec, seeds, device, DeterministicMethod)
+LEARNER = Lazy("headway_algos.off_policy.learner:OffPolicyLearner")
 
 
 def _kind(spec: EnvSpec) -> str:
@@ -80,9 +68,21 @@ def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
 
 OFF_POLICY = {
     "ddpg": AlgoEntry(
-        ddpg.SUMMARY, ddpg.SOURCE, ddpg.DDPGConfig, _wandering, _ddpg, _ddpg_refuses, _kept_bytes
+        ddpg.SUMMARY,
+        ddpg.SOURCE,
+        ddpg.DDPGConfig,
+        _wandering,
+        partial(LEARNER, method=Lazy("headway_algos.off_policy.ddpg:DeterministicMethod")),
+        _ddpg_refuses,
+        _kept_bytes,
     ),
     "madqn": AlgoEntry(
-        madqn.SUMMARY, madqn.SOURCE, madqn.MADQNConfig, _epsilon_greedy, _madqn, _madqn_refuses, _kept_bytes
+        madqn.SUMMARY,
+        madqn.SOURCE,
+        madqn.MADQNConfig,
+        _epsilon_greedy,
+        partial(LEARNER, method=Lazy("headway_algos.off_policy.dqn:ValueMethod")),
+        _madqn_refuses,
+        _kept_bytes,
     ),
 }

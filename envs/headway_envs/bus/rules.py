@@ -6,6 +6,7 @@ All rules but `always_move` also send buses to the service centre in time, as a 
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from headway_envs.bus.kernel.layout import (
     TERMINAL,
     WAIT,
 )
+
+if TYPE_CHECKING:
+    from headway_envs.bus.prepared import Prepared
 
 Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
@@ -141,17 +145,23 @@ def _before_schedule(fleet: FleetState) -> NDArray[np.bool_]:
     return fleet.terminal & (fleet.event < fleet.departure)
 
 
+@dataclass(frozen=True)
 class AlwaysMove:
     """Baseline that always moves: it leaves every stop and terminal at once and never goes to the service
     centre."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return np.full(observed.alive.shape, MOVE, np.int64)
 
 
+@dataclass(frozen=True)
 class MoveWithService:
     """Baseline that never holds but is serviced in time like the holding rules, so that their gain over it is
     due to holding alone."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         return _actions(fleet_state(env), np.zeros(observed.alive.shape, np.bool_))
@@ -162,20 +172,22 @@ class HeadwayHolding:
     """Forward headway control: hold, at stops and terminals, while the headway to the bus ahead is below a
     share of the target. A bus leaves a terminal at most one dispatch window after its scheduled departure."""
 
+    prepared: "Prepared"
     share: float
     """Share of the target headway below which a bus is held."""
-    window_s: float
-    """Dispatch window, s."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         fleet = fleet_state(env)
-        overdue = fleet.terminal & (fleet.event > fleet.departure + self.window_s)
+        overdue = fleet.terminal & (fleet.event > fleet.departure + self.prepared.config.dispatch_window_s)
         return _actions(fleet, _too_close(fleet, self.share) & ~overdue)
 
 
+@dataclass(frozen=True)
 class EvenHeadway:
     """Hold while the bus behind is farther away than the bus ahead and the bus ahead is nearer than the
     target headway; leave terminals on schedule."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         fleet = fleet_state(env)
@@ -183,8 +195,11 @@ class EvenHeadway:
         return _actions(fleet, uneven | _before_schedule(fleet))
 
 
+@dataclass(frozen=True)
 class ScheduleHolding:
     """Hold until the planned time, at stops and terminals."""
+
+    prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         fleet = fleet_state(env)

@@ -1,6 +1,7 @@
 """Simple fixed rules, for comparison."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +10,15 @@ from headway.contracts import BatchedEnv, Observations
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
 from headway_envs.bus_published.kernel.layout import DETOUR_SHARE, FUEL_UNIT_S, MOVE, SERVICE_CENTER
 
+if TYPE_CHECKING:
+    from headway_envs.bus_published.prepared import Prepared
+
 
 @dataclass(frozen=True)
 class Always:
     """Baseline that takes the same action in every step."""
 
+    prepared: "Prepared"
     action: int
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
@@ -25,6 +30,7 @@ class MoveWithService:
     """Baseline that moves, and goes to the centre at the first step at which its uptime is below a share and
     the fuel lasts for the way."""
 
+    prepared: "Prepared"
     below: float
     """Uptime below which a bus goes to service."""
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from hashlib import blake2b
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.kernel import STRONGEST
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.sumo.roster import Roster
+
+if TYPE_CHECKING:
+    from headway_envs.intersection.prepared import Prepared
 
 ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
 """SUMO's speed modes: every check, right of way among them; no more than a safe gap to the leader."""
@@ -36,23 +39,27 @@ def _actions(observed: Observations, value: float = 0.0) -> NDArray[np.float32]:
 class Humans:
     """SUMO drives all vehicles as humans, those that would be automated, too."""
 
-    speed_mode: int
+    prepared: "Prepared"
+    right_of_way: bool
+    """Whether drivers check everything, right of way included, or keep a safe gap to the leader alone."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(1, N, 1): zeros, which nobody heeds."""
-        _of(env).hand_over(self.speed_mode)
+        _of(env).hand_over(ALL_CHECKS if self.right_of_way else SAFE_GAP_ONLY)
         return _actions(observed)
 
 
 @dataclass(frozen=True)
 class Constant:
-    """The same acceleration always, m/s^2."""
+    """Ask for the same acceleration at every step."""
 
-    acceleration: float
+    prepared: "Prepared"
+    share: float
+    """Share of the strongest acceleration that is asked for."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """(1, N, 1)"""
-        return _actions(observed, self.acceleration)
+        return _actions(observed, self.share * STRONGEST)
 
 
 class Reservation:
@@ -67,7 +74,7 @@ class Reservation:
     STANDING = 0.5
     """m/s"""
 
-    def __init__(self) -> None:
+    def __init__(self, prepared: "Prepared") -> None:
         self._asked: dict[str, int] = {}
         self._next = 0
 
@@ -124,6 +131,7 @@ class VirtualSignal:
     with green, SUMO's checks (`av_speed_mode`) say who goes first. Below a `share` of 1 the other AVs drive
     as if there were no signal, which tells what it gains as long as not all keep it."""
 
+    prepared: "Prepared"
     share: float = 1.0
     """Of AVs, those that keep the signal."""
 

@@ -1,45 +1,15 @@
 """The toy environments by name."""
 
-from typing import Any
+from functools import partial
 
-from headway.contracts import RANDOM, EnvEntry, RuleEntry
+from headway.contracts import RANDOM, EnvEntry, Lazy, RuleEntry
 from headway_envs.toy.matrix import Matrix, MatrixConfig, OptimalMatrix
 from headway_envs.toy.recall import OptimalRecall, Recall, RecallConfig
 from headway_envs.toy.tracking import OptimalTracking, Tracking, TrackingConfig
 from headway_envs.toy.trivial import OptimalTrivial, Trivial, TrivialConfig
 from headway_envs.toy.visitors import OptimalVisitors, Visitors, VisitorsConfig
 
-# PettingZoo is imported only by those who ask for a ParallelEnv: workers go without.
-
-
-def _trivial_parallel(config: TrivialConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.toy.trivial_parallel import TrivialParallel
-
-    return TrivialParallel(config)
-
-
-def _matrix_parallel(config: MatrixConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_env import ParallelEnvBase
-
-    return ParallelEnvBase(lambda copies: Matrix(config, copies))
-
-
-def _tracking_parallel(config: TrackingConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_env import ParallelEnvBase
-
-    return ParallelEnvBase(lambda copies: Tracking(config, copies))
-
-
-def _recall_parallel(config: RecallConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_env import ParallelEnvBase
-
-    return ParallelEnvBase(lambda copies: Recall(config, copies))
-
-
-def _visitors_parallel(config: VisitorsConfig) -> Any:  # noqa: ANN401 - EnvEntry's type
-    from headway_envs.parallel_env import ParallelEnvBase
-
-    return ParallelEnvBase(lambda copies: Visitors(config, copies))
+FROM_BATCHED = Lazy("headway_envs.parallel_env:from_batched")
 
 
 ENTRIES: dict[str, EnvEntry] = {
@@ -47,12 +17,10 @@ ENTRIES: dict[str, EnvEntry] = {
         summary="toy: ten agents name the largest of three numbers; measures everything around it",
         config=TrivialConfig,
         make=Trivial,
-        parallel_env=_trivial_parallel,
+        parallel_env=Lazy("headway_envs.toy.trivial_parallel:TrivialParallel"),
         rules={
             "random": RANDOM,
-            "optimal": RuleEntry(
-                "names the largest number at every step: returns `steps`", lambda config: OptimalTrivial()
-            ),
+            "optimal": RuleEntry("names the largest number at every step: returns `steps`", OptimalTrivial),
         },
         metrics={"accuracy": "share of right actions, over steps and agents"},
     ),
@@ -60,12 +28,10 @@ ENTRIES: dict[str, EnvEntry] = {
         summary="toy: one-step matrix game of two agents with a trap beside the best payoff",
         config=MatrixConfig,
         make=Matrix,
-        parallel_env=_matrix_parallel,
+        parallel_env=partial(FROM_BATCHED, Matrix),
         rules={
             "random": RANDOM,
-            "optimal": RuleEntry(
-                "both agents play their part of the largest payoff", lambda config: OptimalMatrix()
-            ),
+            "optimal": RuleEntry("both agents play their part of the largest payoff", OptimalMatrix),
         },
         metrics={"optimal": "1 where the largest payoff was played, else 0"},
     ),
@@ -73,7 +39,7 @@ ENTRIES: dict[str, EnvEntry] = {
         summary="toy: agents with continuous actions follow a target; the optimum is in closed form",
         config=TrackingConfig,
         make=Tracking,
-        parallel_env=_tracking_parallel,
+        parallel_env=partial(FROM_BATCHED, Tracking),
         rules={
             "random": RANDOM,
             "optimal": RuleEntry(
@@ -90,12 +56,12 @@ ENTRIES: dict[str, EnvEntry] = {
         summary="toy: a cue seen at the first step is to be named at the last, which needs memory",
         config=RecallConfig,
         make=Recall,
-        parallel_env=_recall_parallel,
+        parallel_env=partial(FROM_BATCHED, Recall),
         rules={
             "random": RANDOM,
             "optimal": RuleEntry(
                 "names the cue at every step, as the environment has it: returns 1",
-                lambda config: OptimalRecall(),
+                OptimalRecall,
             ),
         },
         metrics={"recalled": "share of agents that named their cue"},
@@ -104,10 +70,10 @@ ENTRIES: dict[str, EnvEntry] = {
         summary="toy: agents come, go and retire, with action masks and NaN in every absent row",
         config=VisitorsConfig,
         make=Visitors,
-        parallel_env=_visitors_parallel,
+        parallel_env=partial(FROM_BATCHED, Visitors),
         rules={
             "random": RANDOM,
-            "optimal": RuleEntry("takes the best allowed option: regret 0", lambda config: OptimalVisitors()),
+            "optimal": RuleEntry("takes the best allowed option: regret 0", OptimalVisitors),
         },
         metrics={
             "regret": "worth of the best allowed options less what was paid, summed over all choices",

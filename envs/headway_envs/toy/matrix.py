@@ -97,8 +97,11 @@ class Matrix:
         pass
 
 
+@dataclass(frozen=True)
 class OptimalMatrix:
     """Both agents play their part of the largest payoff."""
+
+    config: MatrixConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, 2)"""

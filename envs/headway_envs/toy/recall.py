@@ -123,8 +123,11 @@ class Recall:
         return self._observed
 
 
+@dataclass(frozen=True)
 class OptimalRecall:
     """Names the cue at every step: returns 1."""
+
+    config: RecallConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, N)"""

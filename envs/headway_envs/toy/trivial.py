@@ -146,8 +146,11 @@ class Trivial:
         return Observations(observations, observations.reshape(self.num_copies, -1), self._alive)
 
 
+@dataclass(frozen=True)
 class OptimalTrivial:
     """Always right: returns `steps`."""
+
+    config: TrivialConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, N)"""

@@ -208,8 +208,11 @@ class Visitors:
         return np.append(episode.alive[step], step / self._config.steps).astype(np.float32)
 
 
+@dataclass(frozen=True)
 class OptimalVisitors:
     """The best allowed option: regret 0."""
+
+    config: VisitorsConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """(C, N); 0 for absent agents."""

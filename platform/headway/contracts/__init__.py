@@ -12,6 +12,7 @@ from headway.contracts.acting_policy import ActingPolicy, RecurrentPolicy
 from headway.contracts.entries import AlgoEntry, EnvEntry, Renderer, Rule, RuleEntry
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observations, StepResult
 from headway.contracts.errors import HeadwayError
+from headway.contracts.lazy import Lazy
 from headway.contracts.learner import (
     AsynchronousLearner,
     Contribution,
@@ -40,6 +41,7 @@ __all__ = [
     "EnvEntry",
     "EnvSpec",
     "HeadwayError",
+    "Lazy",
     "Learner",
     "LearnerWithReplay",
     "MultiDiscrete",

@@ -62,7 +62,7 @@ def test_moving_beats_waiting_and_chance_and_service_beats_moving(begun: Begun) 
 
 
 def test_metrics_count_what_was_done(begun: Begun) -> None:
-    metrics = _first_days(begun(2), MoveWithService(0.5))
+    metrics = _first_days(begun(2), MoveWithService(None, 0.5))
     assert (metrics["service_visits"] >= 5).all()
     assert (metrics["services_refused"] == 0).all()
     assert (metrics["moves"] + metrics["service_visits"] == 5 * metrics["steps"]).all()
@@ -73,7 +73,7 @@ def test_metrics_count_what_was_done(begun: Begun) -> None:
 
 def test_the_rule_with_service_asks_for_none_that_is_refused(begun: Begun) -> None:
     """Uptime falls below 0.31 when 0.64 of 100 of the fuel is left, which lasts for short ways only."""
-    metrics = _first_days(begun(32), MoveWithService(0.31))
+    metrics = _first_days(begun(32), MoveWithService(None, 0.31))
     assert (metrics["services_refused"] == 0).all()
     assert metrics["service_visits"].sum() > 0
 
@@ -168,7 +168,7 @@ def test_impossible_rewards_are_named(arguments: dict[str, object], message: str
 
 def test_the_rule_with_service_says_where_it_cannot_play() -> None:
     with pytest.raises(TypeError, match="move_with_service needs a BusPublishedBatchedEnv, not object"):
-        MoveWithService(0.5).act(object(), None)
+        MoveWithService(None, 0.5).act(object(), None)
 
 
 def test_wrong_shapes_are_refused(begun: Begun) -> None:

@@ -70,9 +70,9 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
     """Each vehicle does the one or the other always; with none who keeps the signal it is in no action."""
     env = crossing(av_speed_mode=11)
     all_keep, half, none = (
-        VirtualSignal(),
+        VirtualSignal(env.prepared),
         ENTRY.rules["virtual_signal_0.5"].make(env.prepared),
-        VirtualSignal(0),
+        VirtualSignal(env.prepared, 0),
     )
     observed = env.reset(np.array([3], np.uint64))
     kept: dict[str, bool] = {}
@@ -92,7 +92,10 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
 
 def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
     """Neither every fourth nor the same on all days."""
-    rule, vehicles = VirtualSignal(0.25), [f"av.{lane}.{number}" for lane in range(8) for number in range(50)]
+    rule, vehicles = (
+        VirtualSignal(None, 0.25),
+        [f"av.{lane}.{number}" for lane in range(8) for number in range(50)],
+    )
     days = np.array([[rule._keeps(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
     assert days.mean() == pytest.approx(0.25, abs=0.02)
     assert days.mean(axis=0).max() < 0.7
@@ -102,7 +105,7 @@ def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
 
 def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
     """Among AVs alone: nobody who could hold when its green ended enters before its next."""
-    env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal()
+    env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal(None)
     observed = env.reset(np.array([3], np.uint64))
     green_s, half_s = rule.GREEN_S, rule.GREEN_S + rule.CLEAR_S
     before: dict[str, float] = {}
@@ -144,7 +147,7 @@ def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -
 
 def test_who_asked_first_goes_first(crossing: Callable[..., Any]) -> None:
     """Two automated vehicles on crossing ways never are inside the junction at once."""
-    env, rule = crossing(vph_per_lane_hdv=0, horizon=1200), Reservation()
+    env, rule = crossing(vph_per_lane_hdv=0, horizon=1200), Reservation(None)
     observed, foes = env.reset(np.array([2], np.uint64)), env.prepared.network.foes
     inside_at_once = crossed = 0
     for _ in range(1199):

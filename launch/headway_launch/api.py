@@ -1,0 +1,8 @@
+"""Public interface of the session: what scripts and notebooks import from `headway_launch`.
+
+Every other module of the package is private.
+"""
+
+from headway_launch.studies.runs import rules_beside
+
+__all__ = ["rules_beside"]

@@ -1,0 +1,47 @@
+"""Public interface of the platform: everything that packages, scripts and notebooks import from `headway`.
+
+Environments, algorithms and wrappers are written against the contracts; `select` returns stored runs as
+pandas frames, `frames` and `plots` summarise and draw them. Importing this module imports neither pandas nor
+torch, so light workers may import modules that use it. Every other module of the package is private.
+"""
+
+from typing import TYPE_CHECKING
+
+from headway import contracts
+from headway.contracts import *  # noqa: F403 - every contract is public
+from headway.contracts.lazy import lazy_attributes
+
+if TYPE_CHECKING:
+    from headway.adapters.conformance import CHECKS, play
+    from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
+    from headway.stats import frames, plots
+    from headway.store import RunSelection, select
+    from headway.wrappers.batch import BatchWrapper
+    from headway.wrappers.observations import ChangedObservations
+
+_LOADED_LATER = {
+    "CHECKS": "headway.adapters.conformance:CHECKS",
+    "AdapterOptions": "headway.adapters.parallel_entry:AdapterOptions",
+    "BatchWrapper": "headway.wrappers.batch:BatchWrapper",
+    "ChangedObservations": "headway.wrappers.observations:ChangedObservations",
+    "RunSelection": "headway.store:RunSelection",
+    "frames": "headway.stats.frames",
+    "parallel_entry": "headway.adapters.parallel_entry:parallel_entry",
+    "play": "headway.adapters.conformance:play",
+    "plots": "headway.stats.plots",
+    "select": "headway.store:select",
+}
+__all__ = [
+    "CHECKS",
+    "AdapterOptions",
+    "BatchWrapper",
+    "ChangedObservations",
+    "RunSelection",
+    "frames",
+    "parallel_entry",
+    "play",
+    "plots",
+    "select",
+]
+__all__ += contracts.__all__
+__getattr__ = lazy_attributes(__name__, _LOADED_LATER)
