@@ -17,11 +17,11 @@ from headway_envs.registry import ENTRIES
 
 if TYPE_CHECKING:
     from headway_envs.array_env import ArrayEnv
-    from headway_envs.bus.prepared import prepare, prepare_replay
+    from headway_envs.bus.prepare import prepare, prepare_replay
     from headway_envs.bus.realism.calls import simulated_days
     from headway_envs.bus.realism.comparison import call_km, compare_replay
     from headway_envs.bus.realism.plots import draw_headways_along, draw_load_profile, draw_time_space
-    from headway_envs.bus.realism.trip_statistics import of_headways
+    from headway_envs.bus.realism.trip_statistics import headway_statistics
     from headway_envs.bus.scenario.measures import link_loads
     from headway_envs.bus.scenario.plots import draw_scenario
     from headway_envs.bus.scenario.source import scenario_tables
@@ -42,8 +42,8 @@ __all__ = [
     "draw_scenario",
     "draw_time_space",
     "from_batched",
+    "headway_statistics",
     "link_loads",
-    "of_headways",
     "prepare",
     "prepare_replay",
     "scenario_tables",
@@ -62,10 +62,10 @@ __getattr__ = lazy_attributes(
         "draw_scenario": f"{_SCENARIO}.plots:draw_scenario",
         "draw_time_space": f"{_REALISM}.plots:draw_time_space",
         "from_batched": "headway_envs.parallel_env:from_batched",
+        "headway_statistics": f"{_REALISM}.trip_statistics:headway_statistics",
         "link_loads": f"{_SCENARIO}.measures:link_loads",
-        "of_headways": f"{_REALISM}.trip_statistics:of_headways",
-        "prepare": "headway_envs.bus.prepared:prepare",
-        "prepare_replay": "headway_envs.bus.prepared:prepare_replay",
+        "prepare": "headway_envs.bus.prepare:prepare",
+        "prepare_replay": "headway_envs.bus.prepare:prepare_replay",
         "scenario_tables": f"{_SCENARIO}.source:scenario_tables",
         "simulated_days": f"{_REALISM}.calls:simulated_days",
     },

@@ -1,4 +1,4 @@
-"""Arguments of the bus environment, with all their defaults."""
+"""Configuration of the bus environment, with all its defaults."""
 
 import math
 from collections.abc import Mapping
@@ -11,12 +11,14 @@ SCENARIOS = ("line", "corridor", "district", "city")
 """Names of the built-in synthetic scenarios; any other value is the path of a scenario folder."""
 
 
-def _share(**values: float) -> None:
+def _require_share(**values: float) -> None:
+    """Raise ValueError unless every value lies between 0 and 1."""
     for name, value in values.items():
         require(0 <= value <= 1, f"{name} must lie between 0 and 1, not {value:g}")
 
 
-def _above(low: float, **values: float) -> None:
+def _require_above(low: float, **values: float) -> None:
+    """Raise ValueError unless every value is above `low`."""
     for name, value in values.items():
         require(value > low, f"{name} must be above {low:g}, not {value:g}")
 
@@ -66,7 +68,7 @@ class RewardConfig:
             maintenance=self.maintenance,
             regularity=self.regularity,
         )
-        _share(follower_share=self.follower_share)
+        _require_share(follower_share=self.follower_share)
         require(
             self.follower_share == 0 or self.scope == "own",
             f"follower_share is for scope=own; with scope={self.scope} it must be 0",
@@ -122,7 +124,7 @@ class NoiseConfig:
             demand_stop_hour_sd=self.demand_stop_hour_sd,
             dispatch_s=self.dispatch_s,
         )
-        _share(incident_probability=self.incident_probability)
+        _require_share(incident_probability=self.incident_probability)
         require_at_least(2, incident_factor=self.incident_factor)
 
 
@@ -162,7 +164,7 @@ class UpkeepConfig:
     """A bus goes to the depot, which refuels and repairs it, if its next trip is farther off than this, s."""
 
     def __post_init__(self) -> None:
-        _above(
+        _require_above(
             0,
             fuel_capacity=self.fuel_capacity,
             seconds_per_fuel_unit=self.seconds_per_fuel_unit,
@@ -178,7 +180,7 @@ class UpkeepConfig:
             detour_fixed_s=self.detour_fixed_s,
             depot_gap_s=self.depot_gap_s,
         )
-        _share(idle_share=self.idle_share, warning=self.warning, service_below=self.service_below)
+        _require_share(idle_share=self.idle_share, warning=self.warning, service_below=self.service_below)
 
 
 @dataclass(frozen=True)
@@ -233,8 +235,7 @@ class BusConfig:
 
     @property
     def arrivals_per_boarding(self) -> float:
-        """Number of arriving passengers with a competing service per one of them who boards, at the target
-        headway.
+        """Number of arriving passengers with a competing service per boarding one, at the target headway.
 
         Arrivals are uniform over a headway H, and each passenger leaves after an exponential wait of mean x
         H, where x is `competing_headway_share`: the share x (1 - exp(-1 / x)) still waits when the bus comes.
@@ -257,7 +258,7 @@ class BusConfig:
             self.state in ("auto", "full", "aggregate"),
             f"state must be auto, full or aggregate, not '{self.state}'",
         )
-        _above(0, tick_s=self.tick_s, hold_s=self.hold_s)
+        _require_above(0, tick_s=self.tick_s, hold_s=self.hold_s)
         require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
         require(
             self.day_s % self.tick_s == 0,
@@ -273,8 +274,8 @@ class BusConfig:
             minimum_layover_s=self.minimum_layover_s,
             recovery_share=self.recovery_share,
         )
-        _share(captive_share=self.captive_share)
-        _above(0, competing_headway_share=self.competing_headway_share)
+        _require_share(captive_share=self.captive_share)
+        _require_above(0, competing_headway_share=self.competing_headway_share)
 
     @property
     def day_s(self) -> float:

@@ -14,8 +14,8 @@ ENTRY = EnvEntry(
     summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",
     config=BusConfig,
     make=Lazy("headway_envs.bus.env:BusBatchedEnv"),
-    prepare=Lazy("headway_envs.bus.prepared:prepare"),
-    prepare_variant=Lazy("headway_envs.bus.prepared:prepare_beside"),
+    prepare=Lazy("headway_envs.bus.prepare:prepare"),
+    prepare_variant=Lazy("headway_envs.bus.prepare:prepare_variant"),
     parallel_env=Lazy("headway_envs.bus.parallel:BusParallelEnv"),
     rules={
         "always_move": RuleEntry(

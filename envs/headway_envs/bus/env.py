@@ -13,7 +13,7 @@ from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, 
 from headway_envs.bus.prepared import Prepared
 
 _WAITING = ("arrived_at", "leaves_at")
-"""Arrays of the world that are read only at positions occupied by waiting passengers."""
+"""Arrays of the world of which only the positions of waiting passengers are read."""
 
 
 class BusBatchedEnv(ArrayEnv[World, Outputs]):
@@ -28,8 +28,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
     _KIND = "bus scenario"
 
     def __init__(self, prepared: Prepared, copies: int, traced: bool = False) -> None:
-        """Allocate `copies` copies. `traced`: record what happens at every call in `trace`, which holds a
-        finished day until the next step.
+        """Allocate `copies` copies. `traced`: record times and passengers at every call in `trace`, which
+        keeps a finished day until the next step.
 
         Raises HeadwayError for fewer than one copy.
         """
@@ -41,8 +41,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         self.world = allocate_world(self.network, copies, config.capacity)
         self.outputs = allocate_outputs(self.network, copies, config.observation, prepared.full_state)
         self.trace = allocate_trace(self.network, copies, traced)
-        self._never = np.zeros((copies, len(self.network.slot_line)), np.bool_)
-        self._terminated = self._never.copy()
+        self._truncated = np.zeros((copies, len(self.network.slot_line)), np.bool_)
+        self._terminated = self._truncated.copy()
         self._spec = EnvSpec(
             name="bus",
             agents=prepared.agents,
@@ -67,12 +67,12 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         actions = self._checked(actions)
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
-            tick.turn(self.network, self.settings, self.world, outputs)
+            tick.start_next_days(self.network, self.settings, self.world, outputs)
         self._terminated[...] = outputs.ended[:, None]
         outcome = StepResult(
             rewards=outputs.rewards,
             terminated=self._terminated,
-            truncated=self._never,
+            truncated=self._truncated,
             acting=outputs.acting,
             episode_ended=outputs.ended,
             final_observations=outputs.final_observations,
@@ -93,8 +93,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         Of the storage for waiting passengers, most of a city's state, only the occupied positions are copied:
         a snapshot travels from worker to learner at every iteration, and every checkpoint holds one.
         """
-        taken, rest = self._taken(self.world.queues["waiting"]), self.world._asdict()
-        waiting = {name: rest.pop(name).ravel()[taken] for name in _WAITING}
+        occupied, rest = self._occupied(self.world.queues["waiting"]), self.world._asdict()
+        waiting = {name: rest.pop(name).ravel()[occupied] for name in _WAITING}
         return {"world": {**copied(rest), **waiting}, "outputs": copied(self.outputs._asdict())}
 
     def restore(self, snapshot: Snapshot) -> Observations:
@@ -103,16 +103,16 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         world, queues = dict(snapshot["world"]), np.zeros_like(self.world.queues)
         if "queues" in world and world["queues"].shape == queues.view(np.uint8).shape:
             queues.view(np.uint8)[...] = world["queues"]
-            taken = self._taken(np.minimum(queues["waiting"], np.diff(self.network.queue_first)))
+            occupied = self._occupied(np.minimum(queues["waiting"], np.diff(self.network.queue_first)))
             for name in _WAITING:
                 # Older checkpoints also hold the unoccupied positions and need no unpacking.
-                if name in world and world[name].shape == taken.shape:
-                    whole = np.zeros_like(getattr(self.world, name))
-                    whole.ravel()[taken] = world[name]
-                    world[name] = whole
+                if name in world and world[name].shape == occupied.shape:
+                    full = np.zeros_like(getattr(self.world, name))
+                    full.ravel()[occupied] = world[name]
+                    world[name] = full
         return super().restore({**snapshot, "world": world})
 
-    def _taken(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _occupied(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the occupied positions of the flattened queue storage (C x storage), given the numbers of
         waiting passengers (C, Q)."""
         first, counts = self.network.queue_first, waiting.ravel()

@@ -2,22 +2,29 @@
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.prepared import Prepared, prepare
+from headway_envs.bus.prepared import Prepared
 from headway_envs.parallel_env import ParallelEnvBase
 
 _BOUND = 5.0
-"""Bound on every component of the observation `control`; those of `paper` and `published` lie in [0, 1]."""
+"""Bound on the absolute value of each component of the observation `control`. Those of `paper` and
+`published` lie in [0, 1]."""
 
 
 class BusParallelEnv(ParallelEnvBase):
-    """Service day as a ParallelEnv.
+    """Service days as a ParallelEnv.
 
-    Every slot stays in `agents` all day. Each agent's `info` holds `alive`, `acting` and `action_mask`, and
-    at the end `episode_metrics` by name. A seed gives the same days as `BusBatchedEnv.reset([seed])`.
+    Every slot stays in `agents` all day. Each agent's `info` holds `alive`, `acting` and `action_mask` and,
+    at the end, `episode_metrics` by name. A seed gives the same days as `BusBatchedEnv.reset([seed])`.
     """
 
     def __init__(self, config: BusConfig | Prepared | None = None) -> None:
-        prepared = config if isinstance(config, Prepared) else prepare(config or BusConfig())
+        if isinstance(config, Prepared):
+            prepared = config
+        else:
+            # Workers pass a Prepared: they must not import pandas, as `prepare` does.
+            from headway_envs.bus.prepare import prepare
+
+            prepared = prepare(config or BusConfig())
         wide = prepared.config.observation == "control"
         super().__init__(
             lambda copies: BusBatchedEnv(prepared, copies),

@@ -1,5 +1,5 @@
-"""Picture of a service day: the map with stops, buses and loads above, the time-space diagram of one line
-below, with one panel per direction, which grows during the day."""
+"""Picture of a service day: a map with stops, buses and loads above a time-space diagram of one line, which
+grows during the day and has one panel per direction."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from headway.contracts import BatchedEnv
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, DRIVING, METRICS
 from headway_envs.bus.prepared import Prepared
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
@@ -29,21 +29,23 @@ FINER = 2
 """Supersampling factor: pictures are drawn this many times as large and then reduced, for smooth edges."""
 WIDTH, HEADER, EDGE = 1180, 54, 14
 MAP_HEIGHTS = (236, 420)
-"""Minimum and maximum height of the map, pixels; between them it follows the shape of the network. For a
-straight line the minimum is a fifth of the width."""
+"""Smallest and largest height of the map, pixels; in between it follows the shape of the network. The
+minimum, a fifth of the width, is for straight lines."""
 PANEL_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 190, 24, 18, 26, 46
+"""Heights of a panel, of its title and axis, and of the legend, and the width of the labels at its left,
+pixels."""
 ASIDE = 5.0
 """Offset of each bus to the right of its line in driving direction, pixels, so that opposite directions stay
 apart."""
 NUMBERED = 40
-"""Maximum number of buses drawn with their load as a number."""
+"""Largest number of buses drawn with their load as a number."""
 
 GROUND, PAPER, ROAD, STOP, QUEUE, GRID, TEXT, FAINT = (
     "#eef1ea", "#ffffff", "#a9b0b6", "#54595e", "#7b4fa3", "#d9dde0", "#20242a", "#6b7177",
 )  # fmt: skip
 OUT_OF_SERVICE = "#d32f2f"
 LOADS = ((0.0, "#2e9d4f"), (0.5, "#f2b705"), (1.0, "#c2185b"))
-"""Colours of occupancies 0, 0.5 and 1; interpolated between them."""
+"""Colours at occupancies 0, 0.5 and 1, between which colours are interpolated."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,8 @@ def geography(tables: "Tables", prepared: Prepared) -> Geography:
     along = metres_along(tables).reindex(list(zip(calls["pattern"], calls["seq0"], strict=True)))
     lat, lon = (calls[name].to_numpy(np.float64) for name in ("lat", "lon"))
     directions = tables.patterns.set_index("pattern")["dir"].astype(str).reindex(patterns)
-    across = math.cos(math.radians(float(lat.mean()))) * METRES_A_DEGREE
-    places = np.column_stack((lon * across, lat * METRES_A_DEGREE))
+    across = math.cos(math.radians(float(lat.mean()))) * METRES_PER_DEGREE
+    places = np.column_stack((lon * across, lat * METRES_PER_DEGREE))
     places -= places.mean(axis=0)
     longest = np.linalg.eigh(np.cov(places.T))[1][:, -1]
     longest = longest if longest[0] >= 0 else -longest
@@ -89,26 +91,28 @@ def geography(tables: "Tables", prepared: Prepared) -> Geography:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Buses of one copy outside the depot, B of them, at one moment."""
+class _VisibleBuses:
+    """The B buses of one copy outside the depot, at one time."""
 
     slots: Integers
     """(B,) slot of each bus"""
     calls: Integers
-    """(B,) the call that each bus stands at or has left"""
+    """(B,) call at which each bus stands or which it left last"""
     share: Floats
-    """(B,) share of the way to the next call covered"""
+    """(B,) share of the way to the next call that is covered"""
     occupancy: Floats
+    """(B,) load over capacity"""
     loads: Integers
+    """(B,) passengers aboard"""
     out_of_service: NDArray[np.bool_]
-    """(B,) away at the service centre, or broken down"""
+    """(B,) whether the bus is at the service centre or broken down"""
 
 
 class BusRenderer:
-    """Draws pictures of a bus environment (`headway.contracts.Renderer`).
+    """Renderer of the bus environment (`headway.contracts.Renderer`).
 
-    It keeps what it has painted of a day: the diagram begins with the first picture of that day. The diagram
-    shows the line with the most slots.
+    It accumulates the diagram of a day, which starts with the first picture of that day and shows the line
+    with the most slots.
     """
 
     def __init__(self, prepared: Prepared) -> None:
@@ -127,37 +131,38 @@ class BusRenderer:
         self._map, self._panels = self._lay_out()
         self._size = WIDTH, self._panels[-1][3] + AXIS + LEGEND
         self._pixels, self._scale = self._project()
-        self._longest = [self._longest_of(direction) for direction in self._directions]
-        self._heights = self._of_diagram()
-        self._empty = self._draw_background()
-        self._drawn, self._before = self._empty.copy(), -math.inf
-        self._last: dict[int, tuple[int, Point]] = {}
+        self._longest = [self._longest_pattern(direction) for direction in self._directions]
+        self._heights = self._diagram_heights()
+        self._background = self._draw_background()
+        self._canvas, self._last_time = self._background.copy(), -math.inf
+        self._last_points: dict[int, tuple[int, Point]] = {}
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """Return a picture (height, width, 3), uint8. Raises TypeError for any other environment."""
+        """Return a picture (height, width, 3), uint8, of the first copy; `at_end`: the finished diagram with
+        the metrics of the day. Raises TypeError for any other environment."""
         if not isinstance(env, BusBatchedEnv):
             raise TypeError(f"the picture of a bus network needs a BusBatchedEnv, not {type(env).__name__}")
         day = env.world.days[0]
         if at_end:
-            picture, said = self._drawn.copy(), _summary(env.outputs.metrics[0])
-            self._write(picture, "The day is over", said)
-            return _reduced(picture)
+            picture, caption = self._canvas.copy(), _summary(env.outputs.metrics[0])
+            self._write(picture, "End of the day", caption)
+            return _downsampled(picture)
         now = float(day["now"])
-        if now <= self._before:
-            self._drawn, self._last = self._empty.copy(), {}
-        self._before = now
-        seen = _look(env)
-        self._extend_diagram(seen, now)
-        picture = self._drawn.copy()
+        if now <= self._last_time:
+            self._canvas, self._last_points = self._background.copy(), {}
+        self._last_time = now
+        buses = _visible_buses(env)
+        self._extend_diagram(buses, now)
+        picture = self._canvas.copy()
         draw = ImageDraw.Draw(picture)
         waiting = self._draw_queues(draw, env)
-        self._draw_buses(draw, seen)
-        off = int(seen.out_of_service.sum())
-        said = f"{len(seen.slots) - off} buses on their lines, {off} at a service centre or broken down"
-        said += f"    {int(seen.loads.sum())} passengers on board, {waiting} waiting"
-        said += f"    team reward so far {float(day['reward']):.1f}"
-        self._write(picture, _clock(now), said)
-        return _reduced(picture)
+        self._draw_buses(draw, buses)
+        off = int(buses.out_of_service.sum())
+        caption = f"{len(buses.slots) - off} buses on their lines, {off} at a service centre or broken down"
+        caption += f"    {int(buses.loads.sum())} passengers on board, {waiting} waiting"
+        caption += f"    team reward so far {float(day['reward']):.1f}"
+        self._write(picture, _clock(now), caption)
+        return _downsampled(picture)
 
     def _lay_out(self) -> tuple[Frame, list[Frame]]:
         """Return the frame of the map and those of the diagram's panels."""
@@ -182,7 +187,7 @@ class BusRenderer:
         y = (top + bottom + scale * high) / 2.0 - scale * places.up
         return np.column_stack((x, y)), scale
 
-    def _longest_of(self, direction: str) -> slice:
+    def _longest_pattern(self, direction: str) -> slice:
         """Return the calls of the line's longest pattern in a direction."""
         own = [p for p in self._patterns if self._places.directions[p] == direction]
         return max(map(self._calls_of, own), key=lambda calls: float(self._places.along[calls][-1]))
@@ -190,7 +195,7 @@ class BusRenderer:
     def _calls_of(self, pattern: int) -> slice:
         return slice(self._net.pattern_calls[pattern], self._net.pattern_calls[pattern + 1])
 
-    def _of_diagram(self) -> Floats:
+    def _diagram_heights(self) -> Floats:
         """Return the height of each call within its panel (Q,), a share from 0 to 1 by distance along the
         line; NaN on other lines.
 
@@ -261,7 +266,7 @@ class BusRenderer:
         name = f"{self._prepared.lines[self._line]}, direction {self._directions[panel]}"
         draw.text(
             (FINER * left, FINER * (top - 5)),
-            f"{name}: way from its first stop by hour of the day; each stroke is a bus, coloured by its load",
+            f"{name}: distance from its first stop over the day; each stroke is a bus, coloured by load",
             TEXT,
             self._font,
             anchor="ls",
@@ -276,10 +281,10 @@ class BusRenderer:
         draw.text((x, y), "bus: empty to full", TEXT, self._font)
         x += 116 * FINER
         draw.ellipse([x, y, x + 9 * FINER, y + 9 * FINER], QUEUE)
-        draw.text((x + 14 * FINER, y), "stop: area by those who wait", TEXT, self._font)
+        draw.text((x + 14 * FINER, y), "stop: area by its queue", TEXT, self._font)
         x += 186 * FINER
         draw.rectangle([x, y, x + 9 * FINER, y + 9 * FINER], OUT_OF_SERVICE)
-        draw.text((x + 14 * FINER, y), "broken down or at a centre", TEXT, self._font)
+        draw.text((x + 14 * FINER, y), "broken down or at a service centre", TEXT, self._font)
 
     def _draw_queues(self, draw: ImageDraw.ImageDraw, env: BusBatchedEnv) -> int:
         """Draw each queue as a disc of proportional area, up to a largest radius, and return the number of
@@ -291,45 +296,45 @@ class BusRenderer:
             draw.ellipse([x - radius, y - radius, x + radius, y + radius], QUEUE)
         return int(waiting.sum())
 
-    def _draw_buses(self, draw: ImageDraw.ImageDraw, seen: _Seen) -> None:
-        half = FINER * (7.0 if len(seen.slots) <= NUMBERED else 4.0)
-        for n, call in enumerate(seen.calls):
+    def _draw_buses(self, draw: ImageDraw.ImageDraw, buses: _VisibleBuses) -> None:
+        half = FINER * (7.0 if len(buses.slots) <= NUMBERED else 4.0)
+        for n, call in enumerate(buses.calls):
             following = min(call + 1, len(self._pixels) - 1)
             way = self._pixels[following] - self._pixels[call]
-            x, y = self._pixels[call] + seen.share[n] * way
+            x, y = self._pixels[call] + buses.share[n] * way
             length = math.hypot(*way)
             if length > 0:
                 x, y = x - way[1] / length * ASIDE * FINER, y + way[0] / length * ASIDE * FINER
-            colour = OUT_OF_SERVICE if seen.out_of_service[n] else _colour(float(seen.occupancy[n]))
+            colour = OUT_OF_SERVICE if buses.out_of_service[n] else _colour(float(buses.occupancy[n]))
             draw.rounded_rectangle([x - half, y - half, x + half, y + half], 2 * FINER, colour, TEXT)
-            if len(seen.slots) <= NUMBERED:
-                draw.text((x, y), f"{seen.loads[n]}", "#ffffff", self._small, anchor="mm")
+            if len(buses.slots) <= NUMBERED:
+                draw.text((x, y), f"{buses.loads[n]}", "#ffffff", self._small, anchor="mm")
 
-    def _extend_diagram(self, seen: _Seen, now: float) -> None:
-        """Extend the diagram by one stroke per bus of the line, from its position in the last picture. A bus
-        that has begun another trip or is out of service gets none."""
-        draw, reached = ImageDraw.Draw(self._drawn), {}
-        for n, call in enumerate(seen.calls):
-            up, slot = self._heights[call], int(seen.slots[n])
-            if not math.isfinite(up) or seen.out_of_service[n]:
+    def _extend_diagram(self, buses: _VisibleBuses, now: float) -> None:
+        """Extend the diagram by one stroke per bus of the line, from its position in the previous picture. A
+        bus that has begun another trip or is out of service gets none."""
+        draw, reached = ImageDraw.Draw(self._canvas), {}
+        for n, call in enumerate(buses.calls):
+            up, slot = self._heights[call], int(buses.slots[n])
+            if not math.isfinite(up) or buses.out_of_service[n]:
                 continue
             pattern = int(np.searchsorted(self._net.pattern_calls, call, side="right")) - 1
             if call + 1 < self._net.pattern_calls[pattern + 1]:
-                up += seen.share[n] * (self._heights[call + 1] - up)
+                up += buses.share[n] * (self._heights[call + 1] - up)
             panel = self._directions.index(self._places.directions[pattern])
             point = self._in_panel(panel, now, float(up))
             reached[slot] = (pattern, point)
-            if slot in self._last and self._last[slot][0] == pattern:
-                draw.line([self._last[slot][1], point], _colour(float(seen.occupancy[n])), FINER)
-        self._last = reached
+            if slot in self._last_points and self._last_points[slot][0] == pattern:
+                draw.line([self._last_points[slot][1], point], _colour(float(buses.occupancy[n])), FINER)
+        self._last_points = reached
 
-    def _write(self, picture: Image.Image, title: str, said: str) -> None:
+    def _write(self, picture: Image.Image, title: str, caption: str) -> None:
         draw = ImageDraw.Draw(picture)
         draw.text((FINER * 14, FINER * 8), title, TEXT, self._large)
-        draw.text((FINER * 14, FINER * 32), said, TEXT, self._font)
+        draw.text((FINER * 14, FINER * 32), caption, TEXT, self._font)
 
 
-def _look(env: BusBatchedEnv) -> _Seen:
+def _visible_buses(env: BusBatchedEnv) -> _VisibleBuses:
     """Return the buses of the first copy that are outside the depot."""
     slots, capacity = env.world.slots[0], env.prepared.config.capacity
     out = np.flatnonzero(slots["phase"] != DEPOT)
@@ -337,7 +342,7 @@ def _look(env: BusBatchedEnv) -> _Seen:
     arrives = env.world.event_time[0, out]
     lasts = np.maximum(arrives - buses["left"], 1.0)
     share = np.where(buses["phase"] == DRIVING, (now - buses["left"]) / lasts, 0.0)
-    return _Seen(
+    return _VisibleBuses(
         slots=out,
         calls=buses["call"].astype(np.int64),
         share=np.clip(share, 0.0, 1.0),
@@ -349,11 +354,11 @@ def _look(env: BusBatchedEnv) -> _Seen:
 
 def _summary(metrics: Floats) -> str:
     """Return a line of text with the main metrics of the day."""
-    of = dict(zip(METRICS, metrics.tolist(), strict=True))
+    value = dict(zip(METRICS, metrics.tolist(), strict=True))
     return (
-        f"mean wait {of['mean_wait_min']:.2f} min    headway CV {of['headway_cv']:.2f}    "
-        f"bunched {100 * of['bunched_share']:.1f}%    denied boardings {of['denied_boardings']:.0f}    "
-        f"breakdowns {of['breakdowns']:.0f}    team reward {of['team_reward']:.1f}"
+        f"mean wait {value['mean_wait_min']:.2f} min    headway CV {value['headway_cv']:.2f}    "
+        f"bunched {100 * value['bunched_share']:.1f}%    denied boardings {value['denied_boardings']:.0f}    "
+        f"breakdowns {value['breakdowns']:.0f}    team reward {value['team_reward']:.1f}"
     )
 
 
@@ -376,5 +381,5 @@ def _colour(occupancy: float) -> str:
     return LOADS[-1][1]
 
 
-def _reduced(picture: Image.Image) -> NDArray[np.uint8]:
+def _downsampled(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.reduce(FINER), np.uint8)

@@ -1,6 +1,8 @@
-"""Classical controllers of holding. All but `always_move` also send buses to the service centre in time, as a
-dispatcher would (see `_due_for_service`). They read the environment's arrays, including the bus's next
-arrival time."""
+"""Classical holding controllers, and baselines without holding.
+
+All rules but `always_move` also send buses to the service centre in time, as a dispatcher would
+(`_due_for_service`). The rules read the environment's arrays, including the bus's next arrival time.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,49 +29,55 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
-"""Safety margin on fuel: a bus is refuelled while it can still drive this many times what it needs."""
+"""Safety margin on fuel: a bus is refuelled when its range falls below this many times the distance it needs
+to drive."""
 NEAR_S = 60.0
-"""A terminal counts as near a service centre if its detour is at most this much longer than the line's
-shortest, s."""
-WORTH_REPAIR = 0.5
-"""Minimum share of its remaining planned driving time that a worn bus would drive below the warning level; it
-is not serviced for less."""
+"""Largest excess of a terminal's detour over the shortest detour of its line for the terminal to count as
+near a service centre, s."""
+MIN_WORN_SHARE = 0.5
+"""Smallest share of the remaining planned driving time, below the warning level of uptime, for which a bus is
+sent to service."""
 
 
 @dataclass(frozen=True)
 class FleetState:
-    """Situation of all buses as (C, N) arrays; times in s."""
+    """State of all buses of C copies as (C, N) arrays; times in s."""
 
     event: Floats
-    """Time of the next event: the arrival of a driving bus, else its next decision."""
+    """Time of the next event: arrival for a driving bus, else the next decision."""
     now: Floats
     """(C, 1) current time."""
     terminal: NDArray[np.bool_]
+    """Whether the bus waits at a terminal for its next trip."""
     on_way: NDArray[np.bool_]
+    """Whether the bus drives or stands at a stop."""
     headway: Floats
     """Headway at the next event, since the last departure from that call, s; infinite before the first
     departure."""
     target: Floats
+    """Target headway of the pattern at the next event, s."""
     departure: Floats
     """Scheduled departure time of the trip."""
     planned: Floats
     """Planned time at the call of the next event."""
     ahead: Floats
-    """Spacing to the bus ahead divided by the target headway; NaN without a neighbour."""
+    """Spacing to the bus ahead over the target headway; NaN without a neighbour."""
     behind: Floats
+    """Spacing to the bus behind over the target headway; NaN without a neighbour."""
     due_for_service: NDArray[np.bool_]
+    """Whether the bus should go to service at its current terminal."""
 
 
 def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
-    """Return rows of (rows, K) knot curves at times in s, interpolated as the kernel does."""
+    """Return the values of rows of (rows, K) knot curves at times in s, interpolated as in the kernel."""
     place = np.clip(time / 3600.0 - FIRST_KNOT_HOUR - 0.5, 0.0, KNOTS - 1)
     knot = np.minimum(place.astype(np.int64), KNOTS - 2)
     weight = place - knot
     return np.asarray((1.0 - weight) * curves[rows, knot] + weight * curves[rows, knot + 1])
 
 
-def look(env: BatchedEnv) -> FleetState:
-    """Return the scene of a bus environment. Raises TypeError for any other environment."""
+def fleet_state(env: BatchedEnv) -> FleetState:
+    """Return the fleet state of a bus environment. Raises TypeError for any other environment."""
     if not isinstance(env, BusBatchedEnv):
         raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
     net, world = env.network, env.world
@@ -96,11 +104,11 @@ def look(env: BatchedEnv) -> FleetState:
 def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     """Return which buses should go to service at their current terminal, (C, N).
 
-    A dispatcher knows how long a bus still drives before it is back at the depot, and which terminals of its
-    line are nearest to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts
-    neither to the depot nor until it comes by again (twice its line's longest trip), or if its uptime would
-    fall below the warning level before both and early enough to be worth it (`WORTH_REPAIR`). At any other
-    terminal a bus is sent only if its fuel does not last for one more trip.
+    A dispatcher knows how long a bus still drives before its next stay at the depot, and which terminals of
+    its line are nearest to a service centre. A bus at such a terminal is sent if its fuel, with a margin,
+    lasts neither to the depot nor until it returns (twice its line's longest trip), or if its uptime would
+    fall below the warning level before both, and early enough (`MIN_WORN_SHARE`). At any other terminal a bus
+    is sent only if its fuel does not last for one more trip.
     """
     net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
     ends = net.pattern_calls[1:] - 1
@@ -114,27 +122,27 @@ def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     wear_range = (slots["uptime"] - upkeep.warning) * upkeep.uptime_hours * 3600.0
     near = net.detour[slots["call"]] <= line_way + NEAR_S
     soon = fuel_range < np.minimum(np.where(near, 2.0, 1.0) * trip, to_drive)
-    worn = near & (wear_range < np.minimum(2.0 * trip, (1.0 - WORTH_REPAIR) * to_drive))
+    worn = near & (wear_range < np.minimum(2.0 * trip, (1.0 - MIN_WORN_SHARE) * to_drive))
     return np.asarray(soon | worn)
 
 
-def _actions(scene: FleetState, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _actions(fleet: FleetState, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return WAIT where `hold`, else MOVE; SERVICE_CENTER takes precedence at terminals."""
     actions = np.where(hold, WAIT, MOVE).astype(np.int64)
-    actions[scene.terminal & scene.due_for_service] = SERVICE_CENTER
+    actions[fleet.terminal & fleet.due_for_service] = SERVICE_CENTER
     return actions
 
 
-def _spaced(scene: FleetState, share: float) -> NDArray[np.bool_]:
-    """Return where the headway at the next event is below `share` of the target, or where the bus ahead has
-    not yet left that stop."""
-    near = scene.ahead * scene.target < scene.event - scene.now
-    return (scene.headway < share * scene.target) | (scene.on_way & near)
+def _too_close(fleet: FleetState, share: float) -> NDArray[np.bool_]:
+    """Return which buses have a headway below `share` of the target at the next event, or follow a bus that
+    has not yet left that stop."""
+    near = fleet.ahead * fleet.target < fleet.event - fleet.now
+    return (fleet.headway < share * fleet.target) | (fleet.on_way & near)
 
 
-def _early(scene: FleetState) -> NDArray[np.bool_]:
+def _before_schedule(fleet: FleetState) -> NDArray[np.bool_]:
     """Return which buses are at a terminal before their scheduled departure."""
-    return scene.terminal & (scene.event < scene.departure)
+    return fleet.terminal & (fleet.event < fleet.departure)
 
 
 @dataclass(frozen=True)
@@ -156,34 +164,35 @@ class MoveWithService:
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        return _actions(look(env), np.zeros(observed.alive.shape, np.bool_))
+        return _actions(fleet_state(env), np.zeros(observed.alive.shape, np.bool_))
 
 
 @dataclass(frozen=True)
 class HeadwayHolding:
     """Forward headway control: hold, at stops and terminals, while the headway to the bus ahead is below a
-    share of the target. A bus leaves a terminal at most one dispatch window after schedule."""
+    share of the target. A bus leaves a terminal at most one dispatch window after its scheduled departure."""
 
     prepared: "Prepared"
     share: float
+    """Share of the target headway below which a bus is held."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        scene = look(env)
-        overdue = scene.terminal & (scene.event > scene.departure + self.prepared.config.dispatch_window_s)
-        return _actions(scene, _spaced(scene, self.share) & ~overdue)
+        fleet = fleet_state(env)
+        overdue = fleet.terminal & (fleet.event > fleet.departure + self.prepared.config.dispatch_window_s)
+        return _actions(fleet, _too_close(fleet, self.share) & ~overdue)
 
 
 @dataclass(frozen=True)
 class EvenHeadway:
-    """Hold while the bus behind is farther away than the bus ahead and that one is nearer than the target
-    headway; leave terminals by schedule."""
+    """Hold while the bus behind is farther away than the bus ahead and the bus ahead is nearer than the
+    target headway; leave terminals on schedule."""
 
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        scene = look(env)
-        uneven = scene.on_way & (scene.behind > scene.ahead) & (scene.ahead < 1.0)
-        return _actions(scene, uneven | _early(scene))
+        fleet = fleet_state(env)
+        uneven = fleet.on_way & (fleet.behind > fleet.ahead) & (fleet.ahead < 1.0)
+        return _actions(fleet, uneven | _before_schedule(fleet))
 
 
 @dataclass(frozen=True)
@@ -193,6 +202,6 @@ class ScheduleHolding:
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        scene = look(env)
-        early = scene.on_way & (scene.event < scene.planned)
-        return _actions(scene, early | _early(scene))
+        fleet = fleet_state(env)
+        early = fleet.on_way & (fleet.event < fleet.planned)
+        return _actions(fleet, early | _before_schedule(fleet))

@@ -1,4 +1,4 @@
-"""Smallest possible network, with one bus, one trip and two stops, run to load the compiled kernel."""
+"""Smallest possible network: one bus, one trip, two stops. Simulating it loads the compiled kernel."""
 
 import numpy as np
 
@@ -8,24 +8,25 @@ from headway_envs.bus.kernel.layout import KNOTS, Network
 from headway_envs.bus.prepared import Prepared
 
 
-def _whole(*values: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+def _integers(*values: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     return np.array(values, np.int64)
 
 
 def tiny_network() -> Network:
-    """Return a network of one trip that leaves at 05:10 and takes 100 s, with one passenger every 200 s."""
+    """Return a network of one trip that leaves at 05:10 and takes 100 s; one passenger arrives every 200
+    s."""
     return Network(
-        line_slots=_whole(0, 1),
-        line_patterns=_whole(0, 1),
-        pattern_calls=_whole(0, 2),
-        pattern_trips=_whole(0, 1),
-        trip_pattern=_whole(0),
+        line_slots=_integers(0, 1),
+        line_patterns=_integers(0, 1),
+        pattern_calls=_integers(0, 2),
+        pattern_trips=_integers(0, 1),
+        trip_pattern=_integers(0),
         trip_departure=np.array([18600.0]),
         trip_deadhead=np.zeros(1),
         trip_work_left=np.array([100.0]),
-        slot_trips=_whole(0),
-        slot_first=_whole(0, 1),
-        slot_line=_whole(0),
+        slot_trips=_integers(0),
+        slot_first=_integers(0, 1),
+        slot_line=_integers(0),
         running=np.array([[100.0] * KNOTS, [0.0] * KNOTS]),
         nominal=np.array([[0.0] * KNOTS, [100.0] * KNOTS]),
         noise_sd=np.zeros(2),
@@ -35,12 +36,12 @@ def tiny_network() -> Network:
         regular_waiting=np.ones((1, 4)),
         target=np.full((1, KNOTS), 600.0),
         detour=np.zeros(2),
-        queue_first=_whole(0, 200, 400),
+        queue_first=_integers(0, 200, 400),
     )
 
 
 def run_tiny() -> None:
-    """Run one service day of one hour on the tiny network, and the first interval of the next day."""
+    """Simulate one service day of one hour on the tiny network, and the first interval of the next day."""
     config = BusConfig(end_hour=6)
     env = BusBatchedEnv(Prepared(config, tiny_network(), ("tiny",), "tiny"), 1)
     env.reset(np.zeros(1, np.uint64))

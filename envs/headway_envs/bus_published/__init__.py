@@ -1,2 +1,2 @@
-"""The bus environment of the released code of BusEnv (github.com/LabIA-UFBA/BusEnv), made anew from what it
-does, so that the study's published table can be set beside our own figures."""
+"""Bus environment that reproduces the released code of BusEnv (github.com/LabIA-UFBA/BusEnv), for comparison
+with the table published with it."""

@@ -1,4 +1,4 @@
-"""The published bus environment's arguments. Every default stands here and nowhere else."""
+"""Configuration of the published bus environment, with all its defaults."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -9,27 +9,30 @@ from headway_envs.bus.config import SCENARIOS
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """What a MOVE is paid: (-occupancy x o + uptime x u + regularity x h + efficiency x t) / sum of weights,
-    within -1 to 1. WAIT is paid -0.1, service -(1 + detour / 600 s), or -20 without fuel for the way."""
+    """Reward of a MOVE: (-occupancy x o + uptime x u + regularity x h + efficiency x t) / sum of weights,
+    within -1 to 1. The reward of WAIT is -0.1; that of service is -(1 + detour / 600 s), or -20 without fuel
+    for the way."""
 
     occupancy: float = 0.5
-    """Weight of o: squared distance of the occupancy from the band, 0 to 1."""
+    """Weight of o: squared distance of the occupancy from the band between `low_occupancy` and
+    `high_occupancy`, scaled to 0 to 1."""
     uptime: float = 0.7
-    """Weight of u: uptime left, 0 to 1."""
+    """Weight of u: remaining uptime, 0 to 1."""
     regularity: float = 0.5
-    """Weight of h: 1 less the root mean square of (interval - target) / target over all arrivals at the stop
-    so far, not below 0; 0 before there are two intervals."""
+    """Weight of h: 1 - the root mean square of (interval - target) / target over all arrivals at the stop so
+    far, at least 0; 0 before the second interval."""
     efficiency: float = 0.6
-    """Weight of t: 1 less the time driven so far today over the time of one trip out, not below 0. So it is
-    paid on the first trip of the day alone, as the released code has it."""
+    """Weight of t: 1 - driving time so far today / duration of one trip to the end of the route, at least 0.
+    It is therefore above 0 only during the first trip of the day, as in the released code."""
     low_occupancy: float = 0.6
-    """The band of occupancies that cost nothing begins."""
+    """Lower end of the band of occupancies without cost."""
     high_occupancy: float = 0.9
-    """It ends."""
+    """Upper end of the band of occupancies without cost."""
     target_headway_s: float = 600.0
-    """Intervals between arrivals at a stop that are paid in full, s."""
+    """Target interval between arrivals at a stop, s."""
     scope: Literal["own", "team"] = "own"
-    """`own`: each bus is paid its own, as in the released runs; `team`: all the mean, as the paper says."""
+    """`own`: each bus receives its own reward, as in the released runs; `team`: every bus receives the mean,
+    as in the paper."""
 
     def __post_init__(self) -> None:
         require_at_least(
@@ -51,33 +54,33 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class BusPublishedConfig:
-    """Buses that shuttle on fixed routes, each with a clock of its own, without passengers of their own."""
+    """Buses that shuttle on fixed routes. Each has its own clock; passengers are not simulated."""
 
     scenario: str = "corridor"
-    """Whence routes, link times, loads and boardings come: `line`, `corridor`, `district`, `city`, or the
-    path of a scenario folder. The tables of the published runs are not public in full."""
+    """Source of routes, link times, loads and boardings: `line`, `corridor`, `district`, `city`, or the path
+    of a scenario folder. The tables of the published runs are not fully public."""
     scenario_seed: int = 0
     """Seed of a synthetic scenario."""
     day_type: Literal["weekday", "sunday"] = "weekday"
-    """Which link times, loads and boardings."""
+    """Day type, which selects link times, loads and boardings."""
     agents: int = 5
-    """Buses."""
+    """Number of buses."""
     agents_per_route: int = 3
-    """Buses of a route; the last route has what is left."""
+    """Number of buses per route; the last route has the remaining ones."""
     start_hour: int = 6
-    """Every bus's clock begins."""
+    """Hour at which every bus's clock starts."""
     end_hour: int = 24
-    """The day ends for all when one clock passes this."""
+    """Hour at which the day ends: for all buses once one clock reaches it."""
     centre: int | None = None
-    """Stop where the service centre is, by its place among the scenario's stops; null: drawn for each copy
-    from its seed, as each worker of the released code draws one."""
+    """Stop of the service centre, by its position among the scenario's stops; null: drawn per copy from its
+    seed, as each worker of the released code draws one."""
     max_steps: int = 2000
-    """Steps after which a day is cut short. Waiting throughout takes 1,080; without a limit a day in which
-    all ask for service they have no fuel for would never end, as no clock goes on. The released runs allowed
-    1,000,000."""
+    """Number of steps after which a day is truncated. Waiting throughout takes 1,080. Without a limit, a day
+    would never end if all buses asked for service without the fuel for it, because no clock would advance.
+    The released runs allowed 1,000,000."""
     observation: Literal["scaled", "raw"] = "scaled"
-    """`scaled`: all eight within 0 to 1; `raw`: demand and the two stops as numbers, as in the released
-    code."""
+    """`scaled`: all eight features lie between 0 and 1; `raw`: demand and the two stops are unscaled numbers,
+    as in the released code."""
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
@@ -100,7 +103,7 @@ class BusPublishedConfig:
 
     @property
     def routes(self) -> int:
-        """Routes in use."""
+        """Number of routes in use."""
         return -(-self.agents // self.agents_per_route)
 
 

@@ -1,4 +1,4 @@
-"""The batched face of the published bus environment."""
+"""Batched published bus environment."""
 
 from typing import Any
 
@@ -24,15 +24,15 @@ from headway_envs.bus_published.prepared import Prepared
 class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
     """C days stepped together; implements `headway.contracts.BatchedEnv`.
 
-    Each step every bus takes an action, and time goes on for it alone: 0 WAIT (60 s), 1 MOVE (the mean time
-    of the link), 2 SERVICE_CENTER (0.3 of the shortest path's time; refused without fuel for it). The day
-    ends for all, terminated, when the first clock passes its end; it is truncated after `max_steps`.
+    Every bus acts in every step, and only its own clock advances: 0 WAIT (60 s), 1 MOVE (mean time of the
+    link), 2 SERVICE_CENTER (0.3 of the shortest path's time; refused without fuel for it). The day terminates
+    for all buses when the first clock reaches its end, and is truncated after `max_steps`.
     """
 
     _KIND = "scenario, number of buses"
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
-        """Raises HeadwayError if there is not at least one copy."""
+        """Allocate `copies` copies. Raises HeadwayError for fewer than one copy."""
         if copies < 1:
             raise HeadwayError(f"copies must be at least 1, not {copies}")
         self.prepared, self.network, self.settings = prepared, prepared.network, prepared.settings
@@ -65,7 +65,8 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """One action of every bus; actions (C, N) int64 of 0 to 2."""
+        """Apply one action per bus; actions (C, N) int64 of 0 to 2. Raises ValueError for any other shape of
+        actions."""
         actions = self._checked(actions)
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, outputs, actions)
@@ -82,7 +83,7 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
         return outcome, self.observed()
 
     def observed(self) -> Observations:
-        """What the buses face now; views of the environment's arrays."""
+        """Return the current observations: views of the environment's arrays."""
         return Observations(self.outputs.observations, self._no_state, self._always)
 
     def _begin(self, seeds: NDArray[np.uint64]) -> None:

@@ -1,14 +1,14 @@
-"""What the metrics of an episode are."""
+"""Descriptions and units of the metrics of an episode."""
 
 MEANINGS = {
-    "team_reward": "reward of all buses, summed over them, as the published table has it",
-    "steps": "steps of the episode",
-    "moves": "moves of all buses",
-    "waits": "waits of all buses",
-    "service_visits": "services that buses had",
-    "services_refused": "services that buses asked for and did not get",
-    "occupancy_cost": "mean over moves of what counts against the reward for the bus's occupancy, 0 to 1",
-    "uptime": "mean over moves of the bus's uptime, 0 to 1",
-    "regularity": "mean over moves of the regularity that is paid for, 0 to 1",
-    "efficiency": "mean over moves of the efficiency that is paid for, 0 to 1",
+    "team_reward": "sum of all buses' rewards over the episode, as in the published table",
+    "steps": "number of steps of the episode",
+    "moves": "number of MOVE actions of all buses",
+    "waits": "number of WAIT actions of all buses",
+    "service_visits": "number of visits to the service centre",
+    "services_refused": "number of requests for service without fuel for the way",
+    "occupancy_cost": "mean over moves of the occupancy cost o in the reward, 0 to 1",
+    "uptime": "mean over moves of the uptime u in the reward, 0 to 1",
+    "regularity": "mean over moves of the regularity h in the reward, 0 to 1",
+    "efficiency": "mean over moves of the efficiency t in the reward, 0 to 1",
 }

@@ -1,4 +1,4 @@
-"""From the tables of a bus scenario to the arrays that the kernel reads."""
+"""Network of the published bus environment, built from the tables of a bus scenario."""
 
 import numpy as np
 import pandas as pd
@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE, link_loads
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, link_loads
 from headway_envs.bus.scenario.tables import Tables
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.kernel.layout import CAPACITY, Network
@@ -16,18 +16,20 @@ from headway_envs.bus_published.kernel.layout import CAPACITY, Network
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-ACROSS_M = 60.0
-"""Stops so close count as joined on the way to a centre: the two sides of a road, bays of a terminal. Lines
-of `line` and `corridor` share no stop."""
-ACROSS_MPS = 20.0 / 3.6
-"""Speed between them."""
+CROSSING_M = 60.0
+"""Largest distance at which two stops count as joined on the way to a centre, m: the two sides of a road, or
+bays of a terminal. Lines of `line` and `corridor` share no stop."""
+CROSSING_MPS = 20.0 / 3.6
+"""Speed between joined stops, m/s."""
 
 
 def build(tables: Tables, config: BusPublishedConfig) -> tuple[Network, tuple[str, ...]]:
-    """The network and the lines of its routes, which are patterns in the order of their numbers: the first of
-    each line, then, if there are more routes than lines, the second of each, and so on.
+    """Return the network and the line of each route. Routes are patterns in the order of their numbers: first
+    the first pattern of each line; if there are more routes than lines, then the second pattern of each line,
+    and so on.
 
-    Raises HeadwayError where there are too few patterns, or the centre is not there or cannot be reached."""
+    Raises HeadwayError for too few patterns, or for a centre that does not exist or cannot be reached.
+    """
     patterns = tables.patterns.sort_values("pattern")
     rank = patterns.groupby("line", sort=False).cumcount()
     patterns = patterns.assign(rank=rank).sort_values(["rank", "pattern"]).head(config.routes)
@@ -66,16 +68,17 @@ def build(tables: Tables, config: BusPublishedConfig) -> tuple[Network, tuple[st
 
 
 def _route(tables: Tables, pattern: int, row_of: "pd.Series[int]") -> Integers:
-    """Rows of the stops of a pattern, in order."""
+    """Return the rows of a pattern's stops, in order."""
     calls = tables.pattern_stops[tables.pattern_stops["pattern"] == pattern].sort_values("seq0")
     return np.asarray(row_of.loc[calls["stop"]], np.int64)
 
 
 def _links(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[pd.DataFrame, float]:
-    """Links as rows of stops with their mean time over the hours of the day, s, and the mean of all."""
+    """Return the links as rows of stops with the mean time over the hours of the day, s, and the mean over
+    all links."""
     times = tables.link_times[tables.link_times["daytype"] == day].groupby("link")["mean_s"].mean()
     if times.empty:
-        raise HeadwayError(f"table link_times has none on day_type {day}: choose the other day_type")
+        raise HeadwayError(f"table link_times has no rows of day_type {day}: choose the other day_type")
     links = tables.links[tables.links["link"].isin(times.index)]
     seconds = pd.Series(
         times.loc[links["link"]].to_numpy(np.float64),
@@ -91,36 +94,40 @@ def _links(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[pd.DataF
 def _detours(
     tables: Tables, links: pd.DataFrame, mean_s: float, row_of: "pd.Series[int]", call_stop: Integers
 ) -> Floats:
-    """(K, S) shortest-path times, s. Links can be driven both ways; a way that the table lacks takes the
-    mean time of all links, as everywhere in the released code."""
+    """Return shortest-path times (K, S), s.
+
+    Links can be driven both ways; a direction that the table lacks takes the mean time of all links, as
+    everywhere in the released code.
+    """
     count = len(row_of)
     known = set(zip(links["origin"], links["target"], strict=True))
     ways = [links.to_numpy(np.float64)]
     lacking = [(b, a, mean_s) for a, b in known if (b, a) not in known]
-    joined = [(a, b, seconds) for a, b, seconds in _across(tables, row_of) if (a, b) not in known]
+    joined = [(a, b, seconds) for a, b, seconds in _crossings(tables, row_of) if (a, b) not in known]
     ways += [np.array(more, np.float64).reshape(-1, 3) for more in (lacking, joined)]
-    # A sparse matrix takes the sum of two ways of the same pair, and a way of no time for none.
+    # A sparse matrix would add the times of two ways between the same stops, and take a time of 0 for no way.
     every = pd.DataFrame(np.concatenate(ways)).groupby([0, 1], as_index=False)[2].min()
     seconds = np.maximum(every[2].to_numpy(np.float64), 1e-3)
     graph = coo_matrix((seconds, (every[0].astype(int), every[1].astype(int))), shape=(count, count))
     return np.ascontiguousarray(dijkstra(graph.tocsr(), indices=call_stop), np.float64)
 
 
-def _across(tables: Tables, row_of: "pd.Series[int]") -> list[tuple[int, int, float]]:
-    """Pairs of stops within `ACROSS_M`, both ways, with the time between them."""
+def _crossings(tables: Tables, row_of: "pd.Series[int]") -> list[tuple[int, int, float]]:
+    """Return the pairs of stops within CROSSING_M, in both directions, with the time between them, s."""
     places = tables.stops.set_index("stop").loc[row_of.index]
     latitude = places["lat"].to_numpy(np.float64)
-    east = places["lon"].to_numpy(np.float64) * np.cos(np.radians(latitude.mean())) * METRES_A_DEGREE
-    points = np.column_stack((east, latitude * METRES_A_DEGREE))
+    east = places["lon"].to_numpy(np.float64) * np.cos(np.radians(latitude.mean())) * METRES_PER_DEGREE
+    points = np.column_stack((east, latitude * METRES_PER_DEGREE))
     found = []
-    for a, b in KDTree(points).query_pairs(ACROSS_M):
-        seconds = float(np.hypot(*(points[a] - points[b]))) / ACROSS_MPS
+    for a, b in KDTree(points).query_pairs(CROSSING_M):
+        seconds = float(np.hypot(*(points[a] - points[b]))) / CROSSING_MPS
         found += [(int(a), int(b), seconds), (int(b), int(a), seconds)]
     return found
 
 
 def _passengers(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[Floats, Floats]:
-    """(S,) mean load of the buses that come to a stop over `CAPACITY`, and its boardings a day."""
+    """Return the mean occupancy (S,) of buses on the way to each stop, relative to CAPACITY, and the
+    boardings per day (S,)."""
     loads = link_loads(tables, day)
     departures = tables.trips[tables.trips["daytype"] == day].groupby("pattern").size()
     loads["buses"] = departures.reindex(loads["pattern"]).fillna(0.0).to_numpy(np.float64)
@@ -129,12 +136,13 @@ def _passengers(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[Flo
     board = tables.demand[tables.demand["daytype"] == day].groupby(["pattern", "seq0"])["board"].sum()
     stop_of = loads.set_index(["pattern", "seq0"])["stop"].reindex(board.index)
     demand = board.groupby(stop_of.to_numpy()).sum().reindex(row_of.index).fillna(0.0)
-    # Copies, as pandas gives views that cannot be written to, for which the kernel would be compiled again.
+    # Copies, because pandas returns read-only views, for which numba would compile the kernel again.
     return occupancy.to_numpy(np.float64, copy=True), demand.to_numpy(np.float64, copy=True)
 
 
 def _centres(detour: Floats, config: BusPublishedConfig) -> Integers:
-    """Rows of the stops that may be the centre: those to which all calls have a way."""
+    """Return the rows of the stops that can be the centre: the configured one, else all stops that every call
+    can reach."""
     reached = np.flatnonzero(np.isfinite(detour).all(axis=0)).astype(np.int64)
     if config.centre is None:
         if not len(reached):

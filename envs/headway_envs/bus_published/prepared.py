@@ -1,4 +1,5 @@
-"""What all copies of one published bus environment share. Light: numpy and the kernel's records only."""
+"""Record that all copies of one published bus environment share. Imports only numpy and the kernel's records
+until `prepare` is called."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,23 +13,23 @@ from headway_envs.bus_published.kernel.layout import SETTINGS, Network
 
 @dataclass(frozen=True)
 class Prepared:
-    """A network and the configuration it was built for; picklable."""
+    """Network and the configuration it was built for; picklable."""
 
     config: BusPublishedConfig
     network: Network
     lines: tuple[str, ...]
-    """Line of each route (R)."""
+    """(R,) name of each route's line."""
     source: str
-    """Where the scenario comes from, with its licence."""
+    """Source of the scenario, with its licence if stated."""
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """One name a bus (N)."""
+        """(N,) name of each bus."""
         return tuple(f"bus_{n}" for n in range(self.config.agents))
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Each bus's line (N)."""
+        """(N,) name of each bus's line."""
         return tuple(self.lines[n // self.config.agents_per_route] for n in range(self.config.agents))
 
     @property
@@ -59,10 +60,12 @@ class Prepared:
 
 
 def prepare(config: BusPublishedConfig) -> Prepared:
-    """Read or generate the scenario and build its network, once, in the parent (imports pandas and scipy).
+    """Read or generate the scenario and build its network: once, in the parent process. Imports pandas and
+    scipy.
 
-    Raises HeadwayError where the scenario cannot be used."""
-    from headway_envs.bus.prepared import source_of
+    Raises HeadwayError for an unusable scenario.
+    """
+    from headway_envs.bus.prepare import source_of
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus_published.network import build
 

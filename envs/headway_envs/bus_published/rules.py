@@ -1,4 +1,4 @@
-"""Fixed ways to drive the buses, to compare with. `random` is `headway.contracts.RandomRule`."""
+"""Simple fixed rules, for comparison."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Always:
-    """The same action in every step."""
+    """Baseline that takes the same action in every step."""
 
     prepared: "Prepared"
     action: int
@@ -27,14 +27,15 @@ class Always:
 
 @dataclass(frozen=True)
 class MoveWithService:
-    """MOVE, and to the centre at the first step at which the uptime is below a share and the fuel lasts for
-    the way."""
+    """Baseline that moves, and goes to the centre at the first step at which its uptime is below a share and
+    the fuel lasts for the way."""
 
     prepared: "Prepared"
     below: float
+    """Uptime below which a bus goes to service."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """Raises TypeError for any other environment."""
+        """Return the actions (C, N). Raises TypeError for any other environment."""
         if not isinstance(env, BusPublishedBatchedEnv):
             raise TypeError(f"move_with_service needs a BusPublishedBatchedEnv, not {type(env).__name__}")
         net, buses = env.network, env.world.buses

@@ -3,7 +3,8 @@
 import pytest
 
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import Prepared, prepare
+from headway_envs.bus.prepare import prepare
+from headway_envs.bus.prepared import Prepared
 
 
 @pytest.fixture(scope="session")

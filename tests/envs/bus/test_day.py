@@ -13,7 +13,8 @@ from headway_envs.bus.config import BusConfig, UpkeepConfig
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, MOVE, SERVICE_CENTER, WAIT
 from headway_envs.bus.kernel.spacing import COUNTED
-from headway_envs.bus.prepared import Prepared, prepare
+from headway_envs.bus.prepare import prepare
+from headway_envs.bus.prepared import Prepared
 
 
 def _begun(prepared: Prepared, copies: int, seed: int = 0) -> BusBatchedEnv:

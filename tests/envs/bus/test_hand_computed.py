@@ -12,7 +12,7 @@ from headway_envs.bus.kernel import draws, warm
 from headway_envs.bus.kernel.layout import MOVE, WAIT
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.network import build
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables, check_tables
+from headway_envs.bus.scenario.tables import NO_LINK, Tables, check_tables
 
 CALM = NoiseConfig(
     trip_sd=0.0,
@@ -36,7 +36,7 @@ def tiny(board: float = 1e-9) -> Prepared:
             "pattern": [0] * 3,
             "seq0": [0, 1, 2],
             "stop": [0, 1, 2],
-            "link": [FIRST_LINK, 0, 1],
+            "link": [NO_LINK, 0, 1],
         },
         "links": {"link": [0, 1], "from_stop": [0, 1], "to_stop": [1, 2], "leg_m": [1113, 1113]},
         "link_times": {

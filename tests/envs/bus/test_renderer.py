@@ -95,8 +95,8 @@ def test_a_pattern_that_begins_on_the_way_is_drawn_from_there(line: Prepared) ->
     renderer = BusRenderer(line)
     renderer._places = replace(renderer._places, directions=("I", "I"))
     renderer._directions = ["I"]
-    renderer._longest = [renderer._longest_of("I")]
-    heights = renderer._of_diagram()
+    renderer._longest = [renderer._longest_pattern("I")]
+    heights = renderer._diagram_heights()
     starts = sorted(heights[line.network.pattern_calls[:2]])
     assert starts[0] == 0.0
     assert starts[1] > 0.98

@@ -14,7 +14,7 @@ import pytest
 import headway_envs.bus.scenario
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig, NoiseConfig, RewardConfig, UpkeepConfig
-from headway_envs.bus.prepared import prepare
+from headway_envs.bus.prepare import prepare
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.synthetic import generate
 from headway_envs.bus.scenario.tables import COLUMNS, Tables, check_tables, read_tables, write_tables

@@ -9,7 +9,7 @@ import pytest
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.scenario.fitted import BOARDING_TENTHS, HOUR_SHARES, LINK_M_LOGNORMAL
 from headway_envs.bus.scenario.network import build
-from headway_envs.bus.scenario.synthetic import generate, lines_of
+from headway_envs.bus.scenario.synthetic import generate, line_count
 from headway_envs.bus.scenario.tables import Tables, check_tables
 from headway_envs.bus.scenario.town import FLEETS, LINES, line_fleets
 
@@ -79,7 +79,7 @@ def test_lines_share_stops_and_go_one_way_as_often_as_measured() -> None:
     told: list[int] = []
     city = generate("city", 0, lambda: told.append(1))
     check_tables(city)
-    assert len(told) == lines_of("city") == 382
+    assert len(told) == line_count("city") == 382
     assert city.patterns["line"].nunique() == 382
     assert weekday(city.trips)["vehicle"].nunique() == 1359
     ways = Counter(city.patterns.groupby("line").size())

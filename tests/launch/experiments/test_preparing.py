@@ -8,7 +8,8 @@ import pytest
 import headway_envs.bus.scenario.synthetic as synthetic
 from headway.wrappers.wrapped_env import Wrapped
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import Prepared, prepare
+from headway_envs.bus.prepare import prepare
+from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.tables import Tables
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.jobs import plan_jobs

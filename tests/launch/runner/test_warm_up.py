@@ -41,7 +41,7 @@ def test_what_was_compiled_before_is_all_that_training_needs(arguments: dict[str
 
     bus = env_entry("bus")
     compile_kernels(bus)
-    functions: tuple[Any, ...] = (tick.begin, tick.step, tick.turn)
+    functions: tuple[Any, ...] = (tick.begin, tick.step, tick.start_next_days)
     before = [list(function.signatures) for function in functions]
     env = bus.make(bus.prepare(bus.config(end_hour=6, **arguments)), 2)
     env.reset(np.arange(2, dtype=np.uint64))

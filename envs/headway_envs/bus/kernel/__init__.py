@@ -1,12 +1,13 @@
-"""The compiled simulator: exact event times under a synchronous control clock.
+"""Compiled bus simulator: events at exact times, actions once per control interval.
 
-layout: records; draws: keyed random numbers; curves: tables over time; passengers: queues; motion: events;
-spacing, rewards, observe: what follows from the state; day: begin and end; tick: the two entries.
+layout: records; allocation: their arrays; draws: keyed random numbers; curves: values over time; passengers:
+queues; motion: events of a bus; spacing, upkeep, rewards, observe: values derived from the state; day: start
+and end of a day; tick: functions called from outside.
 """
 
 
 def warm() -> None:
-    """Load every compiled function, from the cache where it holds it, by two days of a tiny network."""
+    """Load every compiled function, from the cache where possible, by simulating a tiny network."""
     from headway_envs.bus.warm_up import run_tiny
 
     run_tiny()

@@ -1,4 +1,4 @@
-"""The arrays of C copies."""
+"""Allocation of the arrays of C copies."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from headway_envs.bus.kernel.layout import (
 
 
 def allocate_world(net: Network, copies: int, capacity: int) -> World:
-    """The state of `copies` copies, not yet begun."""
+    """Return the state of `copies` copies, all zeros."""
     calls, trips = len(net.running), len(net.trip_pattern)
     lines, patterns, slots = len(net.line_slots) - 1, len(net.pattern_calls) - 1, len(net.slot_line)
     storage = int(net.queue_first[-1])
@@ -43,13 +43,14 @@ def allocate_world(net: Network, copies: int, capacity: int) -> World:
 
 
 def state_size(net: Network, observation: str, full: bool) -> int:
-    """S: the day, every line and, if full, every agent's observation."""
+    """Return the size S of the global state: features of the day and of every line and, if `full`, all
+    observations."""
     size = DAY_STATE + LINE_STATE * (len(net.line_slots) - 1)
     return size + (len(net.slot_line) * OBSERVATION_SIZES[observation] if full else 0)
 
 
 def allocate_outputs(net: Network, copies: int, observation: str, full: bool) -> Outputs:
-    """What a step fills."""
+    """Return the arrays that a step fills."""
     slots, size = len(net.slot_line), OBSERVATION_SIZES[observation]
     state = state_size(net, observation, full)
     return Outputs(
@@ -67,7 +68,7 @@ def allocate_outputs(net: Network, copies: int, observation: str, full: bool) ->
 
 
 def allocate_trace(net: Network, copies: int, traced: bool) -> Trace:
-    """Room for what happens at every call of a day, or none."""
+    """Return a trace of one day, filled with NaN; without entries if not `traced`."""
     calls = np.diff(net.pattern_calls)[net.trip_pattern] if traced else np.zeros(len(net.trip_pattern), int)
     first = np.concatenate(([0], np.cumsum(calls))).astype(np.int64)
     arrived, left, boarded, load = (np.full((copies, first[-1]), np.nan) for _ in range(4))

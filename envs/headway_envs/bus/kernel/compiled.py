@@ -1,4 +1,4 @@
-"""How every function of this kernel is compiled."""
+"""Decorators that compile the functions of this kernel. Importing it removes stale compiled code."""
 
 from pathlib import Path
 

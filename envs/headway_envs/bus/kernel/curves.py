@@ -1,4 +1,4 @@
-"""Reading curves given at hour knots or quarter-hour bins."""
+"""Curves over the day, given at hour knots or in quarter-hour bins."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,8 @@ _FIRST_KNOT_S = FIRST_KNOT_HOUR * 3600.0 + 1800.0
 
 
 @compiled
-def at(curves: NDArray[np.float64], row: int, time: float) -> float:
-    """Value of row `row` of (rows, K) knots at `time`, linear between knots and flat outside."""
+def interpolate(curves: NDArray[np.float64], row: int, time: float) -> float:
+    """Return row `row` of (rows, K) knot values at `time`: linear between knots, constant outside."""
     place = (time - _FIRST_KNOT_S) / 3600.0
     if place <= 0.0:
         return float(curves[row, 0])
@@ -24,13 +24,14 @@ def at(curves: NDArray[np.float64], row: int, time: float) -> float:
 
 @compiled
 def bin_of(time: float, start: float, bins: int) -> int:
-    """The quarter-hour bin of a service day that holds `time`."""
+    """Return the quarter-hour bin of the service day that contains `time`; times outside take the nearest
+    bin."""
     return min(max(int((time - start) / BIN_S), 0), bins - 1)
 
 
 @compiled
 def period_of(time: float) -> int:
-    """The period of the alighting shares that holds `time`."""
+    """Return the period of `Network.alighting` (0 to 3) that contains `time`."""
     if time < 9 * 3600.0:
         return 0
     if time < 15 * 3600.0:

@@ -1,4 +1,4 @@
-"""The start of a service day and the accounts at its end."""
+"""Start of a service day, and its metrics at the end."""
 
 import math
 
@@ -15,31 +15,34 @@ from headway_envs.bus.kernel.draws import (
     unit_lognormal,
 )
 from headway_envs.bus.kernel.layout import BIN_S, Network, Record, World
-from headway_envs.bus.kernel.motion import await_trip, renew
-from headway_envs.bus.kernel.passengers import catch_up, count_wait, draw_next
+from headway_envs.bus.kernel.motion import renew, schedule_next_trip
+from headway_envs.bus.kernel.passengers import count_wait, draw_next_arrival, update_queue
 from headway_envs.keyed_random import episode_key, uniform
 
 
 @compiled
 def _draw_congestion(k: Record, world: World, c: int) -> None:
-    """The day's travel-time factors: whole day, weekday evening, and an autoregressive network factor."""
+    """Draw the travel-time factors of the day: a factor of the whole day, the evening peak of weekdays, and
+    an autoregressive factor of the network."""
     key = world.days[c].key
-    whole = unit_lognormal(normal(key, DAY, 0, 0), k.day_sd)
+    day_factor = unit_lognormal(normal(key, DAY, 0, 0), k.day_sd)
     evening = k.evening_peak * uniform(key, EVENING, 0, 0) if k.weekday else 0.0
-    kept = math.exp(-BIN_S / 3600.0)
+    correlation = math.exp(-BIN_S / 3600.0)
     network = normal(key, NETWORK, 0, 0)
     for edge in range(world.congestion.shape[1]):
         hour = (k.start_s + edge * BIN_S) / 3600.0
         shape = min(max(min(hour - 15.5, 19.5 - hour), 0.0), 1.0)
-        usual = 1.0 + 0.5 * k.evening_peak * shape if k.weekday else 1.0
-        factor = whole * (1.0 + evening * shape) / usual
+        # Divided out, so that the evening peak does not change the mean.
+        mean_factor = 1.0 + 0.5 * k.evening_peak * shape if k.weekday else 1.0
+        factor = day_factor * (1.0 + evening * shape) / mean_factor
         world.congestion[c, edge] = factor * unit_lognormal(network, k.network_sd)
-        network = kept * network + math.sqrt(1.0 - kept * kept) * normal(key, NETWORK, edge + 1, 0)
+        innovation = math.sqrt(1.0 - correlation * correlation) * normal(key, NETWORK, edge + 1, 0)
+        network = correlation * network + innovation
 
 
 @compiled_allocating
 def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, episode: int) -> None:
-    """Reset copy c to the first instant of day `episode`."""
+    """Reset copy c to the start of day `episode`."""
     world.days[c : c + 1] = np.zeros(1, world.days.dtype)
     day = world.days[c]
     day.seed = seed
@@ -60,7 +63,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1]):
             world.queues[c, call].next_arrival = k.start_s
             world.queues[c, call].hour = -1
-            draw_next(net, k, world, c, call)
+            draw_next_arrival(net, k, world, c, call)
     for n in range(world.slots.shape[1]):
         slot = world.slots[c, n]
         slot.block = net.slot_first[n]
@@ -69,36 +72,37 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
         slot.ahead = np.nan
         slot.behind = np.nan
         renew(k, world, c, n)
-        await_trip(net, k, world, c, n, k.start_s, False)
+        schedule_next_trip(net, k, world, c, n, k.start_s, False)
 
 
 @compiled
 def quantile_of_counts(counts: NDArray[np.uint32], share: float) -> float:
-    """The value (index of the bin) below which `share` of the counts lie, linear within the bin."""
+    """Return the quantile of a histogram: the bin index below which `share` of the counts lie, linear within
+    the bin."""
     total = 0
     for count in counts:
         total += count
-    wanted, below = share * total, 0.0
+    rank, below = share * total, 0.0
     for value in range(counts.shape[0]):
-        if counts[value] > 0 and below + counts[value] >= wanted:
-            return float(value + (wanted - below) / counts[value])
+        if counts[value] > 0 and below + counts[value] >= rank:
+            return float(value + (rank - below) / counts[value])
         below += counts[value]
     return 0.0
 
 
 @compiled_allocating
 def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.float64]) -> None:
-    """Fill the episode metrics, in the order of `layout.METRICS`. Those left waiting count with their wait
-    so far."""
+    """Fill the episode metrics, in the order of `layout.METRICS`. Passengers still waiting count with their
+    wait so far."""
     day, ticks = world.days[c], max(world.days[c].tick, 1)
-    left = 0
+    still_waiting = 0
     for p in range(net.pattern_calls.shape[0] - 1):
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1] - 1):
-            catch_up(net, k, world, c, call, p, day.now)
+            update_queue(net, k, world, c, call, p, day.now)
             first = net.queue_first[call]
             for i in range(world.queues[c, call].waiting):
                 wait = day.now - world.arrived_at[c, first + i]
-                left += 1
+                still_waiting += 1
                 day.wait += wait
                 if world.leaves_at[c, first + i] == np.inf:
                     day.captive_boarded += 1.0
@@ -110,7 +114,7 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     mean_ratio = day.headway_ratio / headways
     spread = max(day.headway_ratio_squared / headways - mean_ratio * mean_ratio, 0.0)
     durations = world.trip_time[c][~np.isnan(world.trip_time[c])]
-    metrics[0] = day.wait / max(day.boarded + left, 1) / 60.0
+    metrics[0] = day.wait / max(day.boarded + still_waiting, 1) / 60.0
     metrics[1] = quantile_of_counts(world.waits[c], 0.95) / 60.0
     metrics[2] = day.captive_wait / max(day.captive_boarded, 1.0) / 60.0
     metrics[3] = (day.headway_squared - day.headway_target) / max(2.0 * day.headway, 1.0) / 60.0

@@ -1,5 +1,8 @@
-"""What is drawn, and the distributions it is drawn from: two controllers that run the same day meet the same
-passengers, travel times and incidents."""
+"""Keyed random numbers: their purposes and distributions.
+
+Each number depends only on the day's key, its purpose and two indices, so that two controllers on the same
+day meet the same passengers, travel times and incidents.
+"""
 
 import math
 
@@ -9,20 +12,21 @@ from headway_envs.bus.kernel.compiled import compiled
 from headway_envs.keyed_random import uniform
 
 DAY, EVENING, NETWORK, TRIP, LINK, INCIDENT, INCIDENT_SIZE, DISPATCH = 1, 2, 3, 4, 5, 6, 7, 8
+"""Purposes of the draws; part of each number's key."""
 ARRIVAL, PATIENCE, DEMAND_DAY, DEMAND_HOUR, ALIGHTING, BREAKDOWN = 9, 10, 11, 12, 13, 14
 """Purposes."""
 
 
 @compiled
 def exponential(key: np.uint64, purpose: int, first: int, second: int) -> float:
-    """Exponential of mean 1."""
+    """Draw an exponential number of mean 1."""
     return -math.log(uniform(key, purpose, first, second))
 
 
 @compiled
 def normal(key: np.uint64, purpose: int, first: int, second: int) -> float:
-    """Standard normal, by Acklam's rational approximation of the inverse distribution function (relative
-    error below 1.2e-9)."""
+    """Draw a standard normal number, by Acklam's rational approximation of the inverse distribution function
+    (relative error below 1.2e-9)."""
     u = uniform(key, purpose, first, second)
     if 0.02425 <= u <= 0.97575:
         q = u - 0.5
@@ -46,14 +50,14 @@ def normal(key: np.uint64, purpose: int, first: int, second: int) -> float:
 
 @compiled
 def unit_lognormal(z: float, sd: float) -> float:
-    """Lognormal factor of mean 1 from a standard normal z; `sd` is the log's."""
+    """Return a lognormal factor of mean 1 for a standard normal `z`; `sd` is that of its log."""
     return math.exp(sd * z - 0.5 * sd * sd)
 
 
 @compiled
 def unit_gamma(z: float, sd: float) -> float:
-    """Gamma factor of mean 1 and standard deviation `sd` (below about 0.5) from a standard normal z, by the
-    Wilson-Hilferty cube."""
+    """Return a gamma factor of mean 1 and standard deviation `sd`, at most about 0.5, for a standard normal
+    `z`, by the Wilson-Hilferty transformation."""
     if sd <= 0.0:
         return 1.0
     ninth = sd * sd / 9.0
@@ -62,22 +66,23 @@ def unit_gamma(z: float, sd: float) -> float:
 
 
 @compiled
-def binomial(u: float, trials: int, chance: float) -> int:
-    """Binomial by inversion of the uniform u: monotone in u, about trials x chance steps."""
-    if chance <= 0.0 or trials == 0:
+def binomial(u: float, trials: int, probability: float) -> int:
+    """Return a binomial number by inversion of the uniform number `u`. Monotone in `u`; takes about trials x
+    probability steps."""
+    if probability <= 0.0 or trials == 0:
         return 0
-    if chance >= 1.0:
+    if probability >= 1.0:
         return trials
-    if chance > 0.5:
-        return trials - binomial_low(1.0 - u, trials, 1.0 - chance)
-    return binomial_low(u, trials, chance)
+    if probability > 0.5:
+        return trials - binomial_low(1.0 - u, trials, 1.0 - probability)
+    return binomial_low(u, trials, probability)
 
 
 @compiled
-def binomial_low(u: float, trials: int, chance: float) -> int:
-    """As `binomial`, for a chance between 0 and 1/2."""
-    odds = chance / (1.0 - chance)
-    mass = math.exp(trials * math.log1p(-chance))
+def binomial_low(u: float, trials: int, probability: float) -> int:
+    """Return a binomial number like `binomial`, for a probability above 0 and at most 1/2."""
+    odds = probability / (1.0 - probability)
+    mass = math.exp(trials * math.log1p(-probability))
     count = 0
     while u > mass and count < trials:
         u -= mass

@@ -1,8 +1,8 @@
-"""The records that the kernel works on.
+"""Records and arrays of the kernel.
 
-Axes: L lines, P patterns, N slots, J trips, C copies; Q calls (pattern x position, pattern after pattern),
-K hour knots (values at half past each hour from FIRST_KNOT_HOUR on), B quarter hours of the service day.
-Times are seconds after midnight.
+Axes: L lines, P patterns, N slots, J trips, C copies; Q calls (positions of all patterns, one pattern after
+the other), K hour knots (values at half past each hour, from FIRST_KNOT_HOUR on), B quarter hours of the
+service day. Times are in seconds after midnight.
 """
 
 from typing import Any, NamedTuple
@@ -11,30 +11,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 Record = Any
-"""One element of an array of SETTINGS, SLOT, QUEUE, PATTERN, LINE or DAY; fields are attributes in compiled
-code."""
+"""One element of an array of SETTINGS, SLOT, QUEUE, PATTERN, LINE or DAY. Compiled code reads fields as
+attributes."""
 
 FIRST_KNOT_HOUR = 3
 KNOTS = 25
-"""Knots stand at 03:30, 04:30, ... 27:30."""
+"""Number of hour knots: 03:30, 04:30, ... 27:30."""
+KNOT_HOURS = np.arange(FIRST_KNOT_HOUR, FIRST_KNOT_HOUR + KNOTS)
+KNOT_S: NDArray[np.float64] = np.asarray(KNOT_HOURS * 3600.0 + 1800.0, np.float64)
+"""(K,) hours of the knots, and their times, s."""
 BIN_S = 900.0
-"""Width of a bin of arrival rates and congestion, s."""
+"""Width of a bin of arrival rates and of congestion, s."""
 WAIT_BINS = 10800
-"""One-second bins of passenger waits; the last holds all longer ones."""
+"""Number of one-second bins of the histogram of waits. The last bin also holds all longer waits."""
 
 DEPOT, TERMINAL, DISPATCHED, DRIVING, STANDING, AWAY, BROKEN = 0, 1, 2, 3, 4, 5, 6
-"""Phases of a slot. TERMINAL: before a trip, decides; DISPATCHED: leaves when the dispatch delay is over;
-STANDING: at a stop, boards, then decides; AWAY: at the service centre; BROKEN: waits to be towed."""
+"""Phases of a slot. TERMINAL: before a trip, decides; DISPATCHED: leaves after the dispatch delay; STANDING:
+at a stop, boards, then decides; AWAY: at the service centre; BROKEN: broken down, not yet towed."""
 
 WAIT, MOVE, SERVICE_CENTER = 0, 1, 2
 """Actions."""
 
-PAY_TEAM, PAY_LINE, PAY_OWN = 0, 1, 2
-"""Whose reward a bus is paid."""
+SCOPE_TEAM, SCOPE_LINE, SCOPE_OWN = 0, 1, 2
+"""Values of the setting `scope`: each slot receives the reward of the team, of its line, or of its own
+bus."""
 
 
 class Network(NamedTuple):
-    """What all copies share: geometry, timetable, mean travel times and demand."""
+    """Part of the simulation that all copies share: geometry, timetable, mean travel times and demand."""
 
     line_slots: NDArray[np.int64]
     """(L + 1,) first slot of each line"""
@@ -43,42 +47,42 @@ class Network(NamedTuple):
     pattern_calls: NDArray[np.int64]
     """(P + 1,) first call of each pattern"""
     pattern_trips: NDArray[np.int64]
-    """(P + 1,) first trip of each pattern; trips lie by pattern, then by departure"""
+    """(P + 1,) first trip of each pattern; trips are sorted by pattern, then by departure"""
     trip_pattern: NDArray[np.int64]
-    """(J,)"""
+    """(J,) pattern of each trip"""
     trip_departure: NDArray[np.float64]
-    """(J,) scheduled, s"""
+    """(J,) scheduled departure, s"""
     trip_deadhead: NDArray[np.float64]
-    """(J,) s to drive from the end of the slot's trip before"""
+    """(J,) driving time from the end of the slot's previous trip, s"""
     trip_work_left: NDArray[np.float64]
-    """(J,) planned driving time of this trip and the slot's following ones, up to its next time at the depot,
-    s"""
+    """(J,) planned driving time of this trip and of the slot's following trips up to its next stay at the
+    depot, s"""
     slot_trips: NDArray[np.int64]
-    """(J,) trips of slot 0 in order, of slot 1, ..."""
+    """(J,) trips of slot 0 in order, then of slot 1, ..."""
     slot_first: NDArray[np.int64]
-    """(N + 1,) where each slot's trips begin in `slot_trips`"""
+    """(N + 1,) position of each slot's first trip in `slot_trips`"""
     slot_line: NDArray[np.int64]
-    """(N,)"""
+    """(N,) line of each slot"""
     running: NDArray[np.float64]
-    """(Q, K) mean running time to the next call, dwell taken out, s"""
+    """(Q, K) mean running time to the next call without dwell, s"""
     nominal: NDArray[np.float64]
-    """(Q, K) time from the first call of the pattern, mean dwell included, s"""
+    """(Q, K) mean time from the first call of the pattern, with dwell, s"""
     noise_sd: NDArray[np.float64]
-    """(Q,) sd of the log of the link term"""
+    """(Q,) sd of the log of the link's travel-time factor"""
     alighting: NDArray[np.float64]
-    """(Q, 4) share of the load that alights: before 9 h, 9-15, 15-20, after"""
+    """(Q, 4) share of the load that alights: before 9 h, 9-15 h, 15-20 h, later"""
     arrival_rate: NDArray[np.float64]
-    """(Q, B) passengers per s who come to wait, those who may leave by the competing service included"""
+    """(Q, B) arriving passengers per s, including those who may leave with the competing service"""
     boarding_rate: NDArray[np.float64]
-    """(Q, B) passengers per s who board under a regular service"""
+    """(Q, B) boarding passengers per s under a regular service"""
     regular_waiting: NDArray[np.float64]
-    """(L, B) passengers that a regular service leaves waiting, on average"""
+    """(L, B) mean number of waiting passengers under a regular service"""
     target: NDArray[np.float64]
     """(P, K) target headway, s"""
     detour: NDArray[np.float64]
-    """(Q,) one way to the nearest service centre, s"""
+    """(Q,) driving time to the nearest service centre, one way, s"""
     queue_first: NDArray[np.int64]
-    """(Q + 1,) where each call's queue begins in a copy's queue storage"""
+    """(Q + 1,) position of each call's queue in the queue storage of a copy"""
 
 
 SETTINGS = np.dtype(
@@ -131,59 +135,60 @@ SETTINGS = np.dtype(
     ],
     align=True,
 )
-"""The configuration's numbers as the kernel reads them. `captive_arrivals`: share of captives among those who
-arrive; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy under
-which e punishes, 0 for none; `observation`: 0 paper, 1 published, 2 control; `scope`:
-PAY_TEAM, PAY_LINE or PAY_OWN."""
+"""Numbers of the configuration that the kernel reads. `captive_arrivals`: share of captive passengers among
+arrivals; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy below
+which e is penalised, 0 if it is not; `observation`: 0 paper, 1 published, 2 control; `scope`: SCOPE_TEAM,
+SCOPE_LINE or SCOPE_OWN."""
 
 SLOT = np.dtype(
     [
         ("phase", np.int64),
-        ("block", np.int64),  # index of the current (or next) trip among the slot's
+        ("block", np.int64),  # position of the current or next trip in `slot_trips`
         ("trip", np.int64),
         ("pattern", np.int64),
-        ("call", np.int64),  # the call it stands at or has left
+        ("call", np.int64),  # call at which the bus stands or which it left last
         ("load", np.int64),
         ("breakdowns", np.int64),
-        ("since", np.float64),  # when the load last changed
-        ("left", np.float64),  # departure from `call`
-        ("trip_left", np.float64),
-        ("held", np.float64),  # seconds held at this stop
+        ("since", np.float64),  # time of the last change of load
+        ("left", np.float64),  # time of departure from `call`
+        ("trip_left", np.float64),  # time of departure on the trip
+        ("held", np.float64),  # holding time at this stop, s
         ("trip_factor", np.float64),
         ("fuel", np.float64),
         ("uptime", np.float64),
-        ("worked", np.float64),  # up to when fuel and uptime are charged
-        ("hazard", np.float64),  # cumulated since the last breakdown
-        ("hazard_limit", np.float64),
-        ("headway_ratio", np.float64),  # of the last departure
-        ("place", np.float64),  # nominal seconds along the pattern
+        ("worked", np.float64),  # time up to which fuel and uptime are charged
+        ("hazard", np.float64),  # cumulative breakdown hazard since the last repair
+        ("hazard_limit", np.float64),  # hazard at which the bus breaks down
+        ("headway_ratio", np.float64),  # headway over target headway, at the last departure
+        ("place", np.float64),  # position: nominal time from the first call of the pattern, s
         ("ahead", np.float64),  # spacing over target headway, NaN without a neighbour
         ("behind", np.float64),
-        ("leader", np.int64),  # slot of the bus ahead on the way, -1 without one
-        ("counted", np.int64),  # 1: scheduled in service, counts for c; 2: away or broken
-        ("regularity", np.float64),
+        ("leader", np.int64),  # slot of the bus ahead on the route, -1 without one
+        ("counted", np.int64),  # role in the regularity c: see `spacing.LEFT_OUT`
+        ("regularity", np.float64),  # c of the bus
         ("upkeep_ahead", np.float64),  # potential of `foresee_upkeep`
     ],
     align=True,
 )
-"""State of a slot."""
+"""State of one slot. Spacings `ahead` and `behind` are divided by the target headway; NaN without a
+neighbour."""
 
 QUEUE = np.dtype(
     [
         ("next_arrival", np.float64),
-        ("drawn", np.int64),  # arrivals drawn so far
-        ("waiting", np.int64),
-        ("denied", np.int64),  # the first so many of the queue were left behind by a full bus
-        ("hour", np.int64),
-        ("hour_factor", np.float64),
+        ("drawn", np.int64),  # number of arrivals drawn so far
+        ("waiting", np.int64),  # number of waiting passengers
+        ("denied", np.int64),  # number of passengers at the queue's head left behind by a full bus
+        ("hour", np.int64),  # hour of `hour_factor`
+        ("hour_factor", np.float64),  # random factor on the arrival rate
         ("last_departure", np.float64),
     ],
     align=True,
 )
-"""State of the queue at a call."""
+"""State of the queue at one call."""
 
 PATTERN = np.dtype([("last_finish", np.float64), ("next_trip", np.int64)], align=True)
-"""Last arrival at the pattern's end, and the first of its trips that has not left."""
+"""State of one pattern: time of the last arrival at its end, and its first trip that has not left."""
 
 LINE = np.dtype(
     [
@@ -201,7 +206,8 @@ LINE = np.dtype(
     ],
     align=True,
 )
-"""A line in the last control interval: the four components of its reward, and what they were means of."""
+"""State of one line after a control interval: components of its reward, and the numbers of buses and
+passengers that they are computed from."""
 
 COUNTS = [
     "arrived",
@@ -216,6 +222,7 @@ COUNTS = [
     "bunched",
     "loads",
 ]
+"""Integer totals of a day, in DAY."""
 SUMS = [
     "captive_boarded",
     "captive_wait",
@@ -235,6 +242,7 @@ SUMS = [
     "maintenance",
     "regularity",
 ]
+"""Real-valued totals of a day, in DAY."""
 
 DAY = np.dtype(
     [("seed", np.uint64), ("key", np.uint64), ("episode", np.int64), ("tick", np.int64)]
@@ -243,58 +251,59 @@ DAY = np.dtype(
     + [(name, np.float64) for name in SUMS],
     align=True,
 )
-"""State and accounts of a copy's day."""
+"""State and totals of the day of one copy."""
 
 
 class World(NamedTuple):
-    """The state of C copies: all of it, so that a copy of these arrays is a snapshot."""
+    """State of C copies. It is complete: copies of these arrays make up a snapshot."""
 
     days: NDArray[Any]
-    """(C,) DAY"""
+    """(C,) DAY records"""
     slots: NDArray[Any]
-    """(C, N) SLOT"""
+    """(C, N) SLOT records"""
     event_time: NDArray[np.float64]
-    """(C, N) next event of each slot, s"""
+    """(C, N) time of each slot's next event, s"""
     queues: NDArray[Any]
-    """(C, Q) QUEUE"""
+    """(C, Q) QUEUE records"""
     arrived_at: NDArray[np.float64]
-    """(C, storage) arrival times of those who wait, call after call, first come first"""
+    """(C, storage) arrival times of waiting passengers, one call after the other, first come first"""
     leaves_at: NDArray[np.float64]
-    """(C, storage) when each takes the competing service; infinite for captives"""
+    """(C, storage) time at which each waiting passenger takes the competing service; infinite for captive
+    passengers"""
     patterns: NDArray[Any]
-    """(C, P) PATTERN"""
+    """(C, P) PATTERN records"""
     lines: NDArray[Any]
-    """(C, L) LINE"""
+    """(C, L) LINE records"""
     departed: NDArray[np.bool_]
-    """(C, J) the trip has left"""
+    """(C, J) whether the trip has left"""
     trip_time: NDArray[np.float64]
-    """(C, J) duration of finished trips, s; NaN before"""
+    """(C, J) duration of finished trips, s; else NaN"""
     congestion: NDArray[np.float64]
     """(C, B + 1) travel-time factor of the network at the edges of the bins"""
     waits: NDArray[np.uint32]
-    """(C, WAIT_BINS)"""
+    """(C, WAIT_BINS) histogram of waits"""
     loads: NDArray[np.uint32]
-    """(C, capacity + 1) departures by load"""
+    """(C, capacity + 1) histogram of loads at departures"""
 
 
 class Trace(NamedTuple):
-    """What happened at each call of each trip of the day, T = trips x their calls, trip after trip; or
-    nothing, with T = 0. It is not part of a snapshot."""
+    """Times and passengers at each call of each trip of the day, one trip after the other: T entries per
+    copy, or none without tracing. Not part of a snapshot."""
 
     first: NDArray[np.int64]
     """(J + 1,) first entry of each trip"""
     arrived: NDArray[np.float64]
-    """(C, T) s; NaN where the trip has not come, and at its first call"""
+    """(C, T) arrival, s; NaN at the first call of a trip and where the bus has not arrived"""
     left: NDArray[np.float64]
-    """(C, T) s; NaN where it has not left, and at its last call"""
+    """(C, T) departure, s; NaN at the last call of a trip and where the bus has not left"""
     boarded: NDArray[np.float64]
-    """(C, T) passengers"""
+    """(C, T) boarded passengers"""
     load: NDArray[np.float64]
-    """(C, T) passengers aboard on leaving; NaN where `left` is"""
+    """(C, T) passengers aboard at departure; NaN where `left` is NaN"""
 
 
 class Outputs(NamedTuple):
-    """What a step fills, in the shapes of `headway.contracts`; `acting` is also read back by the rules."""
+    """Arrays that a step fills, in the shapes of `headway.contracts`."""
 
     observations: NDArray[np.float32]
     states: NDArray[np.float32]
@@ -310,9 +319,9 @@ class Outputs(NamedTuple):
 
 OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 29}
 LINE_STATE = 10
-"""State features of one line."""
+"""Number of state features per line."""
 DAY_STATE = 3
-"""State features of the day: progress, and the hour as sine and cosine."""
+"""Number of state features of the day: progress, and the time of day as sine and cosine."""
 
 METRICS = [
     "mean_wait_min",
@@ -338,4 +347,4 @@ METRICS = [
     "reward_regularity",
     "team_reward",
 ]
-"""Names of the episode metrics; `meanings` says what they are."""
+"""Names of the episode metrics; `bus.metrics` describes them."""

@@ -1,4 +1,4 @@
-"""What happens to a bus at its events, in continuous time."""
+"""Events of a bus, in continuous time: arrival, boarding, departure, breakdown and service."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.bus.kernel.curves import at, bin_of, period_of
+from headway_envs.bus.kernel.curves import bin_of, interpolate, period_of
 from headway_envs.bus.kernel.draws import (
     ALIGHTING,
     BREAKDOWN,
@@ -36,14 +36,14 @@ from headway_envs.bus.kernel.layout import (
     Trace,
     World,
 )
-from headway_envs.bus.kernel.passengers import board, change_load, put_off
+from headway_envs.bus.kernel.passengers import board, change_load, unload_passengers
 from headway_envs.bus.kernel.upkeep import is_serviceable
 from headway_envs.keyed_random import uniform
 
 
 @compiled
-def congestion_at(k: Record, world: World, c: int, time: float) -> float:
-    """The network's travel-time factor now."""
+def congestion_factor(k: Record, world: World, c: int, time: float) -> float:
+    """Return the travel-time factor of the network at `time`."""
     bins = world.congestion.shape[1] - 1
     bin_ = bin_of(time, k.start_s, bins)
     weight = min(max((time - k.start_s) / BIN_S - bin_, 0.0), 1.0)
@@ -52,20 +52,23 @@ def congestion_at(k: Record, world: World, c: int, time: float) -> float:
 
 @compiled
 def link_time(net: Network, k: Record, world: World, c: int, n: int, time: float) -> float:
-    """Seconds to the next call when leaving now: mean x trip x network x link term x incident."""
+    """Return the travel time to the next call for a departure at `time`, s: mean x factors of trip, network,
+    link and incident."""
     slot, day = world.slots[c, n], world.days[c]
     noise = unit_lognormal(normal(day.key, LINK, slot.trip, slot.call), net.noise_sd[slot.call])
-    factor = slot.trip_factor * congestion_at(k, world, c, time) * noise
+    factor = slot.trip_factor * congestion_factor(k, world, c, time) * noise
     if uniform(day.key, INCIDENT, slot.trip, slot.call) < k.incident_probability:
         spread = 2.0 * (k.incident_factor - 2.0)
         factor *= 2.0 + spread * uniform(day.key, INCIDENT_SIZE, slot.trip, slot.call)
+    # Incidents must not change the mean, which is that of the table.
     factor /= 1.0 + k.incident_probability * (k.incident_factor - 1.0)
-    return float(at(net.running, slot.call, time) * factor)
+    return float(interpolate(net.running, slot.call, time) * factor)
 
 
 @compiled
-def work(k: Record, world: World, c: int, n: int, time: float, fuel_share: float) -> None:
-    """Charge fuel, wear and the hazard of a breakdown for the time since they were last charged."""
+def charge_upkeep(k: Record, world: World, c: int, n: int, time: float, fuel_share: float) -> None:
+    """Charge fuel, wear and breakdown hazard for the time since they were last charged. `fuel_share`: fuel
+    consumption as a share of that while driving."""
     slot = world.slots[c, n]
     duration = time - slot.worked
     used = min(duration * k.fuel_per_s * fuel_share, slot.fuel)
@@ -78,7 +81,7 @@ def work(k: Record, world: World, c: int, n: int, time: float, fuel_share: float
 
 @compiled
 def renew(k: Record, world: World, c: int, n: int) -> None:
-    """Refuel and repair."""
+    """Refuel and repair a bus, and draw the hazard at which it breaks down next."""
     slot = world.slots[c, n]
     slot.fuel = k.fuel_capacity
     slot.uptime = 1.0
@@ -87,8 +90,11 @@ def renew(k: Record, world: World, c: int, n: int) -> None:
 
 
 @compiled
-def await_trip(net: Network, k: Record, world: World, c: int, n: int, time: float, arrived: bool) -> None:
-    """Send the slot to the terminal of its next trip, or to the depot if that is far off or there is none."""
+def schedule_next_trip(
+    net: Network, k: Record, world: World, c: int, n: int, time: float, arrived: bool
+) -> None:
+    """Send the slot to the terminal of its next trip, or to the depot if that trip is far off or there is
+    none. `arrived`: whether the bus has just finished a trip."""
     slot = world.slots[c, n]
     if slot.block == net.slot_first[n + 1]:
         slot.phase = DEPOT
@@ -111,11 +117,11 @@ def await_trip(net: Network, k: Record, world: World, c: int, n: int, time: floa
 
 @compiled
 def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
-    """Leave the call for the next one, and account for the headway and the load."""
+    """Leave a call for the next one, and record headway and load."""
     slot, day, queue = world.slots[c, n], world.days[c], world.queues[c, world.slots[c, n].call]
     if queue.last_departure > 0.0:
         headway = time - queue.last_departure
-        target = at(net.target, slot.pattern, time)
+        target = interpolate(net.target, slot.pattern, time)
         ratio = headway / target
         slot.headway_ratio = ratio
         day.headways += 1
@@ -145,9 +151,9 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
 
 @compiled
 def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
-    """Reach the next call: alight, then board; or end the trip; or stand there broken."""
+    """Arrive at the next call: alight, then finish the trip, break down, or board."""
     slot, day = world.slots[c, n], world.days[c]
-    work(k, world, c, n, time, 1.0)
+    charge_upkeep(k, world, c, n, time, 1.0)
     slot.call += 1
     share = net.alighting[slot.call, period_of(time)]
     alighting = 0
@@ -159,11 +165,11 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         world.trip_time[c, slot.trip] = time - slot.trip_left
         world.patterns[c, slot.pattern].last_finish = time
         slot.block += 1
-        await_trip(net, k, world, c, n, time, True)
+        schedule_next_trip(net, k, world, c, n, time, True)
     elif slot.fuel <= 0.0 or slot.hazard >= slot.hazard_limit:
         day.breakdowns += 1
         slot.breakdowns += 1
-        put_off(net, k, world, c, n, time)
+        unload_passengers(net, k, world, c, n, time)
         slot.phase = BROKEN
         world.event_time[c, n] = time + k.broken_s
     else:
@@ -175,19 +181,19 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
 
 
 @compiled
-def to_service(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
-    """Leave the line for the service centre; the slot comes back to the same call."""
+def leave_for_service(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
+    """Leave the line for the service centre. The bus will return to the same call."""
     slot = world.slots[c, n]
     if slot.phase != BROKEN:
         world.days[c].visits += 1
-    put_off(net, k, world, c, n, time)
+    unload_passengers(net, k, world, c, n, time)
     slot.phase = AWAY
     world.event_time[c, n] = time + k.service_s + 2.0 * net.detour[slot.call]
 
 
 @compiled
-def decide(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> None:
-    """A decision event: use the latched action."""
+def apply_action(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> None:
+    """Apply the latched action at a decision event."""
     slot = world.slots[c, n]
     if action == MOVE or (action == SERVICE_CENTER and not is_serviceable(k, world, c, n)):
         if slot.phase == TERMINAL:
@@ -197,7 +203,7 @@ def decide(net: Network, k: Record, world: World, c: int, n: int, time: float, a
         else:
             depart(net, k, world, c, n, time)
     elif action == SERVICE_CENTER:
-        to_service(net, k, world, c, n, time)
+        leave_for_service(net, k, world, c, n, time)
     else:
         slot.held += k.hold_s
         world.days[c].held += k.hold_s if slot.phase == STANDING else 0.0
@@ -206,7 +212,7 @@ def decide(net: Network, k: Record, world: World, c: int, n: int, time: float, a
 
 @compiled
 def return_to_line(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
-    """Come back from the service centre to the place that was left."""
+    """Return from the service centre to the call that the bus left."""
     slot = world.slots[c, n]
     renew(k, world, c, n)
     slot.worked = time
@@ -216,8 +222,8 @@ def return_to_line(net: Network, k: Record, world: World, c: int, n: int, time: 
 
 
 @compiled
-def process(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> bool:
-    """Process the slot's event at `time`; returns whether the action was used."""
+def process_event(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> bool:
+    """Process the slot's event at `time`; return whether it was a decision, which used the action."""
     slot = world.slots[c, n]
     if slot.phase == DRIVING:
         arrive(net, k, world, c, n, time)
@@ -226,19 +232,20 @@ def process(net: Network, k: Record, world: World, c: int, n: int, time: float, 
         return_to_line(net, k, world, c, n, time)
         return False
     if slot.phase == BROKEN:
-        to_service(net, k, world, c, n, time)
+        leave_for_service(net, k, world, c, n, time)
         return False
     if slot.phase == DEPOT:
         renew(k, world, c, n)
         slot.phase = TERMINAL
         slot.since = time
     if slot.phase == STANDING:
-        work(k, world, c, n, time, k.idle_share)
+        charge_upkeep(k, world, c, n, time, k.idle_share)
     else:
         slot.worked = time
+    # Passengers who have come during the dwell still board; a bus at a stop decides once there are none.
     boarded = board(net, k, world, c, n, time)
     if slot.phase == TERMINAL:
-        decide(net, k, world, c, n, time, action)
+        apply_action(net, k, world, c, n, time, action)
         return True
     if boarded > 0:
         world.event_time[c, n] = time + boarded * k.boarding_s
@@ -246,21 +253,21 @@ def process(net: Network, k: Record, world: World, c: int, n: int, time: float, 
     if slot.phase == DISPATCHED:
         depart(net, k, world, c, n, time)
         return False
-    decide(net, k, world, c, n, time, action)
+    apply_action(net, k, world, c, n, time, action)
     return True
 
 
 @compiled
-def process_traced(
+def process_event_traced(
     net: Network, k: Record, world: World, c: int, n: int, time: float, action: int, trace: Trace
 ) -> bool:
-    """As `process`, and write down what happened at the call."""
+    """Process the slot's event like `process_event`, and record times, boardings and load in the trace."""
     slot, day = world.slots[c, n], world.days[c]
-    came, boarded = slot.phase == DRIVING, day.boarded
-    entry = trace.first[slot.trip] + slot.call + came - net.pattern_calls[slot.pattern]
-    used = process(net, k, world, c, n, time, action)
+    arriving, boarded = slot.phase == DRIVING, day.boarded
+    entry = trace.first[slot.trip] + slot.call + arriving - net.pattern_calls[slot.pattern]
+    used = process_event(net, k, world, c, n, time, action)
     trace.boarded[c, entry] += day.boarded - boarded
-    if came:
+    if arriving:
         trace.arrived[c, entry] = time
     elif slot.phase == DRIVING:
         trace.left[c, entry] = time
@@ -278,7 +285,8 @@ def advance(
     acting: NDArray[np.bool_],
     trace: Trace,
 ) -> None:
-    """Process all events of copy c before the end of the control interval, line by line in time order."""
+    """Process all events of copy c before the end of the control interval, one line after the other, in order
+    of time."""
     day = world.days[c]
     traced = trace.arrived.shape[1] > 0
     if traced and day.tick == 0:
@@ -297,9 +305,9 @@ def advance(
             if soonest < 0:
                 break
             if traced:
-                used = process_traced(net, k, world, c, soonest, time, actions[soonest], trace)
+                used = process_event_traced(net, k, world, c, soonest, time, actions[soonest], trace)
             else:
-                used = process(net, k, world, c, soonest, time, actions[soonest])
+                used = process_event(net, k, world, c, soonest, time, actions[soonest])
             acting[soonest] = acting[soonest] or used
     day.now = until
     day.tick += 1

@@ -1,4 +1,4 @@
-"""What agents and central critics see."""
+"""Observations of the agents, action masks, and the global state of central critics."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.bus.kernel.curves import at, bin_of
+from headway_envs.bus.kernel.curves import bin_of, interpolate
 from headway_envs.bus.kernel.layout import (
     AWAY,
     BROKEN,
@@ -33,8 +33,8 @@ def _clip(value: float, low: float, high: float) -> float:
 
 
 @compiled
-def _or_one(spacing: float) -> float:
-    """A spacing, 1 (as it should be) where there is no neighbour, at most 3."""
+def _spacing_or_one(spacing: float) -> float:
+    """Return a spacing, at most 3, or 1 (the target) without a neighbour."""
     return 1.0 if np.isnan(spacing) else min(spacing, 3.0)
 
 
@@ -42,15 +42,15 @@ def _or_one(spacing: float) -> float:
 def _observe_basic(
     net: Network, k: Record, world: World, c: int, n: int, out: NDArray[np.float32], published: bool
 ) -> None:
-    """The paper's four, or the released code's eight in its order, scaled to [0, 1]."""
+    """Fill the paper's four features, or the eight of the released code in its order, scaled to [0, 1]."""
     slot, now = world.slots[c, n], world.days[c].now
     first, last = net.pattern_calls[slot.pattern], net.pattern_calls[slot.pattern + 1] - 1
     following = min(slot.call + 1, last)
     link = min(slot.call, last - 1)
     bins = net.boarding_rate.shape[1]
     demand = net.boarding_rate[following, bin_of(now, k.start_s, bins)]
-    travel_time = min(at(net.running, link, now) / 300.0, 1.0)
-    future_demand = min(demand * at(net.target, slot.pattern, now) / 20.0, 1.0)
+    travel_time = min(interpolate(net.running, link, now) / 300.0, 1.0)
+    future_demand = min(demand * interpolate(net.target, slot.pattern, now) / 20.0, 1.0)
     occupancy = slot.load / k.capacity
     if not published:
         out[0], out[1], out[2], out[3] = travel_time, future_demand, occupancy, slot.uptime
@@ -65,15 +65,15 @@ def _observe_basic(
 
 @compiled
 def _observe_control(net: Network, k: Record, world: World, c: int, n: int, out: NDArray[np.float32]) -> None:
-    """The published eight, then the features from index 8 on that holding and service need."""
+    """Fill the eight features of `published` and, from index 8 on, those that holding and service need."""
     slot, now = world.slots[c, n], world.days[c].now
     _observe_basic(net, k, world, c, n, out, True)
     last = net.pattern_calls[slot.pattern + 1] - 1
     place = slot.call + 1 if slot.phase == DRIVING else slot.call
-    target = at(net.target, slot.pattern, now)
+    target = interpolate(net.target, slot.pattern, now)
     event = world.event_time[c, n]
     since = world.queues[c, place].last_departure
-    ahead, behind = _or_one(slot.ahead), _or_one(slot.behind)
+    ahead, behind = _spacing_or_one(slot.ahead), _spacing_or_one(slot.behind)
     out[8] = slot.fuel / k.fuel_capacity
     out[9] = ahead - 1.0
     out[10] = behind - 1.0
@@ -81,7 +81,7 @@ def _observe_control(net: Network, k: Record, world: World, c: int, n: int, out:
     out[12] = _clip(slot.headway_ratio - 1.0, -1.0, 2.0)
     departure = net.trip_departure[slot.trip]
     out[13] = _clip((now - departure - slot.place) / 1800.0, -2.0, 2.0)
-    out[14] = slot.place / max(at(net.nominal, last, now), 1.0)
+    out[14] = slot.place / max(interpolate(net.nominal, last, now), 1.0)
     rate = net.boarding_rate[place, bin_of(now, k.start_s, net.boarding_rate.shape[1])]
     out[15] = min(rate * (event - since) / 20.0, 3.0) if since > 0.0 else 0.0
     out[16] = slot.phase == STANDING
@@ -110,17 +110,20 @@ def observe(
     alive: NDArray[np.bool_],
     masks: NDArray[np.bool_],
 ) -> None:
-    """Observations (N, D), alive (N,) and action masks (N, 3) of one copy. A slot is alive out of the depot,
-    and from the interval on in which its first decision falls. Dead rows are zeros, with all actions
-    allowed."""
+    """Fill observations (N, D), alive mask (N,) and action masks (N, 3) of one copy.
+
+    A slot is alive while it is out of the depot, and already in the interval of its first decision. Rows of
+    dead slots are zeros, with all actions allowed.
+    """
     until = world.days[c].now + k.tick_s
     for n in range(observations.shape[0]):
         phase = world.slots[c, n].phase
         alive[n] = phase != DEPOT or world.event_time[c, n] < until
         masks[n, WAIT] = True
         masks[n, MOVE] = True
-        there = phase in (AWAY, BROKEN) or (phase == DEPOT and k.service_below < 1.0)
-        masks[n, SERVICE_CENTER] = not there and is_serviceable(k, world, c, n)
+        # A bus that leaves the depot has been renewed: only a centre that accepts any bus would take it.
+        unavailable = phase in (AWAY, BROKEN) or (phase == DEPOT and k.service_below < 1.0)
+        masks[n, SERVICE_CENTER] = not unavailable and is_serviceable(k, world, c, n)
         if not alive[n]:
             observations[n, :] = 0.0
             masks[n, SERVICE_CENTER] = True
@@ -132,9 +135,10 @@ def observe(
 
 @compiled
 def _observe_line(net: Network, k: Record, world: World, c: int, line: int, out: NDArray[np.float32]) -> None:
-    """Spacing, load, queue and fleet statistics of a line; the spacings' mean, spread and extremes."""
+    """Fill the state features of a line: mean, spread and extremes of the spacings; service; load; shares of
+    slots alive and on the route; fuel; uptime."""
     record = world.lines[c, line]
-    total, squares, low, high, found = 0.0, 0.0, 3.0, 0.0, 0
+    total, squares, low, high, count = 0.0, 0.0, 3.0, 0.0, 0
     load, fuel, uptime = 0.0, 0.0, 0.0
     first, last = net.line_slots[line], net.line_slots[line + 1]
     for n in range(first, last):
@@ -147,12 +151,12 @@ def _observe_line(net: Network, k: Record, world: World, c: int, line: int, out:
             total += ahead
             squares += ahead * ahead
             low, high = min(low, ahead), max(high, ahead)
-            found += 1
-    mean = total / found if found > 0 else 1.0
+            count += 1
+    mean = total / count if count > 0 else 1.0
     out[0] = mean - 1.0
-    out[1] = math.sqrt(max(squares / found - mean * mean, 0.0)) if found > 0 else 0.0
-    out[2] = low - 1.0 if found > 0 else 0.0
-    out[3] = high - 1.0 if found > 0 else 0.0
+    out[1] = math.sqrt(max(squares / count - mean * mean, 0.0)) if count > 0 else 0.0
+    out[2] = low - 1.0 if count > 0 else 0.0
+    out[3] = high - 1.0 if count > 0 else 0.0
     out[4] = record.service
     out[5] = load / max(record.on_route, 1.0) / k.capacity
     out[6] = record.alive / (last - first)
@@ -170,7 +174,8 @@ def observe_state(
     observations: NDArray[np.float32],
     state: NDArray[np.float32],
 ) -> None:
-    """State (S,): the day, each line, and under `full` all agents' observations."""
+    """Fill the state (S,): features of the day, of each line and, with `full_state`, all agents'
+    observations."""
     day = world.days[c]
     angle = 2.0 * math.pi * day.now / 86400.0
     state[0] = (day.now - k.start_s) / (k.end_s - k.start_s)

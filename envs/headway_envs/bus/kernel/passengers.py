@@ -1,10 +1,10 @@
-"""Queues: who waits where since when, exactly."""
+"""Queues at the calls: exact arrival times of waiting passengers, boarding and alighting."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.bus.kernel.curves import at, bin_of
+from headway_envs.bus.kernel.curves import bin_of, interpolate
 from headway_envs.bus.kernel.draws import (
     ARRIVAL,
     DEMAND_HOUR,
@@ -18,11 +18,14 @@ from headway_envs.keyed_random import uniform
 
 
 @compiled
-def draw_next(net: Network, k: Record, world: World, c: int, call: int) -> None:
-    """Draw the queue's next arrival, a Poisson process whose rate is the bin's times the day's and the stop
-    hour's factor: a unit exponential is used up along the rate."""
+def draw_next_arrival(net: Network, k: Record, world: World, c: int, call: int) -> None:
+    """Draw the next arrival at a queue.
+
+    Arrivals are a Poisson process. Its rate is that of the bin times the random factors of the day and of the
+    stop's hour; a unit exponential number is used up along the integrated rate.
+    """
     day, queue = world.days[c], world.queues[c, call]
-    left = exponential(day.key, ARRIVAL, call, queue.drawn)
+    remaining = exponential(day.key, ARRIVAL, call, queue.drawn)
     queue.drawn += 1
     time, bins = queue.next_arrival, net.arrival_rate.shape[1]
     while time < k.end_s:
@@ -33,30 +36,32 @@ def draw_next(net: Network, k: Record, world: World, c: int, call: int) -> None:
             queue.hour_factor = unit_gamma(normal(day.key, DEMAND_HOUR, call, hour), k.demand_stop_hour_sd)
         rate = net.arrival_rate[call, bin_] * day.demand_factor * queue.hour_factor
         edge = k.start_s + (bin_ + 1) * BIN_S
-        if rate * (edge - time) > left:
-            queue.next_arrival = time + left / rate
+        if rate * (edge - time) > remaining:
+            queue.next_arrival = time + remaining / rate
             return
-        left -= rate * (edge - time)
+        remaining -= rate * (edge - time)
         time = edge
     queue.next_arrival = np.inf
 
 
 @compiled
-def catch_up(net: Network, k: Record, world: World, c: int, call: int, pattern: int, time: float) -> None:
-    """Let all passengers who come to the call up to `time` join its queue, and those whose competing service
-    has come leave it."""
+def update_queue(net: Network, k: Record, world: World, c: int, call: int, pattern: int, time: float) -> None:
+    """Bring a queue up to `time`: add the passengers who have arrived, and remove those whose competing
+    service has come."""
     day, queue = world.days[c], world.queues[c, call]
     first = net.queue_first[call]
     room = net.queue_first[call + 1] - first
     while queue.next_arrival <= time:
         arrival = queue.next_arrival
-        mine = uniform(day.key, PATIENCE, call, queue.drawn)
+        u = uniform(day.key, PATIENCE, call, queue.drawn)
         leaves = np.inf
-        if mine >= k.captive_arrivals:
-            share = (mine - k.captive_arrivals) / (1.0 - k.captive_arrivals)
-            leaves = arrival - np.log(1.0 - share) * k.competing_share * at(net.target, pattern, arrival)
+        if u >= k.captive_arrivals:
+            # One uniform number decides both: rescaled above the captive share, it is uniform again.
+            share = (u - k.captive_arrivals) / (1.0 - k.captive_arrivals)
+            target = interpolate(net.target, pattern, arrival)
+            leaves = arrival - np.log(1.0 - share) * k.competing_share * target
         day.arrived += 1
-        draw_next(net, k, world, c, call)
+        draw_next_arrival(net, k, world, c, call)
         if leaves <= time or queue.waiting == room:
             day.lost += 1
         else:
@@ -78,15 +83,15 @@ def catch_up(net: Network, k: Record, world: World, c: int, call: int, pattern: 
 
 @compiled
 def count_wait(waits: NDArray[np.uint32], wait: float) -> None:
-    """Add one wait, in s, to a histogram of one-second bins."""
+    """Add one wait, s, to a histogram of one-second bins."""
     waits[min(int(wait), WAIT_BINS - 1)] += 1
 
 
 @compiled
 def board(net: Network, k: Record, world: World, c: int, n: int, time: float) -> int:
-    """Those who wait at the slot's call board, first come first served; returns how many."""
+    """Let waiting passengers board at the slot's call, first come first served; return their number."""
     slot, day = world.slots[c, n], world.days[c]
-    catch_up(net, k, world, c, slot.call, slot.pattern, time)
+    update_queue(net, k, world, c, slot.call, slot.pattern, time)
     queue = world.queues[c, slot.call]
     boarding = min(queue.waiting, k.capacity - slot.load)
     if boarding == 0:
@@ -111,30 +116,30 @@ def board(net: Network, k: Record, world: World, c: int, n: int, time: float) ->
 
 @compiled
 def change_load(day: Record, slot: Record, change: int, time: float) -> None:
-    """Change the slot's load and charge the passenger seconds aboard until now."""
+    """Change the load of a slot, and add the passenger seconds aboard up to `time` to the day's total."""
     day.ride += slot.load * (time - slot.since)
     slot.since = time
     slot.load += change
 
 
 @compiled
-def put_off(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
-    """All passengers alight before their stop and queue again; their wait begins anew. Those for whom the
-    stop has no room walk away and count as lost."""
+def unload_passengers(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
+    """Let all passengers alight before their stop and queue again; their wait begins anew. Passengers for
+    whom the queue storage has no room are lost."""
     slot, day = world.slots[c, n], world.days[c]
     if slot.load == 0:
         return
-    catch_up(net, k, world, c, slot.call, slot.pattern, time)
+    update_queue(net, k, world, c, slot.call, slot.pattern, time)
     queue = world.queues[c, slot.call]
     first = net.queue_first[slot.call]
     room = net.queue_first[slot.call + 1] - first - queue.waiting
-    again = min(slot.load, room)
-    for _ in range(again):
+    requeued = min(slot.load, room)
+    for _ in range(requeued):
         world.arrived_at[c, first + queue.waiting] = time
         world.leaves_at[c, first + queue.waiting] = np.inf
         queue.waiting += 1
     day.alighted += slot.load
     day.arrived += slot.load
     day.requeued += slot.load
-    day.lost += slot.load - again
+    day.lost += slot.load - requeued
     change_load(day, slot, -slot.load, time)

@@ -1,4 +1,5 @@
-"""The reward of one control interval and its four components."""
+"""Reward of a control interval and its four components: service q, efficiency e, maintenance m, regularity
+c."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,21 +10,21 @@ from headway_envs.bus.kernel.layout import (
     BROKEN,
     DEPOT,
     DRIVING,
-    PAY_LINE,
-    PAY_TEAM,
+    SCOPE_LINE,
+    SCOPE_TEAM,
     STANDING,
     Network,
     Record,
     World,
 )
-from headway_envs.bus.kernel.passengers import catch_up
+from headway_envs.bus.kernel.passengers import update_queue
 from headway_envs.bus.kernel.spacing import COUNTED, LEFT_OUT
 
 
 @compiled
 def efficiency(k: Record, slot: Record) -> float:
-    """e of one bus on its way: minus the squared excess of the occupancy over 0.9 (and, under the published
-    band, the squared shortfall under `low_occupancy`), scaled to [-1, 0]."""
+    """Return e of one bus on the route: minus the squared excess of the occupancy over 0.9, scaled to [-1,
+    0]. With `low_occupancy`, also minus the squared shortfall below it."""
     occupancy = slot.load / k.capacity
     over = max(occupancy - 0.9, 0.0) / 0.1
     under = max(k.low_occupancy - occupancy, 0.0) / k.low_occupancy if k.low_occupancy > 0.0 else 0.0
@@ -32,7 +33,8 @@ def efficiency(k: Record, slot: Record) -> float:
 
 @compiled
 def maintenance(k: Record, slot: Record) -> float:
-    """m of one bus: -1 broken down or without fuel; (fuel + uptime)/2 - 1 below a warning level; else 0."""
+    """Return m of one bus: -1 if broken down or without fuel; (fuel + uptime)/2 - 1 below a warning level;
+    else 0."""
     fuel = slot.fuel / k.fuel_capacity
     if slot.phase == BROKEN or fuel <= 0.0:
         return -1.0
@@ -43,13 +45,14 @@ def maintenance(k: Record, slot: Record) -> float:
 
 @compiled
 def service(net: Network, k: Record, world: World, c: int, line: int) -> float:
-    """q of a line: 1 - waiting (denied twice) / what a regular service would leave waiting, at least -3."""
+    """Return q of a line, at least -3: 1 - number of waiting passengers / their number under a regular
+    service. Passengers left behind by a full bus count twice."""
     now, waiting = world.days[c].now, 0
     for p in range(net.line_patterns[line], net.line_patterns[line + 1]):
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1] - 1):
             queue = world.queues[c, call]
             if queue.next_arrival <= now or queue.waiting > 0:
-                catch_up(net, k, world, c, call, p, now)
+                update_queue(net, k, world, c, call, p, now)
                 waiting += queue.waiting + queue.denied
     world.lines[c, line].waiting = waiting
     bins = net.regular_waiting.shape[1]
@@ -59,7 +62,8 @@ def service(net: Network, k: Record, world: World, c: int, line: int) -> float:
 
 @compiled
 def _score_line(net: Network, k: Record, world: World, c: int, line: int) -> None:
-    """The line's components: means over its buses (e: on their way; m: alive; c: scheduled in service)."""
+    """Set the components of a line: q, and means of e over its buses on the route, of m over its buses
+    outside the depot, and of c over its buses scheduled in service."""
     record = world.lines[c, line]
     record.service = service(net, k, world, c, line)
     crowding, upkeep, regular = 0.0, 0.0, 0.0
@@ -83,8 +87,10 @@ def _score_line(net: Network, k: Record, world: World, c: int, line: int) -> Non
 
 
 @compiled
-def _weighted(k: Record, service: float, efficiency: float, maintenance: float, regularity: float) -> float:
-    """The reward that four components come to."""
+def _weighted_sum(
+    k: Record, service: float, efficiency: float, maintenance: float, regularity: float
+) -> float:
+    """Return the reward: the weighted sum of its four components."""
     return float(
         k.weight_service * service
         + k.weight_efficiency * efficiency
@@ -94,21 +100,22 @@ def _weighted(k: Record, service: float, efficiency: float, maintenance: float, 
 
 
 @compiled
-def _pay_lines(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Each slot its line's reward."""
+def _assign_line_rewards(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+    """Give each slot the reward of its line."""
     for line in range(net.line_slots.shape[0] - 1):
         record = world.lines[c, line]
-        rewards[net.line_slots[line] : net.line_slots[line + 1]] = _weighted(
+        rewards[net.line_slots[line] : net.line_slots[line + 1]] = _weighted_sum(
             k, record.service, record.efficiency, record.maintenance, record.regularity
         )
 
 
 @compiled
-def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Each bus its own components and its line's service; nothing at the depot.
+def _assign_own_rewards(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+    """Give each bus the reward of its own e, m and c with its line's q; 0 at the depot.
 
-    Holding a bus moves two spacings, its own and that of the bus behind it, of which its c takes
-    `follower_share`."""
+    Holding a bus changes two spacings: its own and that of the bus behind it. `follower_share` adds a share
+    of the difference between the follower's c and its own.
+    """
     for line in range(net.line_slots.shape[0] - 1):
         first, last = net.line_slots[line], net.line_slots[line + 1]
         for n in range(first, last):
@@ -118,7 +125,7 @@ def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.
                 continue
             on_route = slot.phase == DRIVING or slot.phase == STANDING
             crowding = efficiency(k, slot) if on_route else 0.0
-            rewards[n] = _weighted(
+            rewards[n] = _weighted_sum(
                 k, world.lines[c, line].service, crowding, maintenance(k, slot), slot.regularity
             )
         if k.follower_share > 0.0:
@@ -126,14 +133,14 @@ def _pay_own(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.
                 behind = world.slots[c, n]
                 if behind.leader >= 0 and behind.counted == COUNTED:
                     ahead = world.slots[c, behind.leader]
-                    more = k.follower_share * (behind.regularity - ahead.regularity)
-                    rewards[behind.leader] += k.weight_regularity * more
+                    follower_part = k.follower_share * (behind.regularity - ahead.regularity)
+                    rewards[behind.leader] += k.weight_regularity * follower_part
 
 
 @compiled
-def pay(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Rewards (N,) of the interval just ended, and the day's accounts. The team's components are means over
-    the lines, each weighted by its number of slots. Needs the spacings of now."""
+def assign_rewards(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
+    """Fill the rewards (N,) of the past interval, and add to the day's totals. The team's components are
+    means over the lines, weighted by their numbers of slots. Spacings must be up to date."""
     day, slots = world.days[c], world.slots.shape[1]
     q, e, m, r = 0.0, 0.0, 0.0, 0.0
     for line in range(net.line_slots.shape[0] - 1):
@@ -144,15 +151,15 @@ def pay(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float
         e += weight * record.efficiency
         m += weight * record.maintenance
         r += weight * record.regularity
-    team = _weighted(k, q, e, m, r)
+    team = _weighted_sum(k, q, e, m, r)
     day.service += q
     day.efficiency += e
     day.maintenance += m
     day.regularity += r
     day.reward += team
-    if k.scope == PAY_TEAM:
+    if k.scope == SCOPE_TEAM:
         rewards[:] = team
-    elif k.scope == PAY_LINE:
-        _pay_lines(net, k, world, c, rewards)
+    elif k.scope == SCOPE_LINE:
+        _assign_line_rewards(net, k, world, c, rewards)
     else:
-        _pay_own(net, k, world, c, rewards)
+        _assign_own_rewards(net, k, world, c, rewards)

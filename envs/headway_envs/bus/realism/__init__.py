@@ -1,5 +1,6 @@
-"""Is the simulator like the city? Its days in replay, beside what was measured.
+"""Comparison of the simulator with measurements: simulated days of a replay beside recorded ones.
 
-calls: what happened at every call, simulated or recorded; figures: what is measured of them; measured:
-figures of the whole city, with their sources; comparing: both side by side; drawing: pictures of days.
+calls: one row per call, simulated or recorded; trip_statistics: statistics of such a day; measured: measured
+statistics of the whole city, with their sources; comparison: simulated beside measured statistics; plots:
+plots of days.
 """

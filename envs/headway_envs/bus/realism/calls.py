@@ -1,4 +1,4 @@
-"""A day as one row a call: simulated, or as SUNT recorded it."""
+"""Days as one row per call, simulated or recorded by SUNT."""
 
 import datetime as dt
 from collections import Counter
@@ -21,35 +21,39 @@ COLUMNS = (
     *("line", "dir", "pattern", "trip", "seq0", "calls", "stop", "visit"),
     *("arrived", "left", "time", "boarded", "load"),
 )
-"""Of a day's calls, trip after trip. `trip`: number; `seq0`: position among the trip's `calls`; `visit`: how
-often the trip has been at that stop before; `arrived`, `left`: s after midnight, NaN where there is none;
-`time`: when the bus came (at the first call: left), s; `boarded`: passengers; `load`: those aboard on
-leaving, NaN at the last call."""
+"""Columns of a day's calls, which are sorted by trip.
+
+`trip`: number; `seq0`: position among the trip's `calls`; `visit`: number of earlier calls of the trip at
+that stop; `arrived`, `left`: s after midnight, NaN where there is none; `time`: arrival, at the first call
+departure, s; `boarded`: passengers; `load`: passengers aboard at departure, NaN at the last call.
+"""
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """One recorded day of some lines."""
+class RecordedDay:
+    """Recorded day of some lines."""
 
     date: str
+    """Date, YYYY-MM-DD."""
     calls: pd.DataFrame
-    """As `COLUMNS`."""
+    """Rows with the columns of `COLUMNS`."""
     fares: bool
-    """Whether passengers were counted; else `boarded` and `load` say nothing."""
+    """Whether passengers were counted; else `boarded` and `load` are meaningless."""
 
 
 def simulated_days(
     tables: Tables, prepared: Prepared, days: int, rule: Rule | None = None, seed: int = 0
 ) -> Iterator[pd.DataFrame]:
-    """The calls (`COLUMNS`) of one simulated day after the other, under a rule; none: always MOVE.
+    """Yield the calls (`COLUMNS`) of consecutive simulated days under a rule; None: always MOVE.
 
-    `prepared` must be made of `tables`. Calls that no bus has reached at the end of the day are left out.
-    Raises HeadwayError if `days` is below 1."""
+    `prepared` must be made from `tables`. Calls that no bus has reached by the end of the day are left out.
+    Raises HeadwayError if `days` is below 1.
+    """
     if days < 1:
         raise HeadwayError(f"days must be at least 1, not {days}")
     env = BusBatchedEnv(prepared, 1, traced=True)
-    where = _trips_calls(tables, prepared)
-    act = _always_move(len(prepared.agents)) if rule is None else _by(rule, env)
+    where = _trace_calls(tables, prepared)
+    act = _always_move(len(prepared.agents)) if rule is None else _act_by_rule(rule, env)
     observed = env.reset(np.array([seed], np.uint64))
     for _ in range(days):
         ended = False
@@ -64,13 +68,15 @@ def simulated_days(
         yield day.loc[day["time"].notna(), list(COLUMNS)].reset_index(drop=True)
 
 
-def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
-    """The recorded day from which the scenario has its timetable, its lines only, of the files below `raw`.
+def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
+    """Return the recorded day on which the scenario's timetable is based, for its lines only, from the files
+    below `raw`.
 
-    The date is that of the meta data. Raises HeadwayError where they name none or no date, where there is no
-    such file, or no trip of these lines."""
+    The metadata state the date. Raises HeadwayError if they state no valid date, or if there is no file of
+    that date or no trip of these lines in it.
+    """
     files = find_days(raw)
-    stated = _stated_date(tables, day_type)
+    stated = _timetable_date(tables, day_type)
     found = {str(date): (date, file) for date, file in files.items()}
     if stated not in found:
         raise HeadwayError(
@@ -102,11 +108,11 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> Recorded:
     last = frame["seq0"] == frame["calls"] - 1
     frame.loc[last, ["left", "load"]] = np.nan
     frame.loc[frame["seq0"] == 0, "arrived"] = np.nan
-    return Recorded(stated, frame.reset_index(drop=True), day.fares)
+    return RecordedDay(stated, frame.reset_index(drop=True), day.fares)
 
 
-def _stated_date(tables: Tables, day_type: str) -> str:
-    """Of the timetable of that day type, YYYY-MM-DD, by the meta data."""
+def _timetable_date(tables: Tables, day_type: str) -> str:
+    """Return the date of a day type's timetable as stated in the metadata, YYYY-MM-DD."""
     dates = tables.meta.get("dates") or {}
     if not isinstance(dates, Mapping):
         raise HeadwayError(f"meta.json: dates must be {{DAY_TYPE: YYYY-MM-DD}}, not {dates!r}")
@@ -122,16 +128,18 @@ def _stated_date(tables: Tables, day_type: str) -> str:
 
 
 def _always_move(slots: int) -> Callable[[Observations], NDArray[np.int64]]:
+    """Return a function from observations to actions that always moves."""
     actions = np.ones((1, slots), np.int64)
     return lambda _: actions
 
 
-def _by(rule: Rule, env: BusBatchedEnv) -> Callable[[Observations], NDArray[np.int64]]:
+def _act_by_rule(rule: Rule, env: BusBatchedEnv) -> Callable[[Observations], NDArray[np.int64]]:
+    """Return a function from observations to the actions of a rule."""
     return lambda observed: np.asarray(rule.act(env, observed), np.int64)
 
 
-def _trips_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
-    """line, dir, pattern, trip, seq0, calls, stop and visit of every entry of the trace."""
+def _trace_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
+    """Return line, dir, pattern, trip, seq0, calls, stop and visit of every entry of the trace."""
     network = prepared.network
     patterns = np.array(pattern_rows(tables, prepared.config))
     stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"].apply(list)

@@ -1,4 +1,4 @@
-"""Simulated beside measured figures."""
+"""Simulated beside measured statistics."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ import pandas as pd
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import prepare_replay, source_of
+from headway_envs.bus.prepare import prepare_replay, source_of
 from headway_envs.bus.realism import trip_statistics
 from headway_envs.bus.realism.calls import recorded_day, simulated_days
 from headway_envs.bus.realism.measured import CITY_LINES, NEARLY_ALL, TOLERANCES, WHOLE_CITY
@@ -19,36 +19,37 @@ from headway_envs.bus.scenario.network import trips_of_day
 from headway_envs.bus.scenario.tables import Tables
 
 HOURS = (4, 26)
-"""The service day of a replay: nearly all trips."""
+"""Hours of the service day of a replay; they contain nearly all trips."""
 OWN, RECORDS, CITY = "its own tables", "records of its lines", "records of the whole city"
-"""On what a figure was measured."""
+"""Sources of a measured statistic."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One figure."""
+    """One statistic, simulated and measured."""
 
-    figure: str
+    statistic: str
+    """Name of the statistic, as in `trip_statistics`."""
     simulated: float
-    """Mean over the simulated days that have it; NaN, which does not hold, if none has."""
+    """Mean over the simulated days that have a value; NaN, which does not hold, if none has."""
     deviation: float | None
-    """Sd over the days; none of one day."""
+    """Sd over the days; None for a single day."""
     measured: float
     tolerance: float
-    """The most that the mean may be off."""
+    """Largest accepted difference between `simulated` and `measured`."""
     source: str
-    """On what it was measured."""
+    """Source of the measured value."""
     judged: bool = True
-    """False: it was measured over a whole city, of which the scenario has too few lines to show it."""
+    """False if the value was measured over a whole city and the scenario has too few of its lines."""
 
     @property
     def off(self) -> float:
-        """Simulated less measured."""
+        """Simulated minus measured value."""
         return self.simulated - self.measured
 
     @property
     def holds(self) -> bool:
-        """Whether it is within the tolerance."""
+        """Whether the difference is within the tolerance."""
         return bool(abs(self.off) <= self.tolerance)
 
 
@@ -59,63 +60,73 @@ def compare_replay(
     records: Path | None = None,
     after_day: Callable[[], None] = lambda: None,
 ) -> list[Row]:
-    """The figures of `days` days replayed, always MOVE, beside the measured ones of `config.day_type`.
+    """Return the statistics of `days` replayed days, always MOVE, beside the measured ones of
+    `config.day_type`.
 
-    Trips and boardings are measured by the scenario's tables. Headways along the route and loads are by
-    records below the folder `records` where it is given (and holds fares, for loads), else those of the whole
-    city, if the tables are SUNT's, and are not judged where these are an extract of few lines; else they are
-    left out, as are boardings that were made up. The hours of `config` are replaced by `HOURS`. `after_day`
-    is called when a day has been simulated.
+    Trips and boardings are measured on the scenario's tables; synthetic boardings are left out. Headways
+    along the route and loads (if it has fares) are measured on the recorded day below `records`. Without
+    `records`, those of the whole city are used if the tables are SUNT's, else they are left out; for an
+    extract of few lines they are not judged. The hours of `config` are replaced by `HOURS`. `after_day` is
+    called after each simulated day.
 
-    Raises HeadwayError for tables that are made up or scheduled, and as `prepare_replay`, `simulated_days`,
-    `recorded_day` and `trip_statistics.of_trips` do."""
+    Raises HeadwayError for tables that are made up or scheduled, and whatever `prepare_replay`,
+    `simulated_days`, `recorded_day` and `trip_statistics.finished_trip_statistics` raise.
+    """
     if made_up := _made_up(tables):
         raise HeadwayError(
             f"SCENARIO: {made_up}, nothing was measured there; give a scenario of recorded trips, "
-            "as headway data sunt writes them"
+            "such as headway data sunt writes"
         )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
     prepared = prepare_replay(config, tables)
-    measured = {**_city_figures(tables, config), **_tables_figures(tables, config)}
+    measured = {**_city_statistics(tables, config), **_table_statistics(tables, config)}
     if records is not None:
-        measured |= _record_figures(records, tables, config.day_type)
+        measured |= _record_statistics(records, tables, config.day_type)
     km = call_km(tables).groupby("pattern").last()
     found = []
     for calls in simulated_days(tables, prepared, days):
-        day = trip_statistics.of_trips(trip_statistics.trips_of(calls, km))
-        found.append({**day, **trip_statistics.of_headways(calls), **trip_statistics.of_passengers(calls)})
+        day = trip_statistics.finished_trip_statistics(trip_statistics.finished_trips(calls, km))
+        found.append(
+            {
+                **day,
+                **trip_statistics.headway_statistics(calls),
+                **trip_statistics.passenger_statistics(calls),
+            }
+        )
         after_day()
     simulated = pd.DataFrame(found)
-    is_city = lines_of(tables, config) >= NEARLY_ALL * CITY_LINES[config.day_type]
+    is_city = line_count(tables, config) >= NEARLY_ALL * CITY_LINES[config.day_type]
     rows = []
-    for figure, tolerance in TOLERANCES.items():
-        value, source = measured.get(figure, (np.nan, ""))
+    for statistic, tolerance in TOLERANCES.items():
+        value, source = measured.get(statistic, (np.nan, ""))
         if np.isnan(value):
             continue
-        mean = float(simulated[figure].mean())
-        deviation = float(simulated[figure].std()) if days > 1 else None
+        mean = float(simulated[statistic].mean())
+        deviation = float(simulated[statistic].std()) if days > 1 else None
         rows.append(
-            Row(figure, mean, deviation, value, tolerance.of(value), source, source != CITY or is_city)
+            Row(statistic, mean, deviation, value, tolerance.of(value), source, source != CITY or is_city)
         )
     return rows
 
 
-def lines_of(tables: Tables, config: BusConfig) -> int:
-    """How many lines have trips on the day."""
+def line_count(tables: Tables, config: BusConfig) -> int:
+    """Return the number of lines with trips on the configured day type."""
     patterns = trips_of_day(tables, config)["pattern"]
     return int(tables.patterns.set_index("pattern")["line"].reindex(patterns).nunique())
 
 
 def call_km(tables: Tables) -> "pd.Series[float]":
-    """Distance from the pattern's first call along its links, by pattern and seq0, in order."""
+    """Return the distance from the pattern's first call along its links, km, by pattern and seq0, in
+    order."""
     return metres_along(tables) / 1000.0
 
 
 def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
-    """The trips of the table, as `trip_statistics.of_trips` takes them.
+    """Return the trips of the table in the form that `trip_statistics.finished_trip_statistics` takes.
 
-    As a simulated day stops at the end of the service day, so do these: trips that arrive later are left out,
-    and so are those that arrive when they leave."""
+    Trips that arrive after the end of the service day are left out, because a simulated day stops there, and
+    so are trips that arrive when they leave.
+    """
     trips = trips_of_day(tables, config)
     names = tables.patterns.set_index("pattern").reindex(trips["pattern"])
     stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"]
@@ -135,43 +146,45 @@ def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
     return frame[inside].reset_index(drop=True)
 
 
-def _from(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, str]]:
+def _with_source(source: str, values: Mapping[str, float]) -> dict[str, tuple[float, str]]:
+    """Attach a source to each value."""
     return {name: (value, source) for name, value in values.items()}
 
 
-def _city_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
-    """The whole city's figures, if the tables are of that city."""
+def _city_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+    """Return the statistics of the whole city, if the tables are of that city."""
     if DOI not in source_of(tables.meta):
         return {}
-    return _from(CITY, WHOLE_CITY[config.day_type])
+    return _with_source(CITY, WHOLE_CITY[config.day_type])
 
 
 def _made_up(tables: Tables) -> str:
-    """What the meta data call made up, so that trips or times are no record; empty: nothing."""
+    """Return why trips or times are not recorded, from the metadata; empty if they are."""
     if source_of(tables.meta).startswith(SYNTHETIC):
         return "its trips are made up"
     stated = tables.meta.get("made_up")
     if not stated:
         return ""
     names = ", ".join(map(str, stated)) if isinstance(stated, Mapping) else str(stated)
-    return f"by made_up in its meta.json {names} are made up or scheduled"
+    return f"according to made_up in its meta.json {names} are made up or scheduled"
 
 
-def _tables_figures(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
-    """The figures of the tables; boardings only if the meta data do not say that they were made up."""
-    values = trip_statistics.of_trips(observed_trips(tables, config))
+def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
+    """Return the statistics of the tables; boardings only if the metadata do not call them made up."""
+    values = trip_statistics.finished_trip_statistics(observed_trips(tables, config))
     made_from = tables.meta.get("made_from")
     origin = made_from.get(f"demand {config.day_type}", "") if isinstance(made_from, Mapping) else ""
     if not str(origin).startswith("made up"):
         demand = tables.demand[tables.demand["daytype"] == config.day_type]
         values[trip_statistics.BOARDINGS] = float(demand["board"].sum())
-    return _from(OWN, values)
+    return _with_source(OWN, values)
 
 
-def _record_figures(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
+def _record_statistics(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
+    """Return the statistics of the recorded day; loads only if it has fares."""
     day = recorded_day(records, tables, day_type)
-    values = trip_statistics.of_headways(day.calls)
+    values = trip_statistics.headway_statistics(day.calls)
     if day.fares:
-        loads = trip_statistics.of_passengers(day.calls)
+        loads = trip_statistics.passenger_statistics(day.calls)
         values |= {name: value for name, value in loads.items() if name != trip_statistics.BOARDINGS}
-    return _from(f"{RECORDS}, {day.date}", values)
+    return _with_source(f"{RECORDS}, {day.date}", values)

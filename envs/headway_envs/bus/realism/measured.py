@@ -1,9 +1,9 @@
-"""What was measured in Salvador, and how near the simulator must come.
+"""Statistics measured in Salvador, and the tolerances of the comparison.
 
-Source of every number: SUNT, Salvador Urban Network Transportation (LabIA-UFBA), CC BY 4.0,
-doi 10.17632/85fdtx3kr5.1. Headways: all lines on Monday 2024-08-26 and Sunday 2024-09-15. That Monday has no
-fares: its loads, ride length and the answer of boardings to the headway are of one operator's lines (half the
-city) on 2024-06-04 and 05, and of Sundays.
+Source of every number: SUNT, Salvador Urban Network Transportation (LabIA-UFBA), CC BY 4.0, doi
+10.17632/85fdtx3kr5.1. Headways: all lines on Monday 2024-08-26 and Sunday 2024-09-15. That Monday has no
+fares: loads, ride length and the response of boardings to the headway were measured on one operator's lines
+(half the city) on 2024-06-04 and 05, and on Sundays.
 """
 
 from collections.abc import Mapping
@@ -31,6 +31,7 @@ from headway_envs.bus.realism.trip_statistics import (
 
 
 def _by_fifth(cv: tuple[float, ...], bunched: tuple[float, ...]) -> dict[str, float]:
+    """Return headway CVs and bunched shares by name, for each fifth of the route."""
     found = {}
     for fifth in range(FIFTHS):
         found[cv_name(fifth)] = cv[fifth]
@@ -54,23 +55,24 @@ WHOLE_CITY: Mapping[str, Mapping[str, float]] = {
         RESPONSE: 0.47,
     },
 }
-"""By day type and name of the figure, as `figures` takes them, over all lines."""
+"""Statistics over all lines, by day type and name as in `trip_statistics`."""
 
 CITY_LINES: Mapping[str, int] = {"weekday": 382, "sunday": 253}
-"""Lines with trips on that day, by day type."""
+"""Number of lines with trips, by day type."""
 NEARLY_ALL = 0.9
-"""Share of the lines from which a scenario can show the city's figures."""
+"""Share of the city's lines that a scenario needs to be judged by the city's statistics."""
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The most that a simulated figure may be off: absolute, or a share of the measured one."""
+    """Largest accepted difference of a simulated statistic: absolute, or as a share of the measured value."""
 
     size: float
     share: bool = False
+    """Whether `size` is a share of the measured value."""
 
     def of(self, measured: float) -> float:
-        """In the figure's unit."""
+        """Return the tolerance in the unit of the statistic."""
         return self.size * abs(measured) if self.share else self.size
 
 
@@ -91,5 +93,5 @@ TOLERANCES: Mapping[str, Tolerance] = {
     RIDE: Tolerance(1.0),
     RESPONSE: Tolerance(0.10),
 }
-"""Chosen by judgement. At the first call the replay is the data, so hardly anything is allowed;
-the others are about what two measured days of the same kind differ in."""
+"""Tolerance of each statistic, chosen by judgement. At the first call a replay repeats the data, so hardly
+any difference is accepted; the others are about the difference between two measured days of the same kind."""

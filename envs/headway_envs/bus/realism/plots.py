@@ -1,4 +1,4 @@
-"""Pictures of days: buses in time and space, loads along a pattern, headways along the route."""
+"""Plots of days: buses in time and space, loads along a pattern, headways along the route."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -21,9 +21,9 @@ def draw_time_space(
     hours: tuple[float, float],
     fullest: float = 75.0,
 ) -> "LineCollection":
-    """One line a bus of the pattern, by time and km from its first call, coloured by its load (up to
-    `fullest`); flat where it stands. `calls` is a day's; `km` by pattern and seq0. Returns what a colour bar
-    needs."""
+    """Draw one line per bus of the pattern over time and km from its first call, coloured by load (up to
+    `fullest`); horizontal where the bus stands. `calls`: those of one day; `km`: by pattern and seq0. Return
+    the lines, for a colour bar."""
     from matplotlib.collections import LineCollection
 
     own = calls[calls["pattern"] == pattern].sort_values(["trip", "seq0"])
@@ -51,8 +51,8 @@ def draw_time_space(
 def draw_load_profile(
     axes: "Axes", days: Mapping[str, pd.DataFrame], pattern: int, expected: "pd.Series[float] | None" = None
 ) -> None:
-    """Passengers aboard on leaving each call of a pattern, of each of `days` (name: calls): the mean, and for
-    the first also the band that holds the middle 80%; `expected`, by seq0, as a dashed line."""
+    """Draw the mean number of passengers aboard at departure from each call of a pattern, for each of `days`
+    (name: calls); for the first also the band of the middle 80%. `expected`, by seq0, is a dashed line."""
     for number, (name, calls) in enumerate(days.items()):
         loads = calls[calls["pattern"] == pattern].groupby("seq0")["load"]
         mean = loads.mean().dropna()
@@ -63,18 +63,24 @@ def draw_load_profile(
                 mean.index, low.to_numpy(), high.to_numpy(), color="C0", alpha=0.2, linewidth=0, label="80%"
             )
     if expected is not None:
-        axes.plot(expected.index, expected.to_numpy(), color="black", linestyle="--", label="by the tables")
+        axes.plot(
+            expected.index,
+            expected.to_numpy(),
+            color="black",
+            linestyle="--",
+            label="expected from the tables",
+        )
     axes.set_ylim(bottom=0)
     axes.set_xlabel("call")
     axes.set_ylabel("passengers aboard")
     axes.legend()
 
 
-def draw_headways_along(axes: "Axes", figures: Mapping[str, Mapping[str, float]]) -> None:
-    """Headway CV by fifth of the route, of each of `figures` (name: figures by name); those that lack some
-    are drawn without them, and those that lack all not at all."""
+def draw_headways_along(axes: "Axes", statistics: Mapping[str, Mapping[str, float]]) -> None:
+    """Draw the headway CV by fifth of the route, for each of `statistics` (name: statistics by name). Missing
+    fifths are left out, and so are entries without any."""
     fifths = list(range(1, FIFTHS + 1))
-    for name, values in figures.items():
+    for name, values in statistics.items():
         there = [fifth for fifth in fifths if cv_name(fifth - 1) in values]
         cvs = [values[cv_name(fifth - 1)] for fifth in there]
         if there:

@@ -1,8 +1,8 @@
-"""What is measured of a day: headways, trips, loads.
+"""Statistics of a day: headways, trips and loads.
 
-Headways are taken as the field does for frequent service: relative to the mean of their own window of two
-hours, by line, direction and stop, from 6 to 20 h, in windows of at least four, so that the plan's peaks are
-not taken for irregularity.
+Headways are measured as is usual for frequent service: relative to the mean of their own window of two hours,
+by line, direction and stop, from 6 to 20 h, in windows of at least four headways. Peaks of the timetable thus
+do not count as irregularity.
 """
 
 import numpy as np
@@ -14,41 +14,44 @@ from headway.contracts import HeadwayError
 Floats = NDArray[np.float64]
 
 FIFTHS = 5
+"""Number of parts of a route in which headways are measured separately."""
 SPEED_HOURS = (5, 7, 10, 17, 22)
+"""Hours of departure for which speeds are measured."""
 WINDOW_S = 7200.0
-LEAST_HEADWAYS = 4
-"""In a window."""
+"""Width of a window, s."""
+MIN_HEADWAYS = 4
+"""Smallest number of headways, or of trips, of a window that is used."""
 _FROM_S, _TO_S = 6 * 3600.0, 20 * 3600.0
 BUNCHED = 0.25
-"""Headways under this share of the mean are bunched."""
+"""Headways below this share of the mean count as bunched."""
 
 
 def cv_name(fifth: int) -> str:
-    """Of the headway CV in that fifth of the route, from 0."""
+    """Return the name of the headway CV in a fifth of the route, counted from 0."""
     return f"headway CV, fifth {fifth + 1}"
 
 
 def bunched_name(fifth: int) -> str:
-    """Of the bunched share in that fifth of the route, from 0."""
+    """Return the name of the bunched share in a fifth of the route, counted from 0."""
     return f"bunched share, fifth {fifth + 1}"
 
 
 def speed_name(hour: int) -> str:
-    """Of the speed of trips that begin in that hour."""
+    """Return the name of the mean speed of trips that leave in an hour."""
     return f"speed {hour:02d} h, km/h"
 
 
 FIRST_CV, LAST_CV = "headway CV, first call", "headway CV, last call"
 TRIP_MEAN, TRIP_P5, TRIP_P50, TRIP_P95 = "trip mean, min", "trip p5, min", "trip p50, min", "trip p95, min"
 TRIP_SPREAD = "trip time sd within 2 h, %"
-BOARDINGS = "boardings a day"
+BOARDINGS = "boardings per day"
 LOAD_P50, LOAD_P95 = "load p50", "load p95"
 RIDE = "ride length, stops"
-RESPONSE = "boardings' slope on the headway"
+RESPONSE = "slope of boardings on the headway"
 
 
-def of_headways(calls: pd.DataFrame) -> dict[str, float]:
-    """CV of the headways and bunched share by fifth of the route."""
+def headway_statistics(calls: pd.DataFrame) -> dict[str, float]:
+    """Return the headway CV and the bunched share by fifth of the route."""
     rows = _relative_headways(calls)
     fifth = (rows["seq0"] * FIFTHS // rows["calls"]).to_numpy(np.int64)
     found = {}
@@ -59,12 +62,14 @@ def of_headways(calls: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def of_trips(trips: pd.DataFrame) -> dict[str, float]:
-    """Durations, their spread, speeds by hour of departure, and the headways at both ends.
+def finished_trip_statistics(trips: pd.DataFrame) -> dict[str, float]:
+    """Return statistics of durations, their spread, speeds by hour of departure, and headway CVs at both
+    ends.
 
-    `trips`: line, dir, pattern, begin and end (stops), dep and arr (s), km; one row a trip that was finished.
-    The spread is the sd of the log of the duration about the mean of its pattern and two hours. Raises
-    HeadwayError if there is no trip."""
+    `trips`: one row per finished trip: line, dir, pattern, begin and end (stops), dep and arr (s), km. The
+    spread is the sd of the log of the duration about the mean of its pattern and window. Raises HeadwayError
+    if there are no trips.
+    """
     if trips.empty:
         raise HeadwayError(
             "no trip was finished within the day: give a timetable whose arr_s are after dep_s"
@@ -76,7 +81,7 @@ def of_trips(trips: pd.DataFrame) -> dict[str, float]:
     logs = pd.Series(np.log(minutes), index=trips.index)
     groups = logs.groupby([trips["pattern"], trips["dep"] // WINDOW_S])
     count = groups.transform("size")
-    inside = count >= LEAST_HEADWAYS
+    inside = count >= MIN_HEADWAYS
     away = (logs - groups.transform("mean"))[inside]
     free = float((1.0 - 1.0 / count[inside]).sum())
     found[TRIP_SPREAD] = 100.0 * float(np.sqrt((away**2).sum() / free)) if free > 0 else np.nan
@@ -91,11 +96,13 @@ def of_trips(trips: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
-    """Loads on leaving, boardings, how far passengers ride, and how boardings answer the headway.
+def passenger_statistics(calls: pd.DataFrame) -> dict[str, float]:
+    """Return quantiles of loads at departure, boardings, ride length, and the response of boardings to the
+    headway.
 
-    Ride length by flow: passengers times stops over passengers. The slope is that of the boardings of a call,
-    relative to the mean of their window, on the relative headway."""
+    Ride length is passengers aboard, summed over calls, per boarding. The response is the slope of the
+    boardings at a call, relative to the mean of their window, on the relative headway.
+    """
     load = calls["load"].to_numpy(np.float64)
     load = load[~np.isnan(load)]
     boarded = float(calls["boarded"].sum())
@@ -104,7 +111,7 @@ def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
     some = mean > 0
     relative = rows["boarded"].to_numpy(np.float64)[some] / mean[some]
     ratio = rows["ratio"].to_numpy(np.float64)[some]
-    # Windows count as the passengers in them, as those of few would be noise.
+    # Windows are weighted by their passengers, because those with few are mostly noise.
     weight = mean[some]
     about = (ratio - 1.0) * weight
     return {
@@ -118,8 +125,9 @@ def of_passengers(calls: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def trips_of(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
-    """The finished trips of a day's calls, as `of_trips` takes them; `km` by pattern."""
+def finished_trips(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
+    """Return the finished trips of a day's calls, as `finished_trip_statistics` takes them. `km`: by
+    pattern."""
     first = calls[calls["seq0"] == 0].set_index("trip")
     last = calls[calls["seq0"] == calls["calls"] - 1].set_index("trip")
     trips = first.loc[first.index.isin(last.index), ["line", "dir", "pattern"]].copy()
@@ -130,8 +138,8 @@ def trips_of(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
 
 
 def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
-    """The calls that have a headway within a window of at least `LEAST_HEADWAYS`, with `ratio`: the headway
-    over the window's mean, `window`: its number, and `count`: its headways."""
+    """Return the calls with a headway in a window of at least `MIN_HEADWAYS`, with `ratio` (headway over the
+    mean of the window), `window` (its number) and `count` (number of its headways)."""
     place = calls.groupby(["line", "dir", "stop", "visit"], sort=False).ngroup().to_numpy()
     time = calls["time"].to_numpy(np.float64)
     order = np.lexsort((time, place))
@@ -147,13 +155,14 @@ def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
     )
     count = np.bincount(window)[window]
     mean = np.bincount(window, headway)[window] / count
-    kept = (count >= LEAST_HEADWAYS) & (mean > 0)
+    kept = (count >= MIN_HEADWAYS) & (mean > 0)
     kept_rows: pd.DataFrame = rows[kept]
     return kept_rows.assign(ratio=headway[kept] / mean[kept], window=window[kept], count=count[kept])
 
 
 def _cv(rows: pd.DataFrame) -> float:
-    """Root of the mean square deviation of `ratio`, freed of the bias of windows of few headways."""
+    """Return the root mean square deviation of `ratio` from 1, corrected for the bias of windows of few
+    headways."""
     if rows.empty:
         return np.nan
     count = rows["count"].to_numpy(np.float64)

@@ -1,1 +1,1 @@
-"""Scenarios: eight tables and `meta.json`, from a generator or a folder, and the network built of them."""
+"""Scenarios of the bus environment: their tables, where they come from, and the network built from them."""

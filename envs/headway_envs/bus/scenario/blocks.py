@@ -1,4 +1,5 @@
-"""Vehicles for a timetable that names none: trips chained where one ends and the next begins."""
+"""Vehicles for a timetable without them: each vehicle continues with a trip that begins where its last one
+ended."""
 
 import heapq
 
@@ -6,17 +7,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
 
-LEAST_LAYOVER_S = 300.0
-"""Between two trips of a vehicle. Of SUNT's vehicles 97.9% go on where they arrived, after 286 s in the
-median."""
+MIN_LAYOVER_S = 300.0
+"""Minimum layover between two trips of a vehicle, s. In SUNT, 97.9% of vehicles continue where they arrived,
+after a median of 286 s."""
 TERMINAL_M = 300.0
-"""No two stops of a terminal are farther from each other than this."""
+"""Largest distance between two stops of a terminal, m."""
 
 
 def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
-    """Of each of the stops `ends` (rows of the frame with lat, lon) the number of its terminal."""
+    """Return the number of the terminal of each stop in `ends` (rows of the frame with lat, lon)."""
     from scipy.cluster.hierarchy import fcluster, linkage
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -24,10 +25,10 @@ def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
 
     ends = np.unique(ends)
     lat, lon = stops["lat"].to_numpy(np.float64)[ends], stops["lon"].to_numpy(np.float64)[ends]
-    places = np.column_stack((lat, lon * np.cos(np.radians(lat.mean())))) * METRES_A_DEGREE
+    places = np.column_stack((lat, lon * np.cos(np.radians(lat.mean())))) * METRES_PER_DEGREE
     near = KDTree(places).query_pairs(TERMINAL_M, output_type="ndarray")
     joined = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(ends),) * 2)
-    # Stops that hang together may stretch over kilometres: each such row falls into terminals.
+    # Connected stops may stretch over kilometres, so each component is split into terminals.
     count, row = connected_components(joined, directed=False)
     terminal = np.zeros(len(ends), np.int64)
     found = 0
@@ -44,8 +45,9 @@ def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
 
 
 def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
-    """(J,) a vehicle for each trip (dep_s, arr_s, and the terminals `begin` and `end`): in order of departure
-    each takes the one that has waited longest there, or else a new one."""
+    """Return a vehicle for each trip (J,), from columns dep_s, arr_s and the terminals `begin` and `end`. In
+    order of departure, each trip takes the vehicle that has waited longest at its first terminal, or else a
+    new one."""
     waiting: dict[int, list[tuple[float, int]]] = {}
     vehicle = np.zeros(len(trips), np.int64)
     count = 0
@@ -58,6 +60,6 @@ def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
         else:
             vehicle[trip] = count
             count += 1
-        ready = (float(arrives[trip]) + LEAST_LAYOVER_S, int(vehicle[trip]))
+        ready = (float(arrives[trip]) + MIN_LAYOVER_S, int(vehicle[trip]))
         heapq.heappush(waiting.setdefault(int(last[trip]), []), ready)
     return vehicle

@@ -1,4 +1,4 @@
-"""A scenario in figures: by day type and by line."""
+"""Statistics that describe a scenario, per day type and per line."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DayFigures:
-    """One day type."""
+class DayStatistics:
+    """Statistics of one day type; `LABELS` names them and their units."""
 
     day_type: str
     lines: int
@@ -33,32 +33,32 @@ class DayFigures:
     headway_midday: float | None
     headway_evening: float | None
     boardings: float
-    boardings_a_trip: float
+    boardings_per_trip: float
     busiest_hour: int
-    """The hour in which most board."""
+    """Hour with the most boardings."""
 
     LABELS: ClassVar[Mapping[str, str]] = {
         "lines": "lines that run",
         "trips": "trips",
         "first_h": "first departure, h",
         "last_h": "last arrival, h",
-        "vehicles": "vehicles of the timetable",
-        "peak_buses": "buses at once, at most",
-        "peak_h": "at, h",
+        "vehicles": "vehicles in the timetable",
+        "peak_buses": "most buses at once",
+        "peak_h": "time of most buses, h",
         "agents": "agents (slots), 5 to 24 h",
         "trip_min": "mean trip, min",
         "headway_morning": "headway 6-8 h, min",
         "headway_midday": "headway 10-14 h, min",
         "headway_evening": "headway 17-19 h, min",
         "boardings": "boardings",
-        "boardings_a_trip": "boardings a trip",
+        "boardings_per_trip": "boardings per trip",
         "busiest_hour": "busiest hour",
     }
 
 
 @dataclass(frozen=True)
-class LineFigures:
-    """One line on one day type."""
+class LineStatistics:
+    """Statistics of one line on one day type; `LABELS` names them and their units."""
 
     line: str
     patterns: int
@@ -83,9 +83,9 @@ class LineFigures:
     }
 
 
-def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayFigures]:
-    """Figures of each day type that has trips; of a city each takes seconds. `after_day` is called when one
-    of `DAY_TYPES` is done."""
+def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayStatistics]:
+    """Return the statistics of each day type that has trips; takes seconds per day type for a city.
+    `after_day` is called after each of `DAY_TYPES`."""
     found = []
     for day in DAY_TYPES:
         trips = tables.trips[tables.trips["daytype"] == day]
@@ -94,11 +94,11 @@ def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) ->
             continue
         demand = tables.demand[tables.demand["daytype"] == day]
         by_hour = demand.groupby("hour")["board"].sum()
-        moments, buses = buses_at_once(trips)
+        times, buses = buses_at_once(trips)
         peak = int(np.argmax(buses))
         line_of = tables.patterns.set_index("pattern")["line"]
         found.append(
-            DayFigures(
+            DayStatistics(
                 day_type=day,
                 lines=int(line_of.reindex(trips["pattern"]).nunique()),
                 trips=len(trips),
@@ -106,14 +106,14 @@ def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) ->
                 last_h=float(trips["arr_s"].max() / 3600.0),
                 vehicles=int(trips["vehicle"].nunique()),
                 peak_buses=int(buses[peak]),
-                peak_h=float(moments[peak] / 3600.0),
+                peak_h=float(times[peak] / 3600.0),
                 agents=int(_agents(tables, day).sum()),
                 trip_min=float((trips["arr_s"] - trips["dep_s"]).mean() / 60.0),
                 headway_morning=_headway(trips, 6, 8),
                 headway_midday=_headway(trips, 10, 14),
                 headway_evening=_headway(trips, 17, 19),
                 boardings=float(by_hour.sum()),
-                boardings_a_trip=float(by_hour.sum() / len(trips)),
+                boardings_per_trip=float(by_hour.sum() / len(trips)),
                 busiest_hour=int(str(by_hour.idxmax())) if len(by_hour) else 0,
             )
         )
@@ -121,8 +121,8 @@ def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) ->
     return found
 
 
-def by_line(tables: Tables, day: str) -> list[LineFigures]:
-    """Figures of the lines that run, most trips first."""
+def by_line(tables: Tables, day: str) -> list[LineStatistics]:
+    """Return the statistics of the lines with trips on day type `day`, most trips first."""
     trips = tables.trips[tables.trips["daytype"] == day].merge(
         tables.patterns[["pattern", "line"]], on="pattern"
     )
@@ -137,7 +137,7 @@ def by_line(tables: Tables, day: str) -> list[LineFigures]:
         patterns = own["pattern"].unique()
         calls = tables.pattern_stops["pattern"].isin(patterns)
         found.append(
-            LineFigures(
+            LineStatistics(
                 line=str(line),
                 patterns=len(patterns),
                 stops=int(tables.pattern_stops.loc[calls, "stop"].nunique()),
@@ -149,11 +149,11 @@ def by_line(tables: Tables, day: str) -> list[LineFigures]:
                 boardings=float(boards.reindex(patterns).sum()),
             )
         )
-    return sorted(found, key=lambda figures: (-figures.trips, figures.line))
+    return sorted(found, key=lambda statistics: (-statistics.trips, statistics.line))
 
 
 def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
-    """The meta data as rows (name, value); what was counted, one a row."""
+    """Return the metadata as rows (name, value). A mapping, such as `counted`, becomes one row per entry."""
     rows: list[tuple[str, str | int | float]] = []
     for name, value in meta.items():
         if isinstance(value, Mapping):
@@ -164,15 +164,17 @@ def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
 
 
 def buses_at_once(trips: pd.DataFrame) -> tuple[Floats, NDArray[np.int64]]:
-    """Moments at which trips begin or end, s, and how many are under way from then on."""
-    moments = np.concatenate((trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)))
+    """Return the times at which trips begin or end, s, and the number of buses under way from each time
+    on."""
+    times = np.concatenate((trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)))
     change = np.repeat([1, -1], len(trips))
-    order = np.lexsort((change, moments))  # arrivals first
-    return moments[order], np.cumsum(change[order])
+    # At equal times arrivals come first, so that a bus that turns at once is not counted twice.
+    order = np.lexsort((change, times))
+    return times[order], np.cumsum(change[order])
 
 
 def _agents(tables: Tables, day: str) -> "pd.Series[int]":
-    """Slots by line; none where no trip lies in the default service day."""
+    """Return the number of slots by line; empty if no trip lies within the default service day."""
     config = BusConfig(day_type="sunday" if day == "sunday" else "weekday")
     trips = tables.trips[tables.trips["daytype"] == day]
     if not trips["dep_s"].between(config.start_hour * 3600.0, config.end_hour * 3600.0, "left").any():
@@ -182,7 +184,8 @@ def _agents(tables: Tables, day: str) -> "pd.Series[int]":
 
 
 def _headway(trips: pd.DataFrame, begin: int, end: int) -> float | None:
-    """Median over patterns of the mean minutes between departures from `begin` to `end` h."""
+    """Return the mean time between departures from `begin` to `end` h, minutes: the median over patterns.
+    None without departures."""
     inside = trips[trips["dep_s"].between(begin * 3600.0, end * 3600.0, "left")]
     counts = inside.groupby("pattern").size()
     return float(np.median((end - begin) * 60.0 / counts)) if len(counts) else None

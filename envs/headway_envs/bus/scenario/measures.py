@@ -1,4 +1,4 @@
-"""What is measured of scenarios in more than one place: distances, hours of travel times, loads of links."""
+"""Measures used in several places: distances, hours of travel times, loads of links."""
 
 import numpy as np
 import pandas as pd
@@ -8,23 +8,23 @@ from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
 
 Floats = NDArray[np.float64]
 
-METRES_A_DEGREE = 111_320.0
-"""Of latitude, and of longitude at the equator."""
-FASTEST_MPS = 25.0
-"""No bus drives faster than 90 km/h from stop to stop."""
+METRES_PER_DEGREE = 111_320.0
+"""Length of a degree of latitude, and of a degree of longitude at the equator, m."""
+MAX_SPEED_MPS = 25.0
+"""Largest plausible mean speed between stops, m/s: 90 km/h."""
 TIMED_HOURS = np.arange(4, 27)
-"""Hours for which travel times of links are written; earlier and later drives are of the nearest one."""
+"""Hours for which link times are written. Earlier and later drives take the nearest of them."""
 
 
 def distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
-    """Crow's distance by the local flat approximation at `lat`, m."""
-    north = (lat2 - lat) * METRES_A_DEGREE
-    east = (lon2 - lon) * METRES_A_DEGREE * np.cos(np.radians(lat))
+    """Return the straight-line distance by the local flat approximation at `lat`, m."""
+    north = (lat2 - lat) * METRES_PER_DEGREE
+    east = (lon2 - lon) * METRES_PER_DEGREE * np.cos(np.radians(lat))
     return np.asarray(np.hypot(north, east), dtype=np.float64)
 
 
 def metres_along(tables: Tables) -> "pd.Series[float]":
-    """Distance from the pattern's first call along its links, m, by pattern and seq0, in order."""
+    """Return the distance from the pattern's first call along its links, m, by pattern and seq0, in order."""
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
     legs = pd.Series(metres.to_numpy(), index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
@@ -33,8 +33,8 @@ def metres_along(tables: Tables) -> "pd.Series[float]":
 
 
 def link_loads(tables: Tables, day: str) -> pd.DataFrame:
-    """One row a call (pattern, seq0, stop, link) with `load`: passengers a day on the way to it, when all
-    board and alight as the tables say and no bus is too full."""
+    """Return one row per call (pattern, seq0, stop, link) with `load`: passengers per day on the way to the
+    call, if boardings and alightings follow the tables and no bus is full."""
     demand = tables.demand[tables.demand["daytype"] == day]
     period = np.searchsorted(PERIOD_HOURS, demand["hour"], side="right")
     boards = demand.assign(period=period).groupby(["pattern", "seq0", "period"])["board"].sum()

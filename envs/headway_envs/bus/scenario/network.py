@@ -1,4 +1,4 @@
-"""From tables to the arrays that the kernel reads."""
+"""Network of the bus environment, built from a scenario's tables."""
 
 import math
 from collections.abc import Sequence
@@ -11,25 +11,32 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, Network
+from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOT_HOURS, KNOT_S, KNOTS, Network
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
-from headway_envs.bus.scenario.timetable import Departures, Trip, as_observed, chain, smooth, work_until_depot
+from headway_envs.bus.scenario.timetable import (
+    Departures,
+    Trip,
+    chain_trips,
+    observed_departures,
+    smooth_departures,
+    work_until_depot,
+)
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-KNOT_HOURS = np.arange(FIRST_KNOT_HOUR, FIRST_KNOT_HOUR + KNOTS)
-KNOT_S: Floats = np.asarray(KNOT_HOURS * 3600.0 + 1800.0, np.float64)
-_LARGEST_SD = 0.8
-"""Cells of few observations have log sds up to 1.5; larger ones than this are taken for faults."""
+_MAX_SD = 0.8
+"""Largest sd of the log of link times that is used. Hours with few observations have values up to 1.5, taken
+for faults."""
 
 
 def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Network, tuple[str, ...]]:
-    """The network of the configured day type, and the names of its lines; `replay`: trips leave when those of
-    the table did.
+    """Return the network of the configured day type and the names of its lines. `replay`: trips leave at the
+    departure times of the table, instead of evenly spread ones.
 
-    Raises HeadwayError where the day type has no trips, demand or travel times."""
+    Raises HeadwayError if the day type has no trips, demand or travel times.
+    """
     day = config.day_type
     trips = trips_of_day(tables, config)
     lines = _patterns_by_line(tables, trips)
@@ -37,7 +44,7 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
     calls = calls_of(tables, patterns)
     call_counts = calls.groupby("p").size().to_numpy(np.int64)
     pattern_calls = _offsets(call_counts)
-    spread = as_observed if replay else smooth
+    spread = observed_departures if replay else smooth_departures
     departures = [
         spread(np.asarray(trips.loc[trips["pattern"] == p, "dep_s"], np.float64), KNOT_S) for p in patterns
     ]
@@ -73,9 +80,9 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
         regular_waiting=regular,
         target=np.array([d.headway for d in departures]),
         detour=_detours(tables, calls, config),
-        queue_first=_queue_rooms(rates, per_call, config),
+        queue_first=_queue_offsets(rates, per_call, config),
     )
-    # One memory layout: another would be compiled anew.
+    # Always the same memory layout: numba would compile the kernel again for another.
     arrays: list[Any] = [np.ascontiguousarray(array) for array in network]
     return Network(*arrays), tuple(lines)
 
@@ -85,27 +92,28 @@ def _offsets(counts: NDArray[Any]) -> Integers:
 
 
 def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
-    """The trips that leave within the configured service day. Raises HeadwayError if there is none."""
+    """Return the trips that leave within the configured service day. Raises HeadwayError if there are
+    none."""
     trips = tables.trips[tables.trips["daytype"] == config.day_type]
     begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
     trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
     if trips.empty:
         raise HeadwayError(
-            f"table trips has none on day_type {config.day_type} between {config.start_hour} and "
-            f"{config.end_hour} h: choose another day_type or hours"
+            f"table trips has no trip of day_type {config.day_type} that leaves between {config.start_hour} "
+            f"and {config.end_hour} h: choose another day_type or other hours"
         )
     return trips
 
 
 def pattern_rows(tables: Tables, config: BusConfig) -> list[int]:
-    """The pattern, by its number in the tables, of each of the network's patterns. Raises as `trips_of_day`
-    does."""
+    """Return the number in the tables of each of the network's patterns. Raises HeadwayError if no trip
+    leaves within the service day."""
     lines = _patterns_by_line(tables, trips_of_day(tables, config))
     return [pattern for group in lines.values() for pattern in group]
 
 
 def _patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]]:
-    """Patterns that run, by line, in the network's order: {line: patterns}."""
+    """Return the patterns with trips, by line, in the network's order."""
     running = tables.patterns[tables.patterns["pattern"].isin(trips["pattern"])]
     lines: dict[str, list[int]] = {}
     for line, group in running.sort_values(["line", "dir", "pattern"]).groupby("line", sort=False):
@@ -114,8 +122,8 @@ def _patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int
 
 
 def calls_of(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
-    """One row a call (Q), pattern after pattern in the order given: p (index), pattern, seq0, stop, link,
-    lat, lon."""
+    """Return one row per call (Q), one pattern after the other in the given order: p (index of the pattern),
+    pattern, seq0, stop, link, lat, lon."""
     place = pd.Series(range(len(patterns)), index=list(patterns))
     calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(patterns)].copy()
     calls["p"] = place.reindex(calls["pattern"]).to_numpy()
@@ -126,12 +134,13 @@ def calls_of(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
 
 
 def _call_index(calls: pd.DataFrame) -> pd.Series:
+    """Return the index of each call, by pattern and seq0."""
     keys = pd.MultiIndex.from_frame(calls[["pattern", "seq0"]].astype(np.int64))
     return pd.Series(np.arange(len(calls)), index=keys)
 
 
-def _rows(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integers]:
-    """The rows of `frame` whose (pattern, seq0) is a call, and that call's index."""
+def _rows_of_calls(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integers]:
+    """Return the rows of `frame` whose (pattern, seq0) is a call, and the index of that call."""
     keys = pd.MultiIndex.from_frame(frame[["pattern", "seq0"]].astype(np.int64))
     index = _call_index(calls).reindex(keys).to_numpy()
     known = ~np.isnan(index)
@@ -139,8 +148,8 @@ def _rows(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integ
 
 
 def _hourly_boarding(tables: Tables, calls: pd.DataFrame, day: str) -> Floats:
-    """(Q, K) passengers who board in each hour."""
-    frame, index = _rows(calls, tables.demand[tables.demand["daytype"] == day])
+    """Return the number of passengers who board per hour (Q, K)."""
+    frame, index = _rows_of_calls(calls, tables.demand[tables.demand["daytype"] == day])
     if frame.empty:
         raise HeadwayError(f"table demand has no rows of day_type {day}: add them or choose another day_type")
     boarding = np.zeros((len(calls), KNOTS))
@@ -151,8 +160,8 @@ def _hourly_boarding(tables: Tables, calls: pd.DataFrame, day: str) -> Floats:
 
 
 def _alighting(tables: Tables, calls: pd.DataFrame) -> Floats:
-    """(Q, 4) alighting shares; at a pattern's end everyone."""
-    frame, index = _rows(calls, tables.alighting)
+    """Return the alighting shares (Q, 4): 0 at the first call of a pattern, 1 at the last."""
+    frame, index = _rows_of_calls(calls, tables.alighting)
     alighting = np.zeros((len(calls), 4))
     alighting[index, frame["period"].to_numpy(np.int64)] = frame["p_alight"].to_numpy(float)
     alighting[calls["seq0"].to_numpy() == 0] = 0.0
@@ -162,7 +171,8 @@ def _alighting(tables: Tables, calls: pd.DataFrame) -> Floats:
 
 
 def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, Floats]:
-    """(Q, K) mean seconds and (Q,) sd of the log on the link that leads away from each call."""
+    """Return the mean time (Q, K), s, and the sd of its log (Q,), of the link that leads away from each
+    call."""
     frame = tables.link_times[tables.link_times["daytype"] == day]
     away = np.append(calls["link"].to_numpy(np.int64)[1:], -1)
     inner = np.append(calls["seq0"].to_numpy()[1:] > 0, False)
@@ -185,12 +195,12 @@ def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, 
 
 
 def _remaining_sd(link_sd: Floats, config: BusConfig) -> Floats:
-    """(Q,) sd left to the link term when the trip's, day's, network's, incidents' and dwell's share of the
-    measured variance is taken away, at least the floor."""
+    """Return the sd (Q,) of the link's travel-time factor: what remains of the measured variance without that
+    of trip, day, network, incidents and dwell, at least the floor."""
     noise = config.noise
     incidents = noise.incident_probability * math.log(max(noise.incident_factor, 1.0)) ** 2
     others = noise.trip_sd**2 + noise.day_sd**2 + noise.network_sd**2 + noise.dwell_sd**2 + incidents
-    left = np.minimum(link_sd, _LARGEST_SD) ** 2 - others
+    left = np.minimum(link_sd, _MAX_SD) ** 2 - others
     return np.sqrt(np.maximum(left, noise.link_floor_sd**2)) * (link_sd > 0)
 
 
@@ -201,8 +211,11 @@ def _mean_dwell(
     pattern_calls: Integers,
     config: BusConfig,
 ) -> tuple[Floats, Floats]:
-    """(Q, K) mean boardings of one call and (Q, K) mean dwell there, s, by carrying mean loads along the
-    pattern; anyone moves with the Poisson chance."""
+    """Return the mean boardings per bus and call (Q, K), and the mean dwell there (Q, K), s, by carrying mean
+    loads along the pattern.
+
+    The fixed dwell counts with the Poisson probability that any passenger boards or alights.
+    """
     per_call = np.zeros_like(boarding)
     dwell = np.zeros_like(boarding)
     periods = np.searchsorted(PERIOD_HOURS, KNOT_HOURS, side="right")
@@ -219,13 +232,13 @@ def _mean_dwell(
                 entering * config.boarding_s + leaving * config.alighting_s + moving * config.fixed_dwell_s
             )
             load = np.minimum(load - leaving + entering, config.capacity)
-        dwell[first] = 0.0  # passengers board during the layover
+        dwell[first] = 0.0  # passengers board during the layover, before the planned departure
     return per_call, dwell
 
 
 def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tables) -> tuple[Floats, Floats]:
-    """(Q, K) running time to the next call, and nominal time since the first call. Where link times hold the
-    dwell at their start, it is subtracted, but never more than half."""
+    """Return the running time to the next call (Q, K), and the nominal time since the first call (Q, K), s.
+    If link times include the dwell at their start, it is subtracted, but at most half of the link time."""
     if tables.meta.get("link_times_include_dwell", True):
         running = np.maximum(link_s - dwell, 0.5 * link_s)
     else:
@@ -233,7 +246,7 @@ def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tab
     nominal = np.zeros_like(running)
     for first, last in pairwise(pattern_calls):
         for call in range(first + 1, last):
-            # The hour moves on with the bus.
+            # The hour of the link time advances with the bus.
             hours = (KNOT_S + nominal[call - 1] - KNOT_S[0]) / 3600.0
             knot = np.clip(hours.astype(np.int64), 0, KNOTS - 1)
             leg = running[call - 1, knot] + dwell[call - 1, knot]
@@ -244,8 +257,8 @@ def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tab
 def _deadheads(
     tables: Tables, calls: pd.DataFrame, pattern_calls: Integers, line_patterns: Integers
 ) -> list[Floats]:
-    """For each line (patterns, patterns): s from the end of one to the start of the other at 20 km/h over
-    1.3 times the crow's distance; 0 within 300 m."""
+    """Return (patterns, patterns) per line: time from the end of one pattern to the start of another, s, at
+    20 km/h over 1.3 times the straight-line distance; 0 within 300 m."""
     lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
     ways = []
     for begin, end in pairwise(line_patterns):
@@ -263,7 +276,8 @@ def _timetable(
     deadhead: Sequence[Floats],
     config: BusConfig,
 ) -> dict[str, NDArray[np.float64] | Integers]:
-    """Trips by pattern and departure, and the slots' blocks, as the network's arrays."""
+    """Return the trips, sorted by pattern and departure, and the blocks of the slots, as arrays of the
+    network."""
     trips: list[Trip] = []
     for p, departing in enumerate(departures):
         duration = np.interp(departing.times, KNOT_S, nominal[pattern_calls[p + 1] - 1])
@@ -273,7 +287,7 @@ def _timetable(
     before, work_left = np.zeros(len(trips)), np.zeros(len(trips))
     for line, (begin, end) in enumerate(pairwise(line_patterns)):
         mine = [i for i, trip in enumerate(trips) if begin <= trip.pattern < end]
-        for driven in chain([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
+        for driven in chain_trips([trips[i] for i in mine], deadhead[line], begin, config.recovery_share):
             block = [mine[i] for i in driven]
             for last, following in pairwise(block):
                 before[following] = deadhead[line][
@@ -303,11 +317,14 @@ def _rates(
     line_patterns: Integers,
     config: BusConfig,
 ) -> tuple[Floats, Floats]:
-    """(Q, B) passengers per s who board under a regular service, and (L, B) how many it leaves waiting.
+    """Return boarding passengers per s under a regular service (Q, B), and the mean number of passengers
+    waiting under it (L, B).
 
-    Hourly numbers are interpolated between the middles of the hours. Passengers know the timetable: they come
-    from one headway before the first bus to the last one. Of those with a competing service, a regular
-    service leaves rate x xH (1 - x (1 - exp(-1/x))) waiting, x being the competing share of the headway H."""
+    Hourly numbers are interpolated between the middles of the hours. Passengers know the timetable: they
+    arrive from one headway before the first bus to the last bus. Of passengers with a competing service, a
+    regular service leaves rate x xH (1 - x (1 - exp(-1/x))) waiting, where x is the competing share of the
+    headway H.
+    """
     bins = round(config.day_s / BIN_S + 0.499)
     middles = config.start_hour * 3600.0 + (np.arange(bins) + 0.5) * BIN_S
     rates = np.zeros((len(boarding), bins))
@@ -329,8 +346,8 @@ def _rates(
 
 
 def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
-    """(Q,) s to the nearest service centre; without any in the meta data, the first stop of every tenth line
-    (at least one) has one."""
+    """Return the driving time to the nearest service centre (Q,), s. Without centres in the metadata, the
+    first stop of every twentieth pattern, and of at least one, has a centre."""
     lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
     centres = tables.meta.get("service_centres")
     if centres is None:
@@ -347,9 +364,9 @@ def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
     return np.asarray(seconds, dtype=np.float64)
 
 
-def _queue_rooms(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
-    """(Q + 1,) offsets of the queues' storage: room for a bus load, three peak hours of passengers, and those
-    of the competing service."""
+def _queue_offsets(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
+    """Return the offsets of the queues' storage (Q + 1,): room for one bus load, three peak hours of boarding
+    passengers, and passengers of the competing service."""
     peak = rates.max(axis=1) * 3.0 * 3600.0
     room = config.capacity + 24 + np.ceil(peak + 6.0 * per_call.max(axis=1)).astype(np.int64)
     return _offsets(room.astype(np.int64))

@@ -1,4 +1,4 @@
-"""Passengers where none are given: made up of the trips and the fitted numbers."""
+"""Synthetic passengers for scenarios without passenger data, from their trips and fitted parameters."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,36 +7,37 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import generator
+from headway_envs.bus.kernel.layout import KNOT_S
 from headway_envs.bus.scenario.fitted import (
     ALIGHTING_TENTHS,
     ATTRACTIVENESS_SD,
     BOARDING_TENTHS,
     HOUR_SHARES,
 )
-from headway_envs.bus.scenario.network import KNOT_S
-from headway_envs.bus.scenario.timetable import smooth
+from headway_envs.bus.scenario.timetable import smooth_departures
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[np.generic]]
 
 FIRST_SHARE_HOUR = 5
-"""The hour of the first of HOUR_SHARES; before it and after the last, shares stay as they are there."""
+"""Hour of the first of HOUR_SHARES. Earlier hours take the first share, later ones the last."""
 _LAST_HOUR = 29
-"""Passengers of later hours are given to this one."""
+"""Last hour of demand; passengers of later hours are added to it."""
 ALIGHTING_SD = 1.0
-"""Assumption: sd of the log of a stop's alightings within its tenth of the pattern."""
+"""Assumption: sd of the log of the alightings at a stop within its tenth of the pattern."""
 
 
-def spread_by_tenth(tenths: Sequence[float], pull: Floats) -> Floats:
-    """(n,) shares, sum 1, of a pattern's n stops: each tenth's share, within it by the stops' pull (n,)."""
-    tenth = np.minimum(np.arange(len(pull)) * 10 // len(pull), 9)
-    total = np.bincount(tenth, pull, minlength=10)[tenth]
-    share = np.array(tenths)[tenth] * pull / np.maximum(total, 1e-12)
+def spread_by_tenth(tenths: Sequence[float], weight: Floats) -> Floats:
+    """Return the shares (n,), sum 1, of a pattern's n stops: the share of each tenth of the pattern, divided
+    among its stops by `weight` (n,)."""
+    tenth = np.minimum(np.arange(len(weight)) * 10 // len(weight), 9)
+    total = np.bincount(tenth, weight, minlength=10)[tenth]
+    share = np.array(tenths)[tenth] * weight / np.maximum(total, 1e-12)
     return np.asarray(share / share.sum(), np.float64)
 
 
-def hazards(boarding: Floats, alighting: Floats) -> Floats:
-    """(n,) the share of the load on arrival that alights at each stop, 1 at the last."""
+def alighting_shares(boarding: Floats, alighting: Floats) -> Floats:
+    """Return the share of the load on arrival that alights at each stop (n,); 1 at the last stop."""
     alight, load = np.zeros(len(boarding)), 0.0
     for stop in range(len(boarding)):
         leaving = min(alighting[stop], 0.95 * load)
@@ -46,39 +47,41 @@ def hazards(boarding: Floats, alighting: Floats) -> Floats:
     return alight
 
 
-def passengers(
+def synthetic_passengers(
     calls: pd.DataFrame, trips: pd.DataFrame, per_trip: Mapping[str, Mapping[int, float]], seed: int
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The tables demand and alighting for the given pattern_stops and trips.
+    """Return the tables demand and alighting for the given rows of pattern_stops and trips.
 
-    A stop draws passengers and lets them go with one pull on all patterns that call there, spread over each
-    pattern by its tenths; `per_trip` gives the mean boardings of a trip, by day type and pattern; at each
-    stop they fall to the hours in which buses serve it, by the measured shares."""
+    Each stop has one random weight for boardings and one for alightings, the same on all patterns that call
+    there, within the tenth of each pattern. `per_trip`: mean boardings per trip, by day type and pattern. At
+    each stop they are divided among the hours in which buses serve it, by the fitted shares.
+    """
     places, which = np.unique(calls["stop"].to_numpy(), return_inverse=True)
     draws = generator(seed, "bus stops", 0)
-    pulls = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
-    leaves = draws.lognormal(0.0, ALIGHTING_SD, len(places))[which]
+    boarding_weights = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
+    alighting_weights = draws.lognormal(0.0, ALIGHTING_SD, len(places))[which]
     numbers, first = np.unique(calls["pattern"].to_numpy(), return_index=True)
     ends = np.append(first[1:], len(calls))
-    driven = dict(list(trips.groupby(["daytype", "pattern"])))
+    trips_by_pattern = dict(list(trips.groupby(["daytype", "pattern"])))
     demand: list[Columns] = []
     alighting: list[Columns] = []
     days: list[str] = []
     for pattern, begin, end in zip(numbers.tolist(), first, ends, strict=True):
-        pull, leave = pulls[begin:end].copy(), leaves[begin:end].copy()
-        pull[-1] = leave[0] = 0.0
-        boarding = spread_by_tenth(BOARDING_TENTHS, pull)
-        alight = hazards(boarding, spread_by_tenth(ALIGHTING_TENTHS, leave))
+        weight, alighting_weight = boarding_weights[begin:end].copy(), alighting_weights[begin:end].copy()
+        weight[-1] = alighting_weight[0] = 0.0
+        boarding = spread_by_tenth(BOARDING_TENTHS, weight)
+        alight = alighting_shares(boarding, spread_by_tenth(ALIGHTING_TENTHS, alighting_weight))
         alighting.append(_by_period(pattern, alight))
         for day, means in per_trip.items():
-            if (day, pattern) in driven:
-                rows = _boardings(pattern, day, boarding, driven[day, pattern], means[pattern])
+            if (day, pattern) in trips_by_pattern:
+                rows = _boardings(pattern, day, boarding, trips_by_pattern[day, pattern], means[pattern])
                 demand.append(rows)
                 days += [day] * len(rows["board"])
-    return _stacked(demand).assign(daytype=days), _stacked(alighting)
+    return _stack(demand).assign(daytype=days), _stack(alighting)
 
 
 def _by_period(pattern: int, alight: Floats) -> Columns:
+    """Return the rows of the table alighting of one pattern; all periods have the same shares."""
     count = len(alight)
     return {
         "pattern": np.full(4 * count, pattern, np.int32),
@@ -89,7 +92,7 @@ def _by_period(pattern: int, alight: Floats) -> Columns:
 
 
 def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, mean: float) -> Columns:
-    """Rows of demand of one pattern and day type."""
+    """Return the rows of the table demand of one pattern and day type."""
     departures = trips["dep_s"].to_numpy(np.float64)
     hours, served = service_by_hour(len(boarding), trips)
     shares = np.interp(hours, FIRST_SHARE_HOUR + np.arange(len(HOUR_SHARES[day])), HOUR_SHARES[day])
@@ -107,31 +110,33 @@ def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, me
 
 
 def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64], Floats]:
-    """Hours (H,), and (count, H) what share of each hour's passengers a bus comes for at each stop of a
-    pattern: those who are there from one headway before the first bus to the last one, as in `build`.
+    """Return hours (H,), and the share of each hour's passengers for whom a bus comes, (count, H), at each
+    stop of a pattern.
 
-    As there, passengers of an hour come from the middle of the hour before to that of the next one, most of
-    them in between. Stops are reached at even times; an hour of less than half the best one's share has 0."""
+    Passengers arrive as in `network.build`: from one headway before the first bus to the last bus, and those
+    of an hour from the middle of the hour before to the middle of the next, most of them in between. Stops
+    are assumed to be reached at even intervals. Hours with less than half the share of the best hour get 0.
+    """
     departures = np.sort(trips["dep_s"].to_numpy(np.float64))
-    headway = np.interp(departures[0], KNOT_S, smooth(departures, KNOT_S).headway)
+    headway = np.interp(departures[0], KNOT_S, smooth_departures(departures, KNOT_S).headway)
     lasting = float((trips["arr_s"].to_numpy(np.float64) - trips["dep_s"].to_numpy(np.float64)).mean())
     reached = np.linspace(0.0, lasting, count)
     opens, closes = departures[0] - headway + reached, departures[-1] + reached
-    # A service day that begins with the first bus has no passengers of the hours before it.
+    # A service day may begin in the hour of the first bus; passengers of earlier hours would then never come.
     earliest = max(min(departures[0] // 3600.0, FIRST_SHARE_HOUR), opens[0] // 3600.0, 0.0)
     hours = np.arange(int(min(earliest, _LAST_HOUR)), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
-    served = _come_by(closes[:, None], hours) - _come_by(opens[:, None], hours)
-    # Of a stop that is reached after the last hour there is.
+    served = _arrived_share(closes[:, None], hours) - _arrived_share(opens[:, None], hours)
+    # Stops that are reached only after the last hour: all their passengers belong to it.
     served[served.max(axis=1) <= 0.0, -1] = 1.0
     best = served.max(axis=1, keepdims=True)
     return hours, np.where(served >= 0.5 * best, served, 0.0)
 
 
-def _come_by(moment: Floats, hours: NDArray[np.int64]) -> Floats:
-    """The share of each hour's passengers who have come by a moment, s."""
-    since = np.clip(moment / 3600.0 - hours - 0.5, -1.0, 1.0)
+def _arrived_share(time: Floats, hours: NDArray[np.int64]) -> Floats:
+    """Return the share of each hour's passengers who have arrived by a time, s."""
+    since = np.clip(time / 3600.0 - hours - 0.5, -1.0, 1.0)
     return np.asarray(0.5 + since - 0.5 * since * np.abs(since), np.float64)
 
 
-def _stacked(parts: Sequence[Columns]) -> pd.DataFrame:
+def _stack(parts: Sequence[Columns]) -> pd.DataFrame:
     return pd.DataFrame({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})

@@ -1,4 +1,4 @@
-"""A picture of a scenario: the lines on the map, the load of the links, and the headways."""
+"""Plot of a scenario: map of the lines with the loads of links, and buses, boardings and headways by hour."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.description import buses_at_once
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE, link_loads
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, link_loads
 from headway_envs.bus.scenario.tables import Tables
 
 if TYPE_CHECKING:
@@ -18,27 +18,28 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_LEAST_ASPECT = 0.4
-"""Of the map: the shorter of its sides over the longer."""
-_WIDEST = 7.0
-"""Points: the link with the greatest load."""
+_MIN_ASPECT = 0.4
+"""Smallest ratio of the map's shorter side to its longer side."""
+_MAX_LINK_WIDTH = 7.0
+"""Width of the link with the largest load, points."""
 _LINE_COLOURS = 10
-"""Up to so many lines each have a colour of their own; more are coloured by their headway."""
+"""Largest number of lines with a colour each. More lines are coloured by headway."""
 _HEADWAYS_MIN = (5.0, 60.0)
-"""Ends of the scale of headways, minutes."""
+"""Ends of the colour scale of headways, minutes."""
 
 
 def draw_scenario(tables: Tables, day: str, title: str) -> "Figure":
-    """A picture of one day type.
+    """Return a plot of one day type. Raises HeadwayError if the day type has no trips.
 
-    Left the map: each link as wide as the passengers whom it carries a day, coloured by line where there are
-    up to ten, else by the headway of its buses. Right, by hour: buses on the road, boardings, and headways
-    of patterns. Raises HeadwayError where the day type has no trips."""
+    Left: a map with links as wide as their number of passengers per day, coloured by line for up to ten
+    lines, else by the headway of their buses. Right, by hour: buses on the road, boardings, and headways of
+    patterns.
+    """
     from matplotlib.figure import Figure
 
     trips = tables.trips[tables.trips["daytype"] == day]
     if trips.empty:
-        raise HeadwayError(f"--day-type: there is no trip on a {day}; choose the other one")
+        raise HeadwayError(f"--day-type: there is no trip on a {day}; choose the other day type")
     figure = Figure(figsize=(13.0, 7.6), dpi=130, layout="constrained")
     places: Any = figure.subplot_mosaic(
         [["map", "buses"], ["map", "boardings"], ["map", "headways"]], width_ratios=[2.0, 1.0]
@@ -52,6 +53,7 @@ def draw_scenario(tables: Tables, day: str, title: str) -> "Figure":
 
 
 def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> None:
+    """Draw the links by load and the stops by boardings."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import LineCollection
@@ -65,9 +67,9 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     )
     places = tables.stops.set_index("stop")
     latitude = float(places["lat"].mean())
-    across = math.cos(math.radians(latitude)) * METRES_A_DEGREE / 1000.0
+    across = math.cos(math.radians(latitude)) * METRES_PER_DEGREE / 1000.0
     x = (places["lon"] - places["lon"].min()) * across
-    y = (places["lat"] - places["lat"].min()) * METRES_A_DEGREE / 1000.0
+    y = (places["lat"] - places["lat"].min()) * METRES_PER_DEGREE / 1000.0
     departures = trips.groupby("pattern").size()
     inner = calls[calls["seq0"] > 0].merge(tables.links[["link", "from_stop"]], on="link")
     inner["departures"] = departures.reindex(inner["pattern"]).to_numpy()
@@ -75,13 +77,13 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     of_lines = len(lines) <= _LINE_COLOURS
     ways = ["from_stop", "stop", *(["line"] if of_lines else [])]
     links = inner.groupby(ways, as_index=False)[["load", "departures"]].sum()
-    # Lines on the same links are seen beneath each other when the wide ones come first.
+    # Wide links are drawn first, so that other lines on the same links stay visible on top.
     links = links.sort_values("load", ascending=not of_lines)
     ends = [
         np.column_stack((x.reindex(links[stop]).to_numpy(), y.reindex(links[stop]).to_numpy()))
         for stop in ("from_stop", "stop")
     ]
-    widths = 0.5 + _WIDEST * links["load"].to_numpy() / max(float(links["load"].max()), 1e-9)
+    widths = 0.5 + _MAX_LINK_WIDTH * links["load"].to_numpy() / max(float(links["load"].max()), 1e-9)
     hours = float((trips["dep_s"].max() - trips["dep_s"].min()) / 3600.0)
     if of_lines:
         colour = {line: colormaps["tab10"](i) for i, line in enumerate(lines)}
@@ -121,39 +123,39 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     axes.set_aspect("equal")
     axes.autoscale()
     axes.margins(0.03)
-    # A line whose stops lie nearly along one of the axes would be a strip beneath its own legend.
-    axes.set_xlim(_widened(axes.get_xlim(), _LEAST_ASPECT * float(np.ptp(axes.get_ylim()))))
-    axes.set_ylim(_widened(axes.get_ylim(), _LEAST_ASPECT * float(np.ptp(axes.get_xlim()))))
+    # A line whose stops lie nearly along one axis would otherwise be a strip hidden by its legend.
+    axes.set_xlim(_widened(axes.get_xlim(), _MIN_ASPECT * float(np.ptp(axes.get_ylim()))))
+    axes.set_ylim(_widened(axes.get_ylim(), _MIN_ASPECT * float(np.ptp(axes.get_xlim()))))
     axes.set_xlabel("km to the east")
     axes.set_ylabel("km to the north")
     axes.set_title(
-        f"links by passengers carried (widest: {links['load'].max():,.0f} a day), stops by boardings "
-        f"(largest: {boarding.max():,.0f})",
+        f"link width: passengers (largest: {links['load'].max():,.0f} per day); stop size: boardings "
+        f"(largest: {boarding.max():,.0f} per day)",
         fontsize="medium",
     )
 
 
 def _widened(limits: tuple[float, float], least: float) -> tuple[float, float]:
-    """Limits of an axis, at least so far apart, about the same middle."""
+    """Return the limits of an axis, at least `least` apart, with the same middle."""
     more = max(least - (limits[1] - limits[0]), 0.0) / 2.0
     return limits[0] - more, limits[1] + more
 
 
 def _draw_buses(axes: "Axes", trips: pd.DataFrame) -> None:
-    moments, buses = buses_at_once(trips)
-    axes.plot(moments / 3600.0, buses, color="#0072B2", linewidth=1.0, drawstyle="steps-post")
+    times, buses = buses_at_once(trips)
+    axes.plot(times / 3600.0, buses, color="#0072B2", linewidth=1.0, drawstyle="steps-post")
     axes.set_ylim(bottom=0)
-    axes.set_title(f"buses on the road (at most {buses.max():,})", fontsize="medium")
+    axes.set_title(f"buses on the road (maximum {buses.max():,})", fontsize="medium")
 
 
 def _draw_boardings(axes: "Axes", tables: Tables, day: str) -> None:
     by_hour = tables.demand[tables.demand["daytype"] == day].groupby("hour")["board"].sum()
     axes.bar(by_hour.index.to_numpy(np.float64) + 0.5, by_hour.to_numpy(), width=0.9, color="#009E73")
-    axes.set_title(f"boardings an hour ({by_hour.sum():,.0f} a day)", fontsize="medium")
+    axes.set_title(f"boardings per hour ({by_hour.sum():,.0f} per day)", fontsize="medium")
 
 
 def _draw_headways(axes: "Axes", trips: pd.DataFrame) -> None:
-    """Quantiles over patterns of the minutes between departures, by hour."""
+    """Draw the quartiles over patterns of the time between departures, by hour."""
     ordered = trips.sort_values(["pattern", "dep_s"])
     gap = ordered["dep_s"].diff().where(ordered["pattern"] == ordered["pattern"].shift()) / 60.0
     hour = (ordered["dep_s"] // 3600)[gap.notna()]
@@ -163,5 +165,5 @@ def _draw_headways(axes: "Axes", trips: pd.DataFrame) -> None:
     axes.fill_between(hours, low.to_numpy(), high.to_numpy(), color="#E69F00", alpha=0.4, linewidth=0)
     axes.plot(hours, middle.to_numpy(), color="#D55E00")
     axes.set_ylim(bottom=0)
-    axes.set_title("headways of patterns, min: median, quartiles", fontsize="medium")
+    axes.set_title("headways of patterns, min: median and quartiles", fontsize="medium")
     axes.set_xlabel("hour of the day")

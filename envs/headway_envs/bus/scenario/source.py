@@ -1,11 +1,12 @@
-"""Where a scenario's tables come from: its name, or its folder."""
+"""Source of a scenario's tables: a built-in name or a folder."""
 
 from headway_envs.bus.config import SCENARIOS
 from headway_envs.bus.scenario.tables import Tables, read_tables
 
 
 def scenario_tables(scenario: str, seed: int) -> Tables:
-    """The tables of a built-in scenario of that seed, or of a folder. Raises HeadwayError for faults."""
+    """Return the tables of a built-in scenario, generated from `seed`, or of a scenario folder. Raises
+    HeadwayError for a faulty folder."""
     if scenario in SCENARIOS:
         from headway_envs.bus.scenario.synthetic import generate
 

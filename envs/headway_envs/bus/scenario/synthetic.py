@@ -1,4 +1,4 @@
-"""Synthetic scenarios of a few lines that share no stop, generated from a seed by fitted numbers."""
+"""Synthetic scenarios of a few lines that share no stop, generated from a seed and fitted parameters."""
 
 import math
 from collections.abc import Callable
@@ -27,23 +27,24 @@ from headway_envs.bus.scenario.fitted import (
     SYNTHETIC,
     WITHIN_HOUR_SD,
 )
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, TIMED_HOURS
 from headway_envs.bus.scenario.network import build
-from headway_envs.bus.scenario.passengers import hazards, spread_by_tenth
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
+from headway_envs.bus.scenario.passengers import alighting_shares, spread_by_tenth
+from headway_envs.bus.scenario.tables import NO_LINK, Tables
 
 FLEETS = {"line": (14,), "corridor": (20, 16, 14, 12, 11, 10, 9, 8, 6, 4)}
-"""Buses at once on each line of a size, at the weekday's peak."""
+"""Number of buses at once on each line of a size, at the weekday's peak."""
 _STOPS = {"line": (30, 45), "corridor": (15, 60)}
-"""Assumption: patterns are drawn again until their stops lie within these, as of frequent lines."""
+"""Assumption: smallest and largest number of stops of a pattern, as on frequent lines. Patterns outside are
+drawn again."""
 _HOURS = np.arange(5, 24)
 _TABLES = ("stops", "patterns", "pattern_stops", "links", "link_times", "demand", "alighting", "trips")
 Floats = NDArray[np.float64]
 
 
 def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
-    """The tables of a size of SCENARIOS. In `line` and `corridor` line i depends on (seed, i) alone.
-    `after_line` is called when a line has its timetable, `lines_of(size)` times."""
+    """Return the tables of a size in SCENARIOS. In `line` and `corridor`, line i depends only on (seed, i).
+    `after_line` is called once per line, `line_count(size)` times."""
     if size not in FLEETS:
         from headway_envs.bus.scenario.town import generate_town
 
@@ -58,8 +59,8 @@ def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None
     return Tables(**frames, meta={**_META, "size": size, "seed": seed})
 
 
-def lines_of(size: str) -> int:
-    """How many lines a size of SCENARIOS has."""
+def line_count(size: str) -> int:
+    """Return the number of lines of a size in SCENARIOS."""
     if size in FLEETS:
         return len(FLEETS[size])
     from headway_envs.bus.scenario.town import LINES
@@ -74,8 +75,8 @@ _META: dict[str, Any] = {
 
 
 def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFrame]:
-    """The tables of one line whose timetable needs `buses` slots on a weekday: departures are scaled until
-    it does."""
+    """Return the tables of one line whose weekday timetable needs `buses` slots. The departures are scaled
+    until it does."""
     rng = generator(seed, "bus line", number)
     geometry = _geometry(rng, number, _STOPS[size])
     shares = _stop_shares(rng, geometry["pattern_stops"])
@@ -95,7 +96,8 @@ def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFra
 
 
 def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) -> dict[str, pd.DataFrame]:
-    """Stops, patterns, links and travel times: out along a heading and back on the other side."""
+    """Return stops, patterns, links and travel times of a line that goes out along a heading and back on the
+    other side."""
     while True:
         counts = [2 + round(rng.gamma(*STOPS_GAMMA)) for _ in range(2)]
         counts[1] = round(counts[0] * rng.uniform(0.9, 1.1))
@@ -125,7 +127,7 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
                 }
             )
         )
-        links = np.append(FIRST_LINK, link0 + stops[:-1])
+        links = np.append(NO_LINK, link0 + stops[:-1])
         tables["pattern_stops"].append(
             pd.DataFrame(
                 {
@@ -152,15 +154,17 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
 
 
 def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside: float) -> pd.DataFrame:
-    """Coordinates `along` m from the centre of Salvador on a heading, `aside` m to its right."""
+    """Return the coordinates of stops that lie `along` m from the centre of Salvador on a heading, `aside` m
+    to its right."""
     north = along * math.cos(heading) - aside * math.sin(heading)
     east = along * math.sin(heading) + aside * math.cos(heading)
-    lat = -12.97 + north / METRES_A_DEGREE
-    lon = -38.50 + east / (METRES_A_DEGREE * math.cos(math.radians(12.97)))
+    lat = -12.97 + north / METRES_PER_DEGREE
+    lon = -38.50 + east / (METRES_PER_DEGREE * math.cos(math.radians(12.97)))
     return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
 
 
 def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: NDArray[Any]) -> pd.DataFrame:
+    """Return the table link_times of links of the given lengths, m."""
     intercept, slope, sd = LINK_S_LOG
     base = np.exp(intercept + slope * np.log(legs) + rng.normal(0.0, sd, len(legs)))
     frames = []
@@ -182,15 +186,15 @@ def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: NDArra
 
 
 def _stop_shares(rng: np.random.Generator, calls: pd.DataFrame) -> dict[int, tuple[Floats, Floats]]:
-    """Of each pattern, the shares of boardings and of alightings at its stops."""
+    """Return each pattern's shares of the boardings and of the alightings at its stops."""
     shares = {}
     for pattern, group in calls.groupby("pattern"):
         count = len(group)
         parts = []
         for tenths, sd in ((BOARDING_TENTHS, ATTRACTIVENESS_SD), (ALIGHTING_TENTHS, 1.0)):
-            pull = rng.lognormal(0.0, sd, count)
-            pull[-1 if tenths is BOARDING_TENTHS else 0] = 0.0
-            parts.append(spread_by_tenth(tenths, pull))
+            weight = rng.lognormal(0.0, sd, count)
+            weight[-1 if tenths is BOARDING_TENTHS else 0] = 0.0
+            parts.append(spread_by_tenth(tenths, weight))
         shares[int(str(pattern))] = (parts[0], parts[1])
     return shares
 
@@ -198,7 +202,7 @@ def _stop_shares(rng: np.random.Generator, calls: pd.DataFrame) -> dict[int, tup
 def _service(
     geometry: dict[str, pd.DataFrame], shares: dict[int, tuple[Floats, Floats]], scale: float
 ) -> dict[str, pd.DataFrame]:
-    """Demand, alighting and trips when departures an hour are `scale` times the city's."""
+    """Return the tables demand, alighting and trips with `scale` times the city's departures per hour."""
     demand, alighting, trips = [], [], []
     for pattern, (boarding, leaving) in shares.items():
         count = len(boarding)
@@ -208,12 +212,12 @@ def _service(
                     "pattern": pattern,
                     "seq0": np.repeat(np.arange(count), 4),
                     "period": np.tile(np.arange(4), count),
-                    "p_alight": np.repeat(hazards(boarding, leaving), 4),
+                    "p_alight": np.repeat(alighting_shares(boarding, leaving), 4),
                 }
             )
         )
         for day, hourly in DEPARTURES.items():
-            # Of Sunday's own profile, so that its peak has its share of the fleet.
+            # Sunday's own profile is scaled so that its peak has its share of the fleet.
             rate = np.array(hourly) * scale
             if day == "sunday":
                 rate *= SUNDAY_FLEET * max(DEPARTURES["weekday"]) / max(hourly)

@@ -1,7 +1,7 @@
-"""The scenario format: eight tables and `meta.json`, read by one loader that checks everything.
+"""Scenario format: eight tables and `meta.json`, and the loader that checks them.
 
-Times are seconds after midnight of the service day and may pass 86,400. Every value of the columns named here
-is checked, whether a given experiment reads it or not. Columns beyond those are kept, and neither read nor
+Times are seconds after midnight of the service day and may exceed 86,400. Every value of the columns named
+here is checked, also where an experiment does not read it. Other columns are kept, but neither read nor
 checked: they may hold blanks.
 """
 
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import SCENARIOS
 
-FIRST_LINK = 65535
-"""The `link` of a pattern's first stop, to which no link leads."""
+NO_LINK = 65535
+"""Value of `link` at a pattern's first stop, to which no link leads."""
 
 PERIOD_HOURS = (9, 15, 20)
 PERIODS = len(PERIOD_HOURS) + 1
-"""Of the day, in which other shares alight: before 9 h, 9-15, 15-20 and after."""
+"""Number of periods of the day with alighting shares of their own: before 9 h, 9-15, 15-20 and after."""
 
 DAY_TYPES = ("weekday", "sunday")
 
@@ -38,11 +38,22 @@ COLUMNS = {
     "alighting": ("pattern", "seq0", "period", "p_alight"),
     "trips": ("pattern", "vehicle", "dep_s", "arr_s", "daytype"),
 }
-"""The tables and the columns they must have. `board` is passengers a day in that hour; `p_alight` the share
-of the load on arrival that alights, in the periods before 9 h, 9-15, 15-20 and after."""
+"""Tables and their required columns. `board`: mean number of passengers who board in that hour of a day;
+`p_alight`: share of the load on arrival that alights, in periods before 9 h, 9-15, 15-20 and after."""
 
 _TEXT = {"line", "dir", "daytype"}
-_WHOLE = {"stop", "pattern", "vehicle", "link", "from_stop", "to_stop", "seq0", "n_stops", "hour", "period"}
+_INTEGERS = {
+    "stop",
+    "pattern",
+    "vehicle",
+    "link",
+    "from_stop",
+    "to_stop",
+    "seq0",
+    "n_stops",
+    "hour",
+    "period",
+}
 _RANGES = {
     "lat": (-90.0, 90.0),
     "lon": (-180.0, 180.0),
@@ -82,7 +93,7 @@ _REFERENCES = (
 
 @dataclass(frozen=True)
 class Tables:
-    """A scenario as data frames with the columns of `COLUMNS`."""
+    """Tables of a scenario as data frames with the columns of `COLUMNS`."""
 
     stops: pd.DataFrame
     patterns: pd.DataFrame
@@ -93,7 +104,8 @@ class Tables:
     alighting: pd.DataFrame
     trips: pd.DataFrame
     meta: dict[str, Any] = field(default_factory=dict)
-    """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool."""
+    """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool; others as
+    in FORMAT.md."""
 
 
 def read_tables(folder: str | Path) -> Tables:
@@ -103,7 +115,7 @@ def read_tables(folder: str | Path) -> Tables:
         near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise HeadwayError(
-            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and no folder{hint} "
+            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and not a folder{hint} "
             "(a scenario folder holds eight Parquet tables and meta.json)"
         )
     frames = {}
@@ -124,12 +136,12 @@ def read_tables(folder: str | Path) -> Tables:
         meta = json.loads(meta_path.read_text())
     except FileNotFoundError as error:
         raise HeadwayError(
-            f"{meta_path} is missing; it says where the tables come from: write one, {{}} at least"
+            f"{meta_path} is missing; it states the source of the tables: write one, at least {{}}"
         ) from error
     except ValueError as error:
-        raise HeadwayError(f"{meta_path} is not valid JSON: {error}; mend or remove it") from error
+        raise HeadwayError(f"{meta_path} is not valid JSON: {error}; correct it") from error
     if not isinstance(meta, dict):
-        raise HeadwayError(f"{meta_path} holds no JSON object; write one, {{}} at least")
+        raise HeadwayError(f"{meta_path} holds no JSON object; write one, at least {{}}")
     tables = Tables(**frames, meta=meta)
     try:
         check_tables(tables)
@@ -139,7 +151,7 @@ def read_tables(folder: str | Path) -> Tables:
 
 
 def write_tables(tables: Tables, folder: str | Path) -> None:
-    """Write a scenario folder that `read_tables` reads back."""
+    """Write a scenario folder that `read_tables` can read."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in COLUMNS:
@@ -148,8 +160,9 @@ def write_tables(tables: Tables, folder: str | Path) -> None:
 
 
 def check_tables(tables: Tables) -> None:
-    """Raise HeadwayError at the first fault: columns, blanks, ranges, repeats, references, sequences."""
-    # Rows are named by their index, also after sorting: their numbers in the file.
+    """Raise HeadwayError at the first fault: missing columns, blanks, ranges, duplicates, references,
+    sequences."""
+    # Errors name rows by their index, which must be their number in the file also after sorting.
     numbered = {name: getattr(tables, name).reset_index(drop=True) for name in COLUMNS}
     tables = replace(tables, **numbered)
     for name, columns in COLUMNS.items():
@@ -161,20 +174,20 @@ def check_tables(tables: Tables) -> None:
             _check_values(name, frame, column)
         if name in _KEYS:
             repeated = frame.duplicated(list(_KEYS[name])).to_numpy()
-            _refuse(name, frame, "+".join(_KEYS[name]), repeated, "repeats an earlier row; keep one")
+            _refuse_rows(name, frame, "+".join(_KEYS[name]), repeated, "repeats an earlier row; keep one")
     for name, column, other, key in _REFERENCES:
         frame = getattr(tables, name)
         missing = ~frame[column].isin(getattr(tables, other)[key]).to_numpy()
-        _refuse(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
+        _refuse_rows(name, frame, column, missing, f"is not in table {other}; add it there or drop the row")
     _check_patterns(tables)
     _check_calls(tables)
     _check_meta(tables.meta)
     backwards = (tables.trips["arr_s"] < tables.trips["dep_s"]).to_numpy()
-    _refuse("trips", tables.trips, "arr_s", backwards, "is before dep_s; mend the times")
+    _refuse_rows("trips", tables.trips, "arr_s", backwards, "is before dep_s; correct the times")
 
 
-def _refuse(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
-    """Raise naming the first bad row, if any."""
+def _refuse_rows(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
+    """Raise HeadwayError naming the first row where `bad`, if any."""
     if not bad.any():
         return
     place = int(np.flatnonzero(bad)[0])
@@ -191,61 +204,65 @@ def _check_columns(name: str, frame: pd.DataFrame, columns: tuple[str, ...]) -> 
 
 
 def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
-    _refuse(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
+    _refuse_rows(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
     if column == "daytype":
         wrong = ~frame[column].isin((*DAY_TYPES, "saturday")).to_numpy()
-        _refuse(name, frame, column, wrong, "is not weekday, saturday or sunday; mend it")
+        _refuse_rows(name, frame, column, wrong, "is not weekday, saturday or sunday; correct it")
     if column in _TEXT:
         empty = (frame[column].astype(str).str.strip() == "").to_numpy()
-        _refuse(name, frame, column, empty, "is empty; fill it in")
+        _refuse_rows(name, frame, column, empty, "is empty; fill it in")
         return
     if not pd.api.types.is_numeric_dtype(frame[column]):
         raise HeadwayError(f"table {name}, column {column} is not numeric: write numbers")
     low, high = _RANGES.get(column, (0.0, 2.0**53))
     values = frame[column].to_numpy(np.float64)
     outside = ~((values >= low) & (values <= high))
-    _refuse(name, frame, column, outside, f"lies outside {low:g} to {high:g}; mend it")
-    if column in _WHOLE:
-        _refuse(name, frame, column, values % 1 != 0, "is not a whole number; mend it")
+    _refuse_rows(name, frame, column, outside, f"lies outside {low:g} to {high:g}; correct it")
+    if column in _INTEGERS:
+        _refuse_rows(name, frame, column, values % 1 != 0, "is not a whole number; correct it")
 
 
 def _check_patterns(tables: Tables) -> None:
-    """Positions run from 0, and each link leads from the stop before."""
+    """Check that the positions of each pattern run from 0, and that each link leads from the previous
+    stop."""
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     expected = calls.groupby("pattern").cumcount().to_numpy()
     gap = calls["seq0"].to_numpy() != expected
-    _refuse("pattern_stops", calls, "seq0", gap, "breaks the sequence 0, 1, 2, ... of its pattern")
+    _refuse_rows("pattern_stops", calls, "seq0", gap, "breaks the sequence 0, 1, 2, ... of its pattern")
     counts = calls.groupby("pattern").size()
     stated = tables.patterns.set_index("pattern")["n_stops"]
     wrong = (counts.reindex(stated.index).fillna(0) != stated).to_numpy()
-    _refuse("patterns", tables.patterns, "n_stops", wrong, "is not the pattern's number of pattern_stops")
+    _refuse_rows(
+        "patterns", tables.patterns, "n_stops", wrong, "is not the pattern's number of pattern_stops"
+    )
     inner = calls["seq0"].to_numpy() > 0
     links = tables.links.set_index("link")
     unknown = inner & ~calls["link"].isin(links.index).to_numpy()
-    _refuse("pattern_stops", calls, "link", unknown, "is not in table links; add it there")
+    _refuse_rows("pattern_stops", calls, "link", unknown, "is not in table links; add it there")
     before = calls["stop"].shift().to_numpy()
     starts = links["from_stop"].reindex(calls["link"]).to_numpy()
     ends = links["to_stop"].reindex(calls["link"]).to_numpy()
     apart = inner & ((starts != before) | (ends != calls["stop"].to_numpy()))
-    _refuse("pattern_stops", calls, "link", apart, "does not lead from the stop before to this one")
+    _refuse_rows("pattern_stops", calls, "link", apart, "does not lead from the stop before to this one")
 
 
 def _check_calls(tables: Tables) -> None:
-    """Demand and alighting stand at positions that exist; everyone has left at the last one."""
+    """Check that demand and alighting refer to existing positions, and that all passengers alight at the last
+    one."""
     counts = tables.patterns.set_index("pattern")["n_stops"]
     for name in ("demand", "alighting"):
         frame: pd.DataFrame = getattr(tables, name)
         beyond = frame["seq0"].to_numpy() >= counts.reindex(frame["pattern"]).to_numpy()
-        _refuse(name, frame, "seq0", beyond, "is beyond the pattern's last stop; drop the row")
+        _refuse_rows(name, frame, "seq0", beyond, "is beyond the pattern's last stop; drop the row")
     frame = tables.alighting
     last = frame["seq0"].to_numpy() == counts.reindex(frame["pattern"]).to_numpy() - 1
     staying = last & (frame["p_alight"].to_numpy() < 1)
-    _refuse("alighting", frame, "p_alight", staying, "is below 1 at the last stop; set it to 1")
+    _refuse_rows("alighting", frame, "p_alight", staying, "is below 1 at the last stop; set it to 1")
     calls = tables.pattern_stops
     periods = frame.groupby(["pattern", "seq0"]).size()
     found = periods.reindex(pd.MultiIndex.from_frame(calls[["pattern", "seq0"]])).to_numpy(np.float64)
-    what = f"has not {PERIODS} rows in table alighting, one for each period; add them"
-    _refuse("pattern_stops", calls, "pattern+seq0", ~(found == PERIODS), what)
+    what = f"has not {PERIODS} rows in table alighting, one per period; add them"
+    _refuse_rows("pattern_stops", calls, "pattern+seq0", ~(found == PERIODS), what)
 
 
 def _check_meta(meta: Mapping[str, Any]) -> None:
@@ -258,7 +275,9 @@ def _check_meta(meta: Mapping[str, Any]) -> None:
     places = centres if isinstance(centres, list) else [None]
     for place in places:
         if not (isinstance(place, list) and len(place) == 2 and all(map(_is_number, place))):
-            raise HeadwayError(f"meta.json: service_centres must be a list of [lat, lon]; {place!r} is none")
+            raise HeadwayError(
+                f"meta.json: service_centres must be a list of [lat, lon]; {place!r} is not one"
+            )
         if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
             raise HeadwayError(
                 f"meta.json: service_centres: {place!r} lies nowhere on Earth; give [lat, lon]"

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from headway.contracts import generator
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.kernel.layout import KNOTS
+from headway_envs.bus.kernel.layout import KNOT_HOURS, KNOT_S, KNOTS
 from headway_envs.bus.scenario.fitted import (
     BOARDINGS_PER_TRIP,
     DEPARTURES,
@@ -27,46 +27,47 @@ from headway_envs.bus.scenario.fitted import (
     SYNTHETIC,
     WITHIN_HOUR_SD,
 )
-from headway_envs.bus.scenario.measures import METRES_A_DEGREE, TIMED_HOURS
-from headway_envs.bus.scenario.network import KNOT_HOURS, KNOT_S
-from headway_envs.bus.scenario.passengers import passengers
-from headway_envs.bus.scenario.streets import Ways, lay_out
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
-from headway_envs.bus.scenario.timetable import Trip, chain, smooth
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.passengers import synthetic_passengers
+from headway_envs.bus.scenario.streets import LineLayout, lay_out_lines
+from headway_envs.bus.scenario.tables import NO_LINK, Tables
+from headway_envs.bus.scenario.timetable import Trip, chain_trips, smooth_departures
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LINES = {"district": 40, "city": 382}
+"""Number of lines."""
 SITES = {"district": 560, "city": 1425}
-"""Pairs of stops. Of SUNT: its 382 lines call at 2,850 stops, its 40 busiest at 1,118."""
+"""Number of pairs of stops. In SUNT, 382 lines call at 2,850 stops, and the 40 busiest at 1,118."""
 FLEETS = {"district": 440, "city": 1359}
-"""Buses at once at the weekday's peak, of SUNT's 40 busiest lines and of all."""
+"""Number of buses at once at the weekday's peak: of SUNT's 40 busiest lines, and of all its lines."""
 FLEET_SD = {"district": 0.38, "city": 0.83}
-"""Sd of the log of a line's buses at once, of the same."""
-LARGEST_FLEET = 25
-"""Buses at once on SUNT's busiest line."""
+"""Sd of the log of the number of buses at once per line: of SUNT's 40 busiest lines, and of all its lines."""
+MAX_FLEET = 25
+"""Number of buses at once on SUNT's busiest line."""
 SERVICE_SD = 0.5
-"""Assumption: sd of the log of departures, between lines of one length, by which fleets are dealt out."""
+"""Assumption: sd of the log of departures between lines of the same length, by which fleets are assigned."""
 _STOPS = {"district": (8, 76), "city": (5, 90)}
-"""Stops of a pattern, the fewest and the most, of the same."""
+"""Smallest and largest number of stops of a pattern: of SUNT's 40 busiest lines, and of all its lines."""
 _LAT, _LON = -12.97, -38.50
-"""Salvador."""
-_LEAST_LINK_S = 8.0
+"""Position of Salvador, degrees."""
+_MIN_LINK_S = 8.0
 _ALLOWANCE = 1.05
-"""Assumption: planned over mean link times, for the dwell at busy stops that link times do not hold."""
+"""Assumption: planned link times over mean ones, for the dwell at busy stops that link times do not
+include."""
 
 
 def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
-    """The tables of `district` or `city`. The fleets of the lines are the same for all seeds. `after_line` is
-    called when a line has its timetable."""
+    """Return the tables of `district` or `city`. The fleets of the lines are the same for all seeds.
+    `after_line` is called once per line."""
     rng = generator(seed, "bus town", 0)
     fleets = line_fleets(size)
     one_way = [False] * len(fleets)
     for line in rng.choice(len(fleets), round(ONE_WAY_SHARE * len(fleets)), replace=False):
         one_way[line] = True
-    ways = _longest_first(rng, lay_out(rng, SITES[size], one_way, _STOPS[size]))
-    tables = _geometry(rng, ways)
+    layout = _order_by_service(rng, lay_out_lines(rng, SITES[size], one_way, _STOPS[size]))
+    tables = _geometry(rng, layout)
     names = tables["patterns"]["line"]
     of_line = [np.flatnonzero(names == name) for name in names.unique()]
     times = _link_seconds(tables)
@@ -78,7 +79,7 @@ def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda:
         day: dict(enumerate((level[line_of] * mean / BOARDINGS_PER_TRIP["weekday"]).tolist()))
         for day, mean in BOARDINGS_PER_TRIP.items()
     }
-    demand, alighting = passengers(tables["pattern_stops"], trips, per_trip, seed)
+    demand, alighting = synthetic_passengers(tables["pattern_stops"], trips, per_trip, seed)
     meta = {
         "source": f"{SYNTHETIC}, by numbers fitted to {SOURCE}",
         "size": size,
@@ -89,34 +90,35 @@ def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda:
 
 
 def line_fleets(size: str) -> list[int]:
-    """Buses at once on each line at the weekday's peak, most first: quantiles of the fitted lognormal, scaled
-    until they sum to the size's fleet."""
+    """Return the number of buses at once on each line at the weekday's peak, in decreasing order: quantiles
+    of the fitted lognormal, scaled until they sum to the fleet of the size."""
     count, total = LINES[size], FLEETS[size]
     shape = np.exp(FLEET_SD[size] * ndtri((np.arange(count)[::-1] + 0.5) / count))
-    low, high = 0.0, float(LARGEST_FLEET)
+    low, high = 0.0, float(MAX_FLEET)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        fleets = np.clip(np.round(middle * shape), 1, LARGEST_FLEET)
+        fleets = np.clip(np.round(middle * shape), 1, MAX_FLEET)
         low, high = (middle, high) if fleets.sum() < total else (low, middle)
-    fleets = np.clip(np.round(high * shape), 1, LARGEST_FLEET).astype(np.int64)
-    # Rounding leaves a few too many: lines of the middle give them.
+    fleets = np.clip(np.round(high * shape), 1, MAX_FLEET).astype(np.int64)
+    # Rounding leaves a few buses too many: one each is taken from medium-sized lines.
     for line in range(int(fleets.sum()) - total):
         fleets[count // 4 + line] -= 1
     return [int(buses) for buses in fleets]
 
 
-def _longest_first(rng: np.random.Generator, ways: Ways) -> Ways:
-    """Lines in the order of their stops times the drawn service: those that come first get the most buses."""
-    calls = np.array([sum(len(stops) for stops in line) for line in ways.lines])
+def _order_by_service(rng: np.random.Generator, layout: LineLayout) -> LineLayout:
+    """Order lines by their number of stops times a random level of service, largest first. The first lines
+    get the most buses."""
+    calls = np.array([sum(len(stops) for stops in line) for line in layout.lines])
     order = np.argsort(-calls * rng.lognormal(0.0, SERVICE_SD, len(calls)))
-    return replace(ways, lines=tuple(ways.lines[line] for line in order))
+    return replace(layout, lines=tuple(layout.lines[line] for line in order))
 
 
-def _geometry(rng: np.random.Generator, ways: Ways) -> dict[str, pd.DataFrame]:
-    """The tables stops, patterns, pattern_stops, links and link_times."""
+def _geometry(rng: np.random.Generator, layout: LineLayout) -> dict[str, pd.DataFrame]:
+    """Return the tables stops, patterns, pattern_stops, links and link_times."""
     patterns = [
         (f"line{i:03d}", "IV"[way], stops)
-        for i, line in enumerate(ways.lines)
+        for i, line in enumerate(layout.lines)
         for way, stops in enumerate(line)
     ]
     used = np.unique(np.concatenate([stops for _, _, stops in patterns]))
@@ -131,16 +133,16 @@ def _geometry(rng: np.random.Generator, ways: Ways) -> dict[str, pd.DataFrame]:
     stops = pd.DataFrame(
         {
             "stop": np.arange(len(used)),
-            "lat": _LAT + ways.y[used] / METRES_A_DEGREE,
-            "lon": _LON + ways.x[used] / (METRES_A_DEGREE * math.cos(math.radians(_LAT))),
+            "lat": _LAT + layout.y[used] / METRES_PER_DEGREE,
+            "lon": _LON + layout.x[used] / (METRES_PER_DEGREE * math.cos(math.radians(_LAT))),
         }
     )
     inner = calls["seq0"].to_numpy() > 0
     pairs = np.column_stack((calls["stop"].shift(fill_value=0), calls["stop"]))[inner]
     ends, link_of = np.unique(pairs, axis=0, return_inverse=True)
-    metres = np.hypot(*(place[used[ends[:, 1]]] - place[used[ends[:, 0]]] for place in (ways.x, ways.y)))
+    metres = np.hypot(*(place[used[ends[:, 1]]] - place[used[ends[:, 0]]] for place in (layout.x, layout.y)))
     metres = np.maximum(np.round(metres), 1.0)
-    calls["link"] = FIRST_LINK
+    calls["link"] = NO_LINK
     calls.loc[inner, "link"] = link_of.ravel()
     calls["leg_m"] = 0.0
     calls.loc[inner, "leg_m"] = metres[link_of.ravel()]
@@ -164,6 +166,7 @@ def _geometry(rng: np.random.Generator, ways: Ways) -> dict[str, pd.DataFrame]:
 
 
 def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
+    """Return the table link_times of links of the given lengths, m."""
     intercept, slope, sd = LINK_S_LOG
     base = np.exp(intercept + slope * np.log(metres) + rng.normal(0.0, sd, len(metres)))
     hours = TIMED_HOURS
@@ -176,7 +179,7 @@ def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
                     "link": np.repeat(np.arange(len(metres)), len(hours)),
                     "hour": np.tile(hours, len(metres)),
                     "log_sigma": WITHIN_HOUR_SD,
-                    "mean_s": np.maximum(seconds, _LEAST_LINK_S).ravel(),
+                    "mean_s": np.maximum(seconds, _MIN_LINK_S).ravel(),
                     "daytype": day,
                 }
             )
@@ -185,7 +188,8 @@ def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
 
 
 def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:
-    """By day type (links, K) seconds at the knots; before 4 h and after 27 h as there."""
+    """Return link times at the knots (links, K) by day type, s. Before and after TIMED_HOURS they are
+    constant."""
     found = {}
     for day, rows in tables["link_times"].groupby("daytype"):
         by_hour = rows["mean_s"].to_numpy(np.float64).reshape(-1, len(TIMED_HOURS))
@@ -194,7 +198,8 @@ def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:
 
 
 def _durations(tables: dict[str, pd.DataFrame], seconds: Floats) -> list[Floats]:
-    """Of each pattern (K,) planned s of a bus that leaves at the knots; the hour moves on with it."""
+    """Return per pattern the planned duration of a trip that leaves at each knot (K,), s. The hour of the
+    link times advances with the bus."""
     calls = tables["pattern_stops"]
     links, first = calls["link"].to_numpy(), np.flatnonzero(calls["seq0"] == 0)
     durations = []
@@ -213,8 +218,11 @@ def _trips(
     durations: dict[str, list[Floats]],
     after_line: Callable[[], None],
 ) -> pd.DataFrame:
-    """Departures of each line at the hours' measured shares, as many as its buses can drive. On Sundays the
-    lines with the most buses run, of all buses at once the measured share."""
+    """Return the table trips: departures of each line in the fitted proportions of the hours, as many as its
+    buses can drive.
+
+    On Sundays only the lines with the most buses run, with the fitted share of all buses.
+    """
     runs_on_sundays = round(SUNDAY_LINES * len(fleets))
     sunday_share = SUNDAY_FLEET * sum(fleets) / sum(fleets[:runs_on_sundays])
     frames = []
@@ -245,13 +253,13 @@ def _trips(
 
 
 def _timetable(buses: int, durations: Sequence[Floats], day: str) -> tuple[list[Trip], list[list[int]]]:
-    """The trips of a line, as many as so many buses can drive, and the trips of each bus."""
+    """Return the trips of a line, as many as `buses` buses can drive, and the trips of each bus."""
     round_trip = sum(float(passed.max()) for passed in durations)
     low, high, base = 0.05, 60.0, 0.8 * buses * 3600.0 / round_trip
     best: tuple[list[Trip], list[list[int]]] = ([], [])
     for _ in range(14):
         trips = _departures(base, durations, day)
-        blocks = chain(trips, np.zeros((len(durations),) * 2), 0, BusConfig().recovery_share)
+        blocks = chain_trips(trips, np.zeros((len(durations),) * 2), 0, BusConfig().recovery_share)
         if not best[0] or abs(len(blocks) - buses) < abs(len(best[1]) - buses):
             best = trips, blocks
         if len(blocks) == buses:
@@ -263,8 +271,8 @@ def _timetable(buses: int, durations: Sequence[Floats], day: str) -> tuple[list[
 
 
 def _departures(base: float, durations: Sequence[Floats], day: str) -> list[Trip]:
-    """Trips of a line with `base` departures in the peak hour in each direction; the directions leave their
-    ends half a headway apart."""
+    """Return the trips of a line with `base` departures in the peak hour in each direction. The directions
+    leave their terminals half a headway apart."""
     hourly = np.array(DEPARTURES[day]) * base / max(DEPARTURES[day])
     flow = np.concatenate(([0.0], np.cumsum(hourly)))
     edges = np.arange(5, 25) * 3600.0
@@ -272,7 +280,7 @@ def _departures(base: float, durations: Sequence[Floats], day: str) -> list[Trip
     for way, passed in enumerate(durations):
         count = max(int(flow[-1]), 2)
         leaves = np.interp(np.arange(count) + 0.5 * way, flow, edges)
-        leaves = smooth(leaves, KNOT_S).times
+        leaves = smooth_departures(leaves, KNOT_S).times
         arrives = leaves + np.interp(leaves, KNOT_S, passed)
         trips += [Trip(way, float(t), float(a)) for t, a in zip(leaves, arrives, strict=True)]
     return trips

@@ -1,9 +1,9 @@
-"""The compiled simulator: layout holds the records, moving one bus's action, rewards what it is paid, observe
-what it sees, steps the entries."""
+"""Compiled simulator of the published bus environment. layout: records; motion: the action of one bus;
+rewards: rewards and metrics; observe: observations; steps: functions called from outside."""
 
 
 def warm() -> None:
-    """Load every compiled function, from the cache where it holds it, by one step of a tiny network."""
+    """Load every compiled function, from the cache where possible, by one step on a tiny network."""
     import numpy as np
 
     from headway_envs.bus_published.config import BusPublishedConfig

@@ -1,7 +1,7 @@
-"""The records that the kernel works on.
+"""Records and arrays of the kernel.
 
-Axes: C copies, N buses, R routes, K calls (the different stops on routes), S stops of the scenario. Times are
-seconds, clocks after midnight.
+Axes: C copies, N buses, R routes, K calls (the distinct stops on routes), S stops of the scenario. Times are
+in seconds; those of clocks are after midnight.
 """
 
 from typing import Any, NamedTuple
@@ -10,54 +10,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 Record = Any
-"""One element of an array of SETTINGS, BUS, CALL or DAY; fields are attributes in compiled code."""
+"""One element of an array of SETTINGS, BUS, CALL or DAY. Compiled code reads fields as attributes."""
 
 WAIT, MOVE, SERVICE_CENTER = 0, 1, 2
 """Actions."""
 ACTIONS = 3
 
 WAIT_S = 60.0
-"""WAIT lasts."""
+"""Duration of WAIT, s."""
 WAIT_REWARD = -0.1
+"""Reward of WAIT."""
 SERVICE_REWARD_S = 600.0
-"""Service is paid -(1 + detour / this)."""
+"""Unit of the detour in the reward of service, -(1 + detour / this), s."""
 REFUSED_REWARD = -20.0
-"""Service without fuel for the way."""
+"""Reward of asking for service without fuel for the way."""
 DETOUR_SHARE = 0.3
-"""Of the shortest path's time that the way to the centre takes; the way back takes none."""
+"""Duration of the way to the centre as a share of the shortest path's time. The way back takes no time."""
 FUEL_CAPACITY = 100.0
+"""Capacity of the tank, fuel units."""
 FUEL_UNIT_S = 300.0
-"""One unit of fuel lasts, at a stop too. An empty tank hinders nothing but the way to the centre."""
+"""Time per fuel unit, s, also at stops. A bus with an empty tank can still drive, but not to the centre."""
 UPTIME_S = 12.0 * 3600.0
-"""The uptime falls from 1 to 0 in."""
+"""Time over which the uptime falls from 1 to 0, s."""
 LONGEST_LINK_S = 3250.0
-"""Link times are observed in units of."""
+"""Unit of link times in observations, s."""
 CAPACITY = 80.0
-"""Passengers that an occupancy of 1 stands for."""
+"""Number of passengers at occupancy 1."""
 DAY_S = 86400.0
 
 
 class Network(NamedTuple):
-    """What all copies share."""
+    """Part of the simulation that all copies share."""
 
     route_first: NDArray[np.int64]
-    """(R + 1,) where each route begins in `route_call`"""
+    """(R + 1,) position of each route's first call in `route_call`"""
     route_call: NDArray[np.int64]
-    """calls of route 0 in order, of route 1, ..."""
+    """calls of route 0 in order, then of route 1, ..."""
     expected_s: NDArray[np.float64]
-    """(R,) time of one trip out"""
+    """(R,) duration of one trip to the end of the route, s"""
     call_stop: NDArray[np.int64]
-    """(K,) the stop of each call"""
+    """(K,) stop of each call"""
     travel_s: NDArray[np.float64]
-    """(S, K) mean time of the link from a stop to a call; where there is none, the mean of all links"""
+    """(S, K) mean time of the link from a stop to a call, s; the mean over all links where there is no
+    link"""
     detour_s: NDArray[np.float64]
-    """(K, S) shortest-path time from a call to a stop; infinite where none leads there"""
+    """(K, S) shortest-path time from a call to a stop, s; infinite where there is no path"""
     occupancy: NDArray[np.float64]
-    """(K,) mean load over `CAPACITY`"""
+    """(K,) mean load over CAPACITY"""
     demand: NDArray[np.float64]
-    """(S,) boardings a day"""
+    """(S,) boardings per day"""
     centres: NDArray[np.int64]
-    """stops of which one is drawn as the service centre"""
+    """stops from which the service centre is drawn"""
 
 
 SETTINGS = np.dtype(
@@ -80,24 +83,19 @@ SETTINGS = np.dtype(
     + [(name, np.int64) for name in ("shared", "max_steps", "agents_per_route")],
     align=True,
 )
-"""The configuration's numbers as the kernel reads them; `demand_unit` and `stop_unit`: what demand and the
-numbers of stops are divided by when observed."""
+"""Numbers of the configuration that the kernel reads. `demand_unit` and `stop_unit` divide demand and stop
+numbers in observations."""
 
 BUS = np.dtype(
     [
-        (name, np.float64)
-        for name in (
-            "clock",
-            "driven",
-            "occupancy",
-            "uptime",
-            "fuel",
-        )  # driven: s, on the way to a centre too
-    ]
-    + [
-        ("place", np.int64),  # on its route
-        ("stop", np.int64),  # where it is seen: there, or at the centre after service
-        ("backward", np.int64),
+        ("clock", np.float64),  # time of the bus, s after midnight
+        ("driven", np.float64),  # driving time so far, including that to the centre, s
+        ("occupancy", np.float64),
+        ("uptime", np.float64),
+        ("fuel", np.float64),
+        ("place", np.int64),  # position on its route
+        ("stop", np.int64),  # observed stop: that of `place`, or the centre after service
+        ("backward", np.int64),  # 1 on the way back
     ],
     align=True,
 )
@@ -105,14 +103,15 @@ BUS = np.dtype(
 
 CALL = np.dtype(
     [
-        ("arrivals", np.int64),
-        ("intervals", np.int64),  # of them those above 0
-        ("last", np.float64),
+        ("arrivals", np.int64),  # number of arrivals
+        ("intervals", np.int64),  # number of intervals above 0
+        ("last", np.float64),  # time of the last arrival, s
         ("squares", np.float64),  # sum of (interval - target)^2
     ],
     align=True,
 )
-"""Arrivals at a call, in the order in which they were made; clocks differ, so that some lie back in time."""
+"""Arrivals at one call, in the order in which they were simulated. Clocks of buses differ, so an arrival may
+lie before an earlier one in time."""
 
 DAY = np.dtype(
     [("seed", np.uint64)]
@@ -120,22 +119,23 @@ DAY = np.dtype(
     + [(name, np.float64) for name in ("reward", "uptime", "occupancy", "regularity", "efficiency")],
     align=True,
 )
-"""State and accounts of a copy's day. The last four are sums over moves: of o, u, h and t."""
+"""State and totals of the day of one copy. `uptime`, `occupancy`, `regularity` and `efficiency` are sums over
+moves of the reward's u, o, h and t."""
 
 
 class World(NamedTuple):
-    """The state of C copies: all of it, so that a copy of these arrays is a snapshot."""
+    """State of C copies. It is complete: copies of these arrays make up a snapshot."""
 
     days: NDArray[Any]
-    """(C,) DAY"""
+    """(C,) DAY records"""
     buses: NDArray[Any]
-    """(C, N) BUS"""
+    """(C, N) BUS records"""
     calls: NDArray[Any]
-    """(C, K) CALL"""
+    """(C, K) CALL records"""
 
 
 class Outputs(NamedTuple):
-    """What a step fills, in the shapes of `headway.contracts`."""
+    """Arrays that a step fills, in the shapes of `headway.contracts`."""
 
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
@@ -160,4 +160,4 @@ METRICS = [
     "regularity",
     "efficiency",
 ]
-"""Names of the episode metrics; `meanings` says what they are."""
+"""Names of the episode metrics; `bus_published.metrics` describes them."""

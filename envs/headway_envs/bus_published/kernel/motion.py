@@ -1,4 +1,4 @@
-"""The action of one bus."""
+"""Action of one bus: wait, move to the next call, or go to service."""
 
 from headway_envs.bus_published.kernel.compiled import compiled
 from headway_envs.bus_published.kernel.layout import (
@@ -16,12 +16,12 @@ from headway_envs.bus_published.kernel.layout import (
     Record,
     World,
 )
-from headway_envs.bus_published.kernel.rewards import arrive, move_reward, occupancy_cost
+from headway_envs.bus_published.kernel.rewards import move_reward, occupancy_cost, record_arrival
 
 
 @compiled
-def _spend(bus: Record, seconds: float) -> None:
-    """Let time pass for a bus."""
+def _pass_time(bus: Record, seconds: float) -> None:
+    """Advance the clock of a bus, and reduce its uptime and fuel."""
     bus.clock += seconds
     bus.uptime = max(bus.uptime - seconds / UPTIME_S, 0.0)
     bus.fuel = max(bus.fuel - seconds / FUEL_UNIT_S, 0.0)
@@ -29,7 +29,8 @@ def _spend(bus: Record, seconds: float) -> None:
 
 @compiled
 def _next_place(bus: Record, length: int) -> int:
-    """The next place on its route; at either end the bus turns, and leaves with the same action."""
+    """Return the bus's next position on its route. At either end the bus turns and leaves with the same
+    action."""
     if bus.backward == 0 and bus.place + 1 >= length:
         bus.backward = 1
     elif bus.backward == 1 and bus.place == 0:
@@ -39,30 +40,32 @@ def _next_place(bus: Record, length: int) -> int:
 
 @compiled
 def _move(net: Network, k: Record, world: World, c: int, bus: Record, route: int) -> float:
-    """Drive to the next call; the occupancy comes halfway to the mean of the call that is left."""
+    """Drive to the next call and return the reward. The occupancy moves halfway to the mean at the call that
+    the bus leaves."""
     first, day = net.route_first[route], world.days[c]
     left = net.route_call[first + bus.place]
     bus.place = _next_place(bus, net.route_first[route + 1] - first)
     call = net.route_call[first + bus.place]
     seconds = net.travel_s[net.call_stop[left], call]
     bus.occupancy = min(max(0.5 * (bus.occupancy + net.occupancy[left]), 0.0), 1.0)
-    _spend(bus, seconds)
+    _pass_time(bus, seconds)
     bus.driven += seconds
     bus.stop = net.call_stop[call]
-    off = occupancy_cost(k, bus.occupancy)
-    regularity = arrive(k, world.calls[c, call], bus.clock)
+    cost = occupancy_cost(k, bus.occupancy)
+    regularity = record_arrival(k, world.calls[c, call], bus.clock)
     efficiency = min(max(1.0 - bus.driven / net.expected_s[route], 0.0), 1.0)
     day.moves += 1
-    day.occupancy += off
+    day.occupancy += cost
     day.uptime += bus.uptime
     day.regularity += regularity
     day.efficiency += efficiency
-    return move_reward(k, off, bus.uptime, regularity, efficiency)
+    return move_reward(k, cost, bus.uptime, regularity, efficiency)
 
 
 @compiled
 def _serve(net: Network, world: World, c: int, bus: Record, call: int) -> float:
-    """Drive to the centre, if the fuel lasts, and be as new; the bus goes on from its place at once."""
+    """Drive to the centre, if the fuel lasts, and return the reward. The bus is refuelled, repaired and back
+    at its position at once."""
     day = world.days[c]
     seconds = DETOUR_SHARE * net.detour_s[call, day.centre]
     if bus.fuel < seconds / FUEL_UNIT_S:
@@ -78,12 +81,12 @@ def _serve(net: Network, world: World, c: int, bus: Record, call: int) -> float:
 
 @compiled
 def act(net: Network, k: Record, world: World, c: int, n: int, action: int) -> float:
-    """Take a bus's action and return what it is paid."""
+    """Apply the action of a bus and return its reward."""
     bus, route = world.buses[c, n], n // k.agents_per_route
     call = net.route_call[net.route_first[route] + bus.place]
     bus.stop = net.call_stop[call]
     if action == WAIT:
-        _spend(bus, WAIT_S)
+        _pass_time(bus, WAIT_S)
         world.days[c].waits += 1
         return WAIT_REWARD
     if action == MOVE:

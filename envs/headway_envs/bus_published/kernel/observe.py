@@ -1,20 +1,23 @@
-"""What the buses see."""
+"""Observations of the buses."""
 
 from headway_envs.bus_published.kernel.compiled import compiled
 from headway_envs.bus_published.kernel.layout import DAY_S, LONGEST_LINK_S, Network, Outputs, Record, World
 
 
 @compiled
-def look(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
-    """Time of day, occupancy, time of the next link, demand at the next stop, uptime, whether maintenance is
-    in order (always), this stop, the next. The next is that of the way out, on
-    the way back too. After service this stop is the centre."""
+def observe(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
+    """Fill the eight observed features of each bus of copy c.
+
+    They are: time of day, occupancy, time of the next link, demand at the next stop, uptime, a constant 1
+    (maintenance in order), this stop and the next stop. The next stop is always that of the way out, also on
+    the way back. After service, this stop is the centre.
+    """
     for n in range(world.buses.shape[1]):
         bus, row = world.buses[c, n], outputs.observations[c, n]
         route = n // k.agents_per_route
         first, last = net.route_first[route], net.route_first[route + 1] - 1
         place = first + bus.place
-        # At the last stop there is no next one: where the bus is seen stands for it, and the mean for a link.
+        # The last stop has no next one: the observed stop replaces it, and the mean link time its link.
         following, ahead = net.route_call[place], bus.stop
         seconds = net.travel_s[net.call_stop[following], following]
         if place < last:

@@ -1,4 +1,4 @@
-"""What a move is paid, and the accounts of the day."""
+"""Reward of a move, and the metrics of the day."""
 
 import math
 
@@ -11,26 +11,27 @@ from headway_envs.bus_published.kernel.layout import Record
 
 @compiled
 def occupancy_cost(k: Record, occupancy: float) -> float:
-    """Squared distance from the band, over that of the end of the range; 0 to 1."""
+    """Return o: the squared distance of the occupancy from the band, relative to that of the end of the
+    range; 0 to 1."""
     if occupancy < k.low_occupancy:
-        off = (k.low_occupancy - occupancy) / k.low_occupancy
+        deviation = (k.low_occupancy - occupancy) / k.low_occupancy
     elif occupancy > k.high_occupancy:
-        off = (occupancy - k.high_occupancy) / (1.0 - k.high_occupancy)
+        deviation = (occupancy - k.high_occupancy) / (1.0 - k.high_occupancy)
     else:
         return 0.0
-    return float(min(off * off, 1.0))
+    return float(min(deviation * deviation, 1.0))
 
 
 @compiled
-def arrive(k: Record, call: Record, clock: float) -> float:
-    """Note an arrival at a call and return the regularity there, 0 to 1. Intervals of 0 or less, between
-    buses whose clocks differ, are left out."""
+def record_arrival(k: Record, call: Record, clock: float) -> float:
+    """Record an arrival at a call and return the regularity h there, 0 to 1. Intervals of 0 or less, which
+    arise because clocks differ between buses, are left out."""
     if call.arrivals > 0:
         interval = clock - call.last
         if interval > 0.0:
-            off = interval - k.target_headway_s
+            deviation = interval - k.target_headway_s
             call.intervals += 1
-            call.squares += off * off
+            call.squares += deviation * deviation
     call.arrivals += 1
     call.last = clock
     if call.arrivals < 3 or call.intervals < 2:
@@ -40,14 +41,14 @@ def arrive(k: Record, call: Record, clock: float) -> float:
 
 @compiled
 def move_reward(k: Record, occupancy: float, uptime: float, regularity: float, efficiency: float) -> float:
-    """The weighted mean of o, which counts against it, and the other three."""
+    """Return the reward of a move, within [-1, 1]: the weighted mean of -o, u, h and t."""
     total = k.weight_occupancy + k.weight_uptime + k.weight_regularity + k.weight_efficiency
-    paid = k.weight_uptime * uptime + k.weight_regularity * regularity + k.weight_efficiency * efficiency
-    return float(min(max((paid - k.weight_occupancy * occupancy) / total, -1.0), 1.0))
+    benefit = k.weight_uptime * uptime + k.weight_regularity * regularity + k.weight_efficiency * efficiency
+    return float(min(max((benefit - k.weight_occupancy * occupancy) / total, -1.0), 1.0))
 
 
 @compiled
-def close_books(day: Record, metrics: NDArray[np.float64]) -> None:
+def fill_metrics(day: Record, metrics: NDArray[np.float64]) -> None:
     """Fill the episode metrics, in the order of `layout.METRICS`."""
     moves = max(day.moves, 1)
     metrics[0] = day.reward

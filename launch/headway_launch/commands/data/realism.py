@@ -55,7 +55,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError("--days must be at least 1")
     config = _config(arguments)
     from headway_envs.bus.config import SCENARIOS
-    from headway_envs.bus.realism.comparison import compare_replay, lines_of
+    from headway_envs.bus.realism.comparison import compare_replay, line_count
     from headway_envs.bus.realism.measured import CITY_LINES
     from headway_envs.bus.scenario.source import scenario_tables
 
@@ -88,7 +88,7 @@ def execute(arguments: argparse.Namespace) -> int:
     judged = [row for row in rows if row.judged]
     print(f"{sum(row.holds for row in judged)} of {len(judged)} figures hold")
     if left_out := len(rows) - len(judged):
-        lines, city = lines_of(tables, config), CITY_LINES[config.day_type]
+        lines, city = line_count(tables, config), CITY_LINES[config.day_type]
         print(
             f"not judged: {left_out} figures that were measured over all {city} lines of the city, of which "
             f"{'is' if lines == 1 else 'are'} {lines} here; --records RAW measures them on these"
@@ -100,7 +100,7 @@ def _config(arguments: argparse.Namespace) -> "BusConfig":
     """The environment's arguments. Raises HeadwayError for other keys, for those that options give and for
     those that a replay fixes."""
     from headway_envs.bus.config import BusConfig
-    from headway_envs.bus.prepared import REPLAY_FIXED
+    from headway_envs.bus.prepare import REPLAY_FIXED
     from headway_launch.experiments.compose import compose
 
     options = {"scenario": "SCENARIO", "day_type": "--day-type"}
@@ -128,7 +128,7 @@ def _refuse_fixed(key: str, fixed: Sequence[str]) -> None:
 
 def _cells(row: "Row") -> tuple[str | float | None, ...]:
     return (
-        row.figure,
+        row.statistic,
         round(row.simulated, 4),
         None if row.deviation is None else round(row.deviation, 4),
         round(row.measured, 4),

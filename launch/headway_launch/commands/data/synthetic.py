@@ -42,9 +42,9 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
     out = check_output(arguments)
-    from headway_envs.bus.scenario.synthetic import generate, lines_of
+    from headway_envs.bus.scenario.synthetic import generate, line_count
 
-    with CountedProgress("lines with a timetable", lines_of(arguments.size)) as counted:
+    with CountedProgress("lines with a timetable", line_count(arguments.size)) as counted:
         tables = generate(arguments.size, arguments.seed, counted.add)
     write_scenario(tables, out)
     tell_written(tables, out)

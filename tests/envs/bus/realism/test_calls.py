@@ -10,7 +10,8 @@ from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.prepared import Prepared, prepare, prepare_replay
+from headway_envs.bus.prepare import prepare, prepare_replay
+from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.realism.calls import COLUMNS, recorded_day, simulated_days
 from headway_envs.bus.scenario.source import scenario_tables
 from headway_envs.bus.scenario.tables import Tables

@@ -34,7 +34,7 @@ def recorded() -> Tables:
 
 
 def test_own_figures_are_compared_and_departures_agree(recorded: Tables) -> None:
-    rows = {row.figure: row for row in compare_replay(recorded, BusConfig(), 2)}
+    rows = {row.statistic: row for row in compare_replay(recorded, BusConfig(), 2)}
     assert {row.source for row in rows.values()} == {OWN}
     assert rows[trip_statistics.FIRST_CV].off == pytest.approx(0.0, abs=1e-9)
     assert rows[trip_statistics.FIRST_CV].holds
@@ -65,8 +65,8 @@ def test_a_feed_s_schedule_is_no_measurement(recorded: Tables) -> None:
 
 
 def test_boardings_that_were_made_up_are_left_out(recorded: Tables) -> None:
-    meta = {"source": "a test", "made_from": {"demand weekday": "made up: 60 boardings a trip"}}
-    names = {row.figure for row in compare_replay(replace(recorded, meta=meta), BusConfig(), 1)}
+    meta = {"source": "a test", "made_from": {"demand weekday": "made up: 60 boardings per trip"}}
+    names = {row.statistic for row in compare_replay(replace(recorded, meta=meta), BusConfig(), 1)}
     assert trip_statistics.BOARDINGS not in names
     assert trip_statistics.TRIP_MEAN in names
 
@@ -75,7 +75,7 @@ def test_a_figure_that_no_simulated_day_has_does_not_hold(recorded: Tables) -> N
     nobody = replace(
         recorded, demand=recorded.demand.assign(board=0.0), meta={"source": f"a test of doi:{DOI}"}
     )
-    rows = {row.figure: row for row in compare_replay(nobody, BusConfig(), 1)}
+    rows = {row.statistic: row for row in compare_replay(nobody, BusConfig(), 1)}
     assert np.isnan(rows[trip_statistics.RIDE].simulated), "nobody rode"
     assert not rows[trip_statistics.RIDE].holds
 
@@ -122,7 +122,7 @@ def test_salvador_s_busy_lines_are_irregular_as_they_were(day_type: str) -> None
     config = BusConfig(day_type="sunday" if day_type == "sunday" else "weekday")
     records = SHARED / "sunt_raw"
     rows = compare_replay(read_tables(folder), config, 2, records if records.is_dir() else None)
-    found = {row.figure: row for row in rows}
+    found = {row.statistic: row for row in rows}
     assert found[trip_statistics.FIRST_CV].holds
     assert found[trip_statistics.BOARDINGS].holds
     if records.is_dir():

@@ -35,20 +35,22 @@ def _calls(times: list[float], calls: int = 5, boarded: list[float] | None = Non
 
 def test_headways_relative_to_their_window_by_fifth() -> None:
     # Headways of 100, 100, 100, 500 s: mean 200, ratios .5, .5, .5, 2.5; sd with n - 1: 200 s.
-    found = trip_statistics.of_headways(_calls([0, 100, 200, 300, 800]))
+    found = trip_statistics.headway_statistics(_calls([0, 100, 200, 300, 800]))
     for fifth in range(trip_statistics.FIFTHS):
         assert found[trip_statistics.cv_name(fifth)] == pytest.approx(1.0)
         assert found[trip_statistics.bunched_name(fifth)] == 0.0
     # 40, 40, 40, 680: mean 200, three of four bunched.
-    found = trip_statistics.of_headways(_calls([0, 40, 80, 120, 800]))
+    found = trip_statistics.headway_statistics(_calls([0, 40, 80, 120, 800]))
     assert found[trip_statistics.bunched_name(0)] == 0.75
 
 
 def test_a_window_of_fewer_than_four_headways_and_the_night_are_left_out() -> None:
-    assert np.isnan(trip_statistics.of_headways(_calls([0, 100, 200, 800]))[trip_statistics.cv_name(0)])
+    assert np.isnan(
+        trip_statistics.headway_statistics(_calls([0, 100, 200, 800]))[trip_statistics.cv_name(0)]
+    )
     night = 14 * 3600.0
     assert np.isnan(
-        trip_statistics.of_headways(_calls([night + t for t in (0, 40, 80, 120, 800)]))[
+        trip_statistics.headway_statistics(_calls([night + t for t in (0, 40, 80, 120, 800)]))[
             trip_statistics.cv_name(0)
         ]
     )
@@ -56,15 +58,15 @@ def test_a_window_of_fewer_than_four_headways_and_the_night_are_left_out() -> No
 
 def test_windows_of_different_headways_are_not_irregular() -> None:
     often, seldom = np.arange(0, 7200, 300), np.arange(7200, 14400, 900)
-    found = trip_statistics.of_headways(_calls([*often, *seldom], calls=1))
+    found = trip_statistics.headway_statistics(_calls([*often, *seldom], calls=1))
     # But for the one headway between the two, which belongs to the second window.
     assert found[trip_statistics.cv_name(0)] < 0.2
 
 
 def test_trips_durations_speeds_and_ends() -> None:
-    trips = trip_statistics.trips_of(_calls([0, 100, 200, 300, 800]), pd.Series({0: 2.0}))
+    trips = trip_statistics.finished_trips(_calls([0, 100, 200, 300, 800]), pd.Series({0: 2.0}))
     assert len(trips) == 5
-    found = trip_statistics.of_trips(trips)
+    found = trip_statistics.finished_trip_statistics(trips)
     assert found[trip_statistics.TRIP_MEAN] == pytest.approx(4.0)
     assert found[trip_statistics.TRIP_SPREAD] == pytest.approx(0.0)
     assert np.isnan(found[trip_statistics.speed_name(5)])
@@ -72,28 +74,30 @@ def test_trips_durations_speeds_and_ends() -> None:
     assert found[trip_statistics.LAST_CV] == pytest.approx(1.0)
     trips["dep"] -= 1800.0
     trips["arr"] = trips["dep"] + 240.0
-    assert trip_statistics.of_trips(trips)[trip_statistics.speed_name(5)] == pytest.approx(30.0)
+    assert trip_statistics.finished_trip_statistics(trips)[trip_statistics.speed_name(5)] == pytest.approx(
+        30.0
+    )
     trips["arr"] = trips["dep"] + 240.0 * np.exp([0.1, -0.1, 0.1, -0.1, 0.0])
-    assert trip_statistics.of_trips(trips)[trip_statistics.TRIP_SPREAD] == pytest.approx(10.0)
+    assert trip_statistics.finished_trip_statistics(trips)[trip_statistics.TRIP_SPREAD] == pytest.approx(10.0)
 
 
 def test_trips_that_were_not_finished_are_left_out() -> None:
     calls = _calls([0, 100])
     calls = calls[~((calls["trip"] == 1) & (calls["seq0"] == 4))]
-    assert list(trip_statistics.trips_of(calls, pd.Series({0: 2.0}))["trip"]) == [0]
+    assert list(trip_statistics.finished_trips(calls, pd.Series({0: 2.0}))["trip"]) == [0]
 
 
 def test_no_trip_at_all_is_refused() -> None:
-    none = trip_statistics.trips_of(_calls([0]), pd.Series({0: 2.0})).iloc[:0]
+    none = trip_statistics.finished_trips(_calls([0]), pd.Series({0: 2.0})).iloc[:0]
     with pytest.raises(HeadwayError, match="no trip was finished within the day"):
-        trip_statistics.of_trips(none)
+        trip_statistics.finished_trip_statistics(none)
 
 
 def test_loads_ride_length_and_the_answer_to_headways() -> None:
     times = [0, 100, 200, 300, 800]
-    proportional = trip_statistics.of_passengers(_calls(times, boarded=[0.0, 2.0, 2.0, 2.0, 10.0]))
+    proportional = trip_statistics.passenger_statistics(_calls(times, boarded=[0.0, 2.0, 2.0, 2.0, 10.0]))
     assert proportional[trip_statistics.RESPONSE] == pytest.approx(1.0)
-    constant = trip_statistics.of_passengers(_calls(times))
+    constant = trip_statistics.passenger_statistics(_calls(times))
     assert constant[trip_statistics.RESPONSE] == pytest.approx(0.0)
     assert constant[trip_statistics.BOARDINGS] == 40.0
     assert constant[trip_statistics.LOAD_P95] == 10.0

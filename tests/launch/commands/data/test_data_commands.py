@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.prepared import prepare
+from headway_envs.bus.prepare import prepare
 from headway_envs.bus.scenario.fitted import DOI
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
@@ -54,7 +54,7 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
         (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is no date YYYY-MM-DD"]),
         (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must lie above 0"]),
-        (["sunt", "nowhere", "x"], ["RAW: nowhere is no folder"]),
+        (["sunt", "nowhere", "x"], ["RAW: nowhere is not a folder"]),
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is no date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
         (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),

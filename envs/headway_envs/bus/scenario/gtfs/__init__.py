@@ -1,2 +1,2 @@
-"""Scenarios from a GTFS feed (gtfs.org/documentation/schedule/reference): its timetable, with passengers and
-the spread of travel times by fitted numbers."""
+"""Import of scenarios from a GTFS feed (gtfs.org/documentation/schedule/reference): the feed's timetable,
+with synthetic passengers and fitted spreads of travel times."""

@@ -1,4 +1,4 @@
-"""The calls of a feed's trips, cleaned: every call at a stop that has a place, with a time."""
+"""Cleaned calls of a feed's trips: each has a stop with coordinates and a time."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -19,26 +19,26 @@ _DAY_S = 86_400.0
 
 @dataclass(frozen=True)
 class Calls:
-    """Rows of stop_times, trip after trip, in the order of driving."""
+    """Rows of stop_times, one trip after the other, each in driving order."""
 
     trip: Integers
-    """(Q,) row in the frame of trips"""
+    """(Q,) row of the trip in the frame of trips"""
     stop: Integers
-    """(Q,) row in the frame of places"""
+    """(Q,) row of the stop in the frame of places"""
     time: Floats
-    """(Q,) arrival, at a trip's first call departure; s, rising along a trip"""
+    """(Q,) arrival time, at a trip's first call departure time, s; increasing along a trip"""
     along: Floats
-    """(Q,) crow's metres since the trip's first call"""
+    """(Q,) sum of straight-line distances since the trip's first call, m"""
 
     @property
     def first(self) -> Integers:
-        """Where each trip begins."""
+        """Position of each trip's first call."""
         return np.flatnonzero(np.append(True, np.diff(self.trip) > 0))
 
 
 def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
-    """Stops with coordinates, those of one parent station as one: the frame (stop_id, name, lat, lon), and
-    the row of each stop_id."""
+    """Return the stops with coordinates, with stops of one parent station merged: the frame (stop_id, name,
+    lat, lon), and the row of each stop_id. Raises HeadwayError for impossible coordinates."""
     stops = feed["stops"].drop_duplicates("stop_id")
     latitudes = numbers("stops", "stop_lat", stops["stop_lat"])
     longitudes = numbers("stops", "stop_lon", stops["stop_lon"])
@@ -47,7 +47,7 @@ def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
     parent = stops["parent_station"].where(stops["parent_station"].isin(stops.index))
     own = parent.fillna(pd.Series(stops.index, stops.index))
     known = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
-    own = own.where(known, pd.Series(stops.index, stops.index))  # a station without a place joins nothing
+    own = own.where(known, pd.Series(stops.index, stops.index))  # stations without coordinates merge no stops
     usable = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
     names = pd.unique(own[usable])
     frame = pd.DataFrame(
@@ -60,7 +60,7 @@ def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
     )
     wrong = ~(frame["lat"].between(-90, 90) & frame["lon"].between(-180, 180))
     if wrong.any():
-        raise HeadwayError(f"FEED: stop {frame['stop_id'][wrong].iloc[0]} lies nowhere on Earth; mend it")
+        raise HeadwayError(f"FEED: stop {frame['stop_id'][wrong].iloc[0]} lies nowhere on Earth; correct it")
     row = {name: i for i, name in enumerate(names)}
     return frame, {str(stop): row[name] for stop, name in own[usable].items()}
 
@@ -68,37 +68,36 @@ def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
 def clean_calls(
     feed: Feed, trips: pd.DataFrame, stops: pd.DataFrame, rows: dict[str, int]
 ) -> tuple[Calls, Counter[str]]:
-    """The calls of `trips` (trip_id), and how many of each oddity were met."""
+    """Return the calls of `trips` (trip_id), and the number of irregularities of each kind. Raises
+    HeadwayError if no trip has two calls with times."""
     counted: Counter[str] = Counter()
-    frame = _past_midnight(_placed(_given(feed, trips, rows), counted), counted)
-    frame = _whole_trips(frame, len(trips), counted)
+    frame = _unwrap_midnight(_drop_unplaced_calls(_stop_time_rows(feed, trips, rows), counted), counted)
+    frame = _drop_incomplete_trips(frame, len(trips), counted)
     if frame.empty:
-        raise HeadwayError(
-            "FEED: no trip of the chosen days has two calls with times; look at stop_times.txt"
-        )
+        raise HeadwayError("FEED: no trip of the chosen days has two calls with times; check stop_times.txt")
     trip, stop = frame["trip"].to_numpy(np.int64), frame["stop"].to_numpy(np.int64)
     time, shape = frame["time"].to_numpy(np.float64).copy(), frame["shape"].to_numpy(np.float64)
     begins = np.append(True, np.diff(trip) > 0)
     ends = np.append(begins[1:], True)
-    along = _since_first(_crow(stops, stop) * ~begins, begins)
+    along = _sum_along_trip(_leg_metres(stops, stop) * ~begins, begins)
     counted["times blank, set by distance"] += int(np.isnan(time).sum())
-    falling = _falling(time, trip)
-    counted["times before the one before, set by distance"] += int(falling.sum())
-    time[falling] = np.nan
+    decreasing = _decreasing(time, trip)
+    counted["times before the one before, set by distance"] += int(decreasing.sum())
+    time[decreasing] = np.nan
     known = ~np.isnan(time)
-    same = _same_as_next(time, known, trip, ends)
+    same = _repeated(time, known, trip, ends)
     counted["times equal to the one before, spread by distance"] += int(same.sum())
-    shape = _in_metres(shape, along, begins)
-    way = np.where(_complete(shape, trip, begins, len(trips))[trip], shape, along)
+    shape = _scale_to_metres(shape, along, begins)
+    way = np.where(_has_complete_shape(shape, trip, begins, len(trips))[trip], shape, along)
     legs = np.append(0.0, np.diff(way))
     legs[begins] = 0.0
-    time = _spread(time, known & ~same, trip, _since_first(legs + 1.0, begins))
+    time = _interpolate_times(time, known & ~same, trip, _sum_along_trip(legs + 1.0, begins))
     return Calls(trip, stop, time, along), counted
 
 
-def _given(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFrame:
-    """The rows of stop_times of `trips` in the order of driving: trip, stop (-1: no place), sequence, time,
-    shape."""
+def _stop_time_rows(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFrame:
+    """Return the rows of stop_times of `trips`, sorted by trip and sequence: trip, stop (-1: without
+    coordinates), sequence, time, departure, shape."""
     times = feed["stop_times"]
     which = pd.Index(trips["trip_id"]).get_indexer(pd.Index(times["trip_id"]))
     times = times[which >= 0]
@@ -117,13 +116,13 @@ def _given(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFram
         }
     )
     frame = frame.iloc[np.lexsort((frame["sequence"], frame["trip"]))].reset_index(drop=True)
-    # A trip begins when it leaves, not when the bus stands ready.
+    # A trip begins when it leaves its first stop, not when the bus arrives there.
     leaves = ~frame["trip"].duplicated() & frame["departure"].notna()
     return frame.assign(time=frame["time"].where(~leaves, frame["departure"]))
 
 
-def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
-    """Without calls at no place, calls given twice and calls at one place in a row."""
+def _drop_unplaced_calls(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
+    """Drop calls at stops without coordinates, duplicate calls, and repeated calls at the same place."""
     lost = frame["stop"] < 0
     counted["calls at stops without a place, left out"] += int(lost.sum())
     twice = frame.duplicated(["trip", "sequence"])
@@ -135,9 +134,9 @@ def _placed(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     return kept
 
 
-def _past_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
-    """With 24 h more where a trip's times fall by over 12 h, until they rise by as much again: after 23:58
-    some feeds write 00:10 for 24:10."""
+def _unwrap_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
+    """Add 24 h where a trip's times fall by over 12 h, until they rise by as much again: after 23:58 some
+    feeds write 00:10 for 24:10."""
     timed = frame[frame["time"].notna()]
     step = timed["time"].diff().where(timed["trip"].diff() == 0, 0.0)
     midnights = (step < -0.5 * _DAY_S).astype(np.int64) - (step > 0.5 * _DAY_S)
@@ -146,8 +145,8 @@ def _past_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
     return frame.assign(time=frame["time"] + _DAY_S * days.reindex(frame.index, fill_value=0))
 
 
-def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
-    """Only trips of at least two calls, with times at both ends, the last not before the first."""
+def _drop_incomplete_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.DataFrame:
+    """Keep only trips of at least two calls, with times at both ends that do not decrease."""
     trip = frame["trip"].to_numpy()
     begins, finishes = ~frame["trip"].duplicated(), ~frame["trip"].duplicated(keep="last")
     ends = begins | finishes
@@ -164,21 +163,21 @@ def _whole_trips(frame: pd.DataFrame, count: int, counted: Counter[str]) -> pd.D
     return kept
 
 
-def _crow(stops: pd.DataFrame, stop: Integers) -> Floats:
-    """(Q,) m from the call before."""
+def _leg_metres(stops: pd.DataFrame, stop: Integers) -> Floats:
+    """Return the straight-line distance from the previous call (Q,), m."""
     lat, lon = stops["lat"].to_numpy()[stop], stops["lon"].to_numpy()[stop]
     return distance_m(lat, lon, np.append(lat[0], lat[:-1]), np.append(lon[0], lon[:-1]))
 
 
-def _since_first(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
-    """(Q,) sums along each trip, 0 at its beginning."""
+def _sum_along_trip(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
+    """Return cumulative sums along each trip (Q,), 0 at its first call."""
     total = np.cumsum(leg)
     return np.asarray(total - total[begins][np.cumsum(begins) - 1], np.float64)
 
 
-def _in_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Floats:
-    """(Q,) shape_dist_traveled since each trip's first call, of whatever unit, scaled to the trip's crow's
-    metres; NaN for trips whose last call is not beyond the first."""
+def _scale_to_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Floats:
+    """Return shape_dist_traveled since each trip's first call (Q,), in the feed's unit, scaled to the trip's
+    straight-line metres; NaN for trips where it does not increase overall."""
     trip = np.cumsum(begins) - 1
     last = np.append(np.flatnonzero(begins)[1:], len(begins)) - 1
     since = shape - shape[begins][trip]
@@ -186,8 +185,10 @@ def _in_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Float
     return np.asarray(since * (along[last] / total)[trip], np.float64)
 
 
-def _complete(shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """(trips,) whether shape_dist_traveled is there all along and never falls."""
+def _has_complete_shape(
+    shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: int
+) -> NDArray[np.bool_]:
+    """Return whether shape_dist_traveled of each trip (trips,) is complete and never decreases."""
     good = np.ones(count, np.bool_)
     good[trip[np.isnan(shape)]] = False
     fall = (np.diff(shape, prepend=np.inf) < 0) & ~begins
@@ -195,8 +196,9 @@ def _complete(shape: Floats, trip: Integers, begins: NDArray[np.bool_], count: i
     return good
 
 
-def _falling(time: Floats, trip: Integers) -> NDArray[np.bool_]:
-    """Times before an earlier one of their trip; a trip's last is kept, what is later than it falls."""
+def _decreasing(time: Floats, trip: Integers) -> NDArray[np.bool_]:
+    """Return which times lie before an earlier time of their trip or after its last time. The first and last
+    times of a trip are kept."""
     shifted = np.where(np.isnan(time), -np.inf, time) + trip * 1e7
     highest = np.maximum.accumulate(shifted)
     last = np.append(np.diff(trip) > 0, True)
@@ -205,17 +207,18 @@ def _falling(time: Floats, trip: Integers) -> NDArray[np.bool_]:
     return np.asarray(~np.isnan(time) & ~first & ~last & ((shifted < highest) | (time > latest)), np.bool_)
 
 
-def _same_as_next(
+def _repeated(
     time: Floats, known: NDArray[np.bool_], trip: Integers, ends: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Known times that repeat the known one before; of the last two of a trip the former."""
+    """Return which known times repeat the previous known time of their trip. A trip's last time is kept:
+    instead, the calls before it with the same time are marked, other than the trip's first."""
     where = np.flatnonzero(known)
     repeats = np.append(False, (np.diff(time[where]) <= 0) & (np.diff(trip[where]) == 0))
     same = np.zeros(len(time), np.bool_)
     same[where[repeats]] = True
     for last in np.flatnonzero(ends & same):
         same[last] = False
-        # The calls before it with its time give way, but for the trip's first.
+        # Mark the calls before it with the same time instead, other than the trip's first.
         call = last - 1
         while trip[call] == trip[last] and (not known[call] or time[call] >= time[last]):
             same[call] = known[call]
@@ -225,7 +228,7 @@ def _same_as_next(
     return same
 
 
-def _spread(time: Floats, fixed: NDArray[np.bool_], trip: Integers, way: Floats) -> Floats:
-    """Times between the fixed ones, by the share of the way; both ends of each trip are fixed."""
+def _interpolate_times(time: Floats, fixed: NDArray[np.bool_], trip: Integers, way: Floats) -> Floats:
+    """Interpolate times between the fixed ones by distance. Both ends of each trip must be fixed."""
     place = way + trip * 1e8
     return np.asarray(np.interp(place, place[fixed], time[fixed]), np.float64)

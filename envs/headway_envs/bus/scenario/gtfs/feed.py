@@ -1,4 +1,4 @@
-"""The files of a GTFS feed, a folder or a zip, as frames of text."""
+"""Files of a GTFS feed, a folder or a zip file, as data frames of text."""
 
 import csv
 import io
@@ -18,13 +18,13 @@ from headway.contracts import HeadwayError
 
 Floats = NDArray[np.float64]
 
-NEEDED = {
+REQUIRED = {
     "stops": ("stop_id", "stop_lat", "stop_lon"),
     "routes": ("route_id", "route_type"),
     "trips": ("route_id", "service_id", "trip_id"),
     "stop_times": ("trip_id", "arrival_time", "stop_id", "stop_sequence"),
 }
-"""Files, and their columns, without which there is no timetable."""
+"""Required files and their required columns."""
 _OPTIONAL = {
     "stops": ("stop_name", "parent_station"),
     "routes": ("agency_id", "route_short_name", "route_long_name"),
@@ -39,14 +39,16 @@ _OPTIONAL = {
     "agency": ("agency_id", "agency_name"),
     "feed_info": ("feed_publisher_name", "feed_version"),
 }
+"""Optional files and columns that are read if present."""
 
 
 @dataclass(frozen=True)
 class Feed:
-    """Frames of text by file, blanks missing; all columns of NEEDED and those optional ones that are known
-    here. A file that is not there is a frame without rows."""
+    """Data frames of text by file, with blanks as missing values and all columns of REQUIRED and _OPTIONAL. A
+    missing file is a frame without rows."""
 
     name: str
+    """Name of the folder or zip file."""
     frames: dict[str, pd.DataFrame]
 
     def __getitem__(self, file: str) -> pd.DataFrame:
@@ -54,76 +56,81 @@ class Feed:
 
 
 def read_feed(path: Path) -> Feed:
-    """Raises HeadwayError naming the file, and the column, that is missing or cannot be read."""
+    """Read a feed. Raises HeadwayError naming the file, and the column, that is missing or cannot be
+    read."""
     if path.is_dir():
-        inside = _by_name(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
+        inside = _locate_files(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
         frames = {
-            name: _frame(name, (path / inside[name]).read_bytes() if name in inside else None)
-            for name in {**NEEDED, **_OPTIONAL}
+            name: _read_frame(name, (path / inside[name]).read_bytes() if name in inside else None)
+            for name in {**REQUIRED, **_OPTIONAL}
         }
     elif path.is_file() and zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
-            inside = _by_name(path, archive.namelist())
+            inside = _locate_files(path, archive.namelist())
             frames = {
-                name: _frame(name, archive.read(inside[name]) if name in inside else None)
-                for name in {**NEEDED, **_OPTIONAL}
+                name: _read_frame(name, archive.read(inside[name]) if name in inside else None)
+                for name in {**REQUIRED, **_OPTIONAL}
             }
     else:
-        what = "is no zip file" if path.is_file() else "does not exist"
+        what = "is not a zip file" if path.is_file() else "does not exist"
         raise HeadwayError(f"FEED: {path} {what}; give a GTFS feed, as a zip or a folder of .txt files")
-    for name in NEEDED:
+    for name in REQUIRED:
         if frames[name].empty:
             raise HeadwayError(f"FEED: {name}.txt has no rows; a timetable cannot be read without it")
     if frames["calendar"].empty and frames["calendar_dates"].empty:
-        raise HeadwayError("FEED: neither calendar.txt nor calendar_dates.txt has rows: no day has service")
+        raise HeadwayError("FEED: neither calendar.txt nor calendar_dates.txt has rows; no day has service")
     return Feed(path.name, frames)
 
 
 def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
-    """HH:MM:SS, also past 24 h, as s after midnight; NaN for blanks. Raises HeadwayError naming the row."""
+    """Return texts HH:MM:SS, also past 24 h, as seconds after midnight; NaN for blanks. Raises HeadwayError
+    that names the line of any other text."""
     codes, values = pd.factorize(texts)
     parsed = np.full(len(values) + 1, np.nan)  # the last one for code -1, a blank
     for place, text in enumerate(values):
         parts = str(text).split(":")
         if len(parts) != 3 or not all(part.strip().isdigit() for part in parts):
             row = texts.index[int(np.flatnonzero(codes == place)[0])] + 2
-            raise HeadwayError(f"FEED: {file}.txt, line {row}, {column}: '{text}' is no time HH:MM:SS")
+            raise HeadwayError(f"FEED: {file}.txt, line {row}, {column}: '{text}' is not a time HH:MM:SS")
         hours, minutes, rest = (int(part) for part in parts)
         parsed[place] = 3600.0 * hours + 60.0 * minutes + rest
     return parsed[codes]
 
 
 def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
-    """Numbers, NaN for blanks. Raises HeadwayError naming the row of any other text."""
+    """Return texts as numbers; NaN for blanks. Raises HeadwayError naming the line of any other text."""
     values = pd.to_numeric(texts, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     wrong = np.isnan(values) & texts.notna().to_numpy()
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         raise HeadwayError(
-            f"FEED: {file}.txt, line {texts.index[row] + 2}, {column}: '{texts.iloc[row]}' is no number"
+            f"FEED: {file}.txt, line {texts.index[row] + 2}, {column}: '{texts.iloc[row]}' is not a number"
         )
     return np.asarray(values, np.float64)
 
 
-def _by_name(feed: Path, files: Iterable[str]) -> dict[str, str]:
-    """Where each known file lies, in whatever folder. Raises HeadwayError if one is there twice: those of two
-    feeds name each other's stops and trips."""
+def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
+    """Return the path of each known file, in any folder of the feed.
+
+    Raises HeadwayError if a file occurs twice, because the identifiers of two feeds would be confused.
+    """
     found: dict[str, str] = {}
     for file in sorted(files):
         name = PurePosixPath(file).name.removesuffix(".txt")
-        if f"{name}.txt" != PurePosixPath(file).name or name not in {**NEEDED, **_OPTIONAL}:
+        if f"{name}.txt" != PurePosixPath(file).name or name not in {**REQUIRED, **_OPTIONAL}:
             continue
         if name in found:
             raise HeadwayError(
-                f"FEED: {feed} holds {found[name]} and {file}; leave one feed there, without others below it"
+                f"FEED: {feed} holds {found[name]} and {file}; keep a single feed there and in its folders"
             )
         found[name] = file
     return found
 
 
-def _frame(name: str, content: bytes | None) -> pd.DataFrame:
-    """The known columns of a file, stripped."""
-    needed, wanted = NEEDED.get(name, ()), (*NEEDED.get(name, ()), *_OPTIONAL.get(name, ()))
+def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
+    """Return the known columns of a file, with surrounding blanks removed. Raises HeadwayError for missing
+    columns and unreadable files."""
+    needed, wanted = REQUIRED.get(name, ()), (*REQUIRED.get(name, ()), *_OPTIONAL.get(name, ()))
     if content is None:
         if needed:
             raise HeadwayError(f"FEED: there is no {name}.txt; a timetable cannot be read without it")
@@ -150,14 +157,15 @@ def _frame(name: str, content: bytes | None) -> pd.DataFrame:
             ),
         )
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        raise HeadwayError(f"FEED: {name}.txt is no table of comma-separated values ({error})") from error
-    frame = pd.DataFrame({column: _stripped(table[column]) for column in here})
+        raise HeadwayError(f"FEED: {name}.txt is not a table of comma-separated values ({error})") from error
+    frame = pd.DataFrame({column: _strip(table[column]) for column in here})
     return frame.assign(**{column: pd.Series(dtype="str") for column in wanted if column not in here})
 
 
-def _stripped(column: pa.ChunkedArray) -> pd.Series:
-    """Without blanks around; nothing but blanks is missing."""
-    # Few texts are repeated often: one look at each.
+def _strip(column: pa.ChunkedArray) -> pd.Series:
+    """Return a column without surrounding blanks; blank texts become missing values, and no other texts
+    do."""
+    # A few distinct texts repeat often: strip each only once.
     encoded = column.combine_chunks().dictionary_encode()
     if isinstance(encoded, pa.ChunkedArray):
         encoded = encoded.chunk(0) if encoded.num_chunks else pa.array([], pa.string()).dictionary_encode()
@@ -168,7 +176,7 @@ def _stripped(column: pa.ChunkedArray) -> pd.Series:
 
 
 def _encoding(content: bytes) -> str:
-    """UTF-8 as the standard has it; some feeds are Latin-1 all the same."""
+    """Return the encoding of a file: UTF-8, as the standard requires, or Latin-1, which some feeds use."""
     try:
         content.decode("utf-8")
     except UnicodeDecodeError:

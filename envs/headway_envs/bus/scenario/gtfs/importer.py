@@ -1,4 +1,4 @@
-"""From a GTFS feed to a scenario's tables."""
+"""Import of a GTFS feed as a scenario's tables."""
 
 import datetime as dt
 from collections import Counter
@@ -17,9 +17,9 @@ from headway_envs.bus.scenario.fitted import BOARDINGS_PER_TRIP, SOURCE, WITHIN_
 from headway_envs.bus.scenario.gtfs.calls import Calls, clean_calls, places
 from headway_envs.bus.scenario.gtfs.feed import Feed, numbers, read_feed, seconds
 from headway_envs.bus.scenario.gtfs.service import chosen_days
-from headway_envs.bus.scenario.measures import FASTEST_MPS, TIMED_HOURS
-from headway_envs.bus.scenario.passengers import passengers
-from headway_envs.bus.scenario.tables import FIRST_LINK, Tables
+from headway_envs.bus.scenario.measures import MAX_SPEED_MPS, TIMED_HOURS
+from headway_envs.bus.scenario.passengers import synthetic_passengers
+from headway_envs.bus.scenario.tables import NO_LINK, Tables
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -31,30 +31,32 @@ BUS_TYPES = (
     *(str(kind) for kind in range(700, 717)),
     "800",
 )
-"""Route types of buses, trolleybuses and coaches, the extended ones too."""
+"""Route types of buses, trolleybuses and coaches, including the extended ones."""
 _FIRST_HOUR, _LAST_HOUR = int(TIMED_HOURS[0]), int(TIMED_HOURS[-1])
-_LEAST_LINK_S = 5.0
+_MIN_LINK_S = 5.0
 
 
 @dataclass(frozen=True)
 class GtfsOptions:
-    """What of a feed is taken."""
+    """Selection from a feed, and assumptions about passengers."""
 
     weekday: dt.date | None = None
-    """The date of the weekday; none: that of most trips."""
+    """Date of the weekday's timetable; None: the weekday with the most trips."""
     sunday: dt.date | None = None
-    """The same of the Sunday."""
+    """Date of the Sunday's timetable; None: the Sunday with the most trips."""
     lines: Sequence[str] = ()
-    """Names of lines; none: all."""
+    """Names of the lines to import; empty: all."""
     route_types: Sequence[str] = BUS_TYPES
+    """Route types to import."""
     boardings_per_trip: float = BOARDINGS_PER_TRIP["weekday"]
-    """Mean on a weekday; on Sundays in the measured proportion."""
+    """Mean boardings per trip on a weekday; those on Sundays are in the fitted proportion."""
     seed: int = 0
-    """Of the pull of stops on passengers."""
+    """Seed of the random weights of stops in the demand."""
 
 
 def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
-    """The tables of a feed. Raises HeadwayError naming file, line and column of what cannot be read."""
+    """Return the tables of a feed. Raises HeadwayError naming file, line and column of what cannot be
+    read."""
     feed = read_feed(path)
     counted: Counter[str] = Counter()
     trips = _chosen_trips(feed, options)
@@ -62,19 +64,19 @@ def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
     trips = trips[trips["service_id"].isin(set.union(*(services for _, services in days.values())))]
     trips = trips.reset_index(drop=True)
     stops, rows = places(feed)
-    calls, oddities = clean_calls(feed, trips, stops, rows)
-    counted.update(oddities)
+    calls, irregularities = clean_calls(feed, trips, stops, rows)
+    counted.update(irregularities)
     trips = trips.assign(pattern=_patterns(trips, calls))
-    driven = _driven(feed, trips, calls, days, counted)
+    day_trips = _day_trips(feed, trips, calls, days, counted)
     tables = _network(trips, calls, stops)
-    table = _trip_table(driven, trips, calls, stops, counted)
-    times = _link_times(tables, driven, trips, calls, counted)
+    table = _trip_table(day_trips, trips, calls, stops, counted)
+    times = _link_times(tables, day_trips, trips, calls, counted)
     scale = options.boardings_per_trip / BOARDINGS_PER_TRIP["weekday"]
     per_trip = {
         day: dict.fromkeys(tables["patterns"]["pattern"].tolist(), BOARDINGS_PER_TRIP[day] * scale)
         for day in days
     }
-    demand, alighting = passengers(tables["pattern_stops"], table, per_trip, options.seed)
+    demand, alighting = synthetic_passengers(tables["pattern_stops"], table, per_trip, options.seed)
     return Tables(
         **tables,
         link_times=times,
@@ -86,7 +88,7 @@ def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
 
 
 def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
-    """Trips of the chosen lines, with `line` and `way`."""
+    """Return the trips of the chosen lines, with columns `line` and `way` (direction)."""
     routes = feed["routes"].drop_duplicates("route_id").copy()
     names = routes["route_short_name"].fillna(routes["route_long_name"]).fillna(routes["route_id"])
     agency = routes["agency_id"].fillna("")
@@ -97,7 +99,7 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
     chosen = routes[routes["route_type"].isin(list(options.route_types))]
     if chosen.empty:
         there = ", ".join(sorted(set(routes["route_type"].dropna())))
-        raise HeadwayError(f"FEED: no route is a bus; its route types are {there}: choose with --types")
+        raise HeadwayError(f"FEED: no route is a bus; its route types are {there}: choose some with --types")
     if options.lines:
         unknown = sorted(set(options.lines) - set(chosen["line"]))
         if unknown:
@@ -115,8 +117,8 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
 
 
 def _patterns(trips: pd.DataFrame, calls: Calls) -> Integers:
-    """(trips,) one number for each stop sequence of a line and direction, by line; -1 for trips without
-    calls."""
+    """Return a pattern number per trip (trips,): one per stop sequence of a line and direction, numbered by
+    line; -1 for trips without calls."""
     bounds = [*calls.first.tolist(), len(calls.trip)]
     line, way = trips["line"].to_numpy(), trips["way"].to_numpy()
     sequences: dict[tuple[str, str, bytes], list[int]] = {}
@@ -132,7 +134,7 @@ def _patterns(trips: pd.DataFrame, calls: Calls) -> Integers:
 
 
 def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """The tables stops, patterns, pattern_stops and links."""
+    """Return the tables stops, patterns, pattern_stops and links."""
     begins = calls.first
     numbers_here = trips["pattern"].to_numpy()[calls.trip[begins]]
     _, example = np.unique(numbers_here, return_index=True)
@@ -162,7 +164,7 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
                 "pattern": np.repeat(np.arange(len(example)), counts),
                 "seq0": seq0,
                 "stop": stop,
-                "link": _filled(len(seq0), inner, link.ravel(), FIRST_LINK),
+                "link": _filled(len(seq0), inner, link.ravel(), NO_LINK),
                 "leg_m": np.where(inner, legs, 0.0),
             }
         ),
@@ -178,39 +180,41 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
 
 
 def _filled(count: int, where: NDArray[np.bool_], values: Integers, other: int) -> Integers:
+    """Return `values` where `where`, else `other`."""
     filled = np.full(count, other, np.int64)
     filled[where] = values
     return filled
 
 
-def _driven(
+def _day_trips(
     feed: Feed,
     trips: pd.DataFrame,
     calls: Calls,
     days: dict[str, tuple[dt.date, set[str]]],
     counted: Counter[str],
 ) -> pd.DataFrame:
-    """Each drive of a trip on a day type: daytype, trip (row), shift (s to its times in stop_times)."""
-    whole = trips["pattern"].to_numpy() >= 0
+    """Return one row per departure of a trip on a day type: daytype, trip (row), shift (of its times relative
+    to stop_times, s)."""
+    has_calls = trips["pattern"].to_numpy() >= 0
     first = np.full(len(trips), np.nan)
     first[calls.trip[calls.first]] = calls.time[calls.first]
     repeated = _frequencies(feed, trips, first)
     parts = []
     for day, (_, services) in days.items():
-        mine = whole & trips["service_id"].isin(services).to_numpy()
+        mine = has_calls & trips["service_id"].isin(services).to_numpy()
         here = repeated[mine[repeated["trip"].to_numpy()]]
         single = np.flatnonzero(mine & ~np.isin(np.arange(len(trips)), repeated["trip"]))
         counted["departures of frequencies.txt"] += len(here)
         part = pd.concat([pd.DataFrame({"trip": single, "shift": 0.0}), here], ignore_index=True)
         parts.append(part.assign(daytype=day))
-    driven: pd.DataFrame = pd.concat(parts, ignore_index=True)
-    if driven.empty:
-        raise HeadwayError("FEED: no trip of the chosen days can be used; look at stop_times.txt")
-    return driven
+    day_trips: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    if day_trips.empty:
+        raise HeadwayError("FEED: no trip of the chosen days can be used; check stop_times.txt")
+    return day_trips
 
 
 def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame:
-    """Every departure of frequencies.txt: trip (row), shift."""
+    """Return every departure stated by frequencies.txt: trip (row), shift."""
     frame = feed["frequencies"]
     row = pd.Index(trips["trip_id"]).get_indexer(pd.Index(frame["trip_id"]))
     begin = seconds("frequencies", "start_time", frame["start_time"])
@@ -233,10 +237,10 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
 
 
 def _trip_table(
-    driven: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
+    day_trips: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
 ) -> pd.DataFrame:
-    """The table trips; vehicles by block_id where every trip of the day has one, else chained, as are those
-    of a block's trips that overlap."""
+    """Return the table trips. Vehicles follow block_id if every trip of the day has one; else, and for blocks
+    with overlapping trips, they are chained at terminals."""
     begin = calls.first
     last = np.append(begin[1:], len(calls.trip)) - 1
     terminal = terminals(stops, np.concatenate((calls.stop[begin], calls.stop[last])))
@@ -250,28 +254,28 @@ def _trip_table(
         },
         index=calls.trip[begin],
     )
-    row = driven["trip"].to_numpy()
+    row = day_trips["trip"].to_numpy()
     table = ends.reindex(row).reset_index(drop=True)
     table = table.assign(
         pattern=trips["pattern"].to_numpy()[row],
-        dep_s=table["dep_s"] + driven["shift"].to_numpy(),
-        arr_s=table["arr_s"] + driven["shift"].to_numpy(),
+        dep_s=table["dep_s"] + day_trips["shift"].to_numpy(),
+        arr_s=table["arr_s"] + day_trips["shift"].to_numpy(),
         block=trips["block_id"].to_numpy()[row],
-        daytype=driven["daytype"].to_numpy(),
+        daytype=day_trips["daytype"].to_numpy(),
     )
     parts = []
     for _, part in table.groupby("daytype", sort=False):
         # A trip that frequencies.txt repeats cannot be in one block with itself.
-        blocked = part["block"].notna().all() and not driven["trip"].iloc[part.index].duplicated().any()
+        blocked = part["block"].notna().all() and not day_trips["trip"].iloc[part.index].duplicated().any()
         counted["days with vehicles by block_id"] += int(blocked)
-        vehicle = _by_block(part, counted) if blocked else chain_at_terminals(part)
+        vehicle = _vehicles_by_block(part, counted) if blocked else chain_at_terminals(part)
         parts.append(part.assign(vehicle=vehicle))
     columns = ["pattern", "vehicle", "dep_s", "arr_s", "n_stops", "daytype"]
     return pd.concat(parts, ignore_index=True)[columns]
 
 
-def _by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
-    """(J,) a vehicle for each trip: one a block or, where its trips overlap, as many as it takes."""
+def _vehicles_by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
+    """Return a vehicle for each trip (J,): one per block, or as many as necessary if its trips overlap."""
     vehicle = pd.factorize(trips["block"])[0].astype(np.int64)
     ordered = trips.assign(vehicle=vehicle).sort_values(["vehicle", "dep_s", "arr_s"])
     before = ordered.groupby("vehicle")["arr_s"].cummax().groupby(ordered["vehicle"]).shift()
@@ -285,12 +289,12 @@ def _by_block(trips: pd.DataFrame, counted: Counter[str]) -> Integers:
 
 def _link_times(
     network: dict[str, pd.DataFrame],
-    driven: pd.DataFrame,
+    day_trips: pd.DataFrame,
     trips: pd.DataFrame,
     calls: Calls,
     counted: Counter[str],
 ) -> pd.DataFrame:
-    """The table link_times: means of the scheduled times by link and hour, at least those of 90 km/h."""
+    """Return the table link_times: mean scheduled times by link and hour, at least those at 90 km/h."""
     begin = calls.first
     counts = np.diff(np.append(begin, len(calls.trip)))
     position = np.arange(len(calls.trip)) - np.repeat(begin, counts)
@@ -299,7 +303,7 @@ def _link_times(
     link = network["pattern_stops"]["link"].to_numpy()[pattern_first[pattern] + position]
     metres = network["links"]["leg_m"].to_numpy(np.float64)
     leg = np.diff(calls.time, prepend=0.0)
-    least = np.maximum(metres[np.where(position > 0, link, 0)] / FASTEST_MPS, _LEAST_LINK_S)
+    least = np.maximum(metres[np.where(position > 0, link, 0)] / MAX_SPEED_MPS, _MIN_LINK_S)
     counted["links scheduled faster than 90 km/h or in under 5 s, slowed"] += int(
         ((leg < least) & (position > 0)).sum()
     )
@@ -308,7 +312,7 @@ def _link_times(
     where[:, calls.trip[begin]] = begin, counts
     hours = _LAST_HOUR - _FIRST_HOUR + 1
     frames = []
-    for day, part in driven.groupby("daytype", sort=False):
+    for day, part in day_trips.groupby("daytype", sort=False):
         first, count = where[:, part["trip"].to_numpy()]
         offset = np.cumsum(count) - count
         call = np.repeat(first - offset, count) + np.arange(count.sum())
@@ -317,16 +321,16 @@ def _link_times(
         hour = np.clip((calls.time[call - 1] + shift) // 3600, _FIRST_HOUR, _LAST_HOUR).astype(np.int64)
         key = link[call] * hours + hour - _FIRST_HOUR
         total = np.bincount(key, leg[call], minlength=len(metres) * hours)
-        driven_here = np.bincount(key, minlength=len(metres) * hours)
-        met = np.flatnonzero(driven_here)
+        count_here = np.bincount(key, minlength=len(metres) * hours)
+        present = np.flatnonzero(count_here)
         frames.append(
             pd.DataFrame(
                 {
-                    "link": met // hours,
-                    "hour": met % hours + _FIRST_HOUR,
-                    "n": driven_here[met],
+                    "link": present // hours,
+                    "hour": present % hours + _FIRST_HOUR,
+                    "n": count_here[present],
                     "log_sigma": WITHIN_HOUR_SD,
-                    "mean_s": total[met] / driven_here[met],
+                    "mean_s": total[present] / count_here[present],
                     "daytype": day,
                 }
             )
@@ -340,6 +344,7 @@ def _meta(
     options: GtfsOptions,
     counted: Counter[str],
 ) -> dict[str, object]:
+    """Return the metadata of the scenario."""
     agencies = sorted(set(feed["agency"]["agency_name"].dropna()))
     version = [str(value) for value in feed["feed_info"]["feed_version"].dropna()[:1]]
     return {
@@ -347,10 +352,10 @@ def _meta(
         "licence": "that of the feed; ask its publisher",
         "dates": {day: str(date) for day, (date, _) in days.items()},
         "made_up": {
-            "demand, alighting": f"{options.boardings_per_trip:g} boardings a trip on weekdays, by shares "
+            "demand, alighting": f"{options.boardings_per_trip:g} boardings per trip on weekdays, by shares "
             f"fitted to {SOURCE}; seed {options.seed}",
             "link_times.log_sigma": f"{WITHIN_HOUR_SD}, of {SOURCE}",
-            "link_times.mean_s": "scheduled, which real means may differ from",
+            "link_times.mean_s": "scheduled times, from which real means may differ",
         },
         "counted": {name: count for name, count in counted.items() if count},
         "link_times_include_dwell": True,

@@ -1,4 +1,4 @@
-"""Which trips of a feed run on which day."""
+"""Service days of a feed: the trips that run on each date."""
 
 import datetime as dt
 from collections.abc import Mapping
@@ -12,17 +12,19 @@ from headway_envs.bus.scenario.gtfs.feed import Feed
 
 _DAYS = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
 _ADDED = "1"
+"""Value of exception_type for service that is added on a date."""
 DAYS_OF = {"weekday": (0, 1, 2, 3, 4), "sunday": (6,)}
-"""Days of the week of each day type, 0 Monday."""
+"""Days of the week per day type; 0 is Monday."""
 
 
 def chosen_days(
     feed: Feed, trips: pd.DataFrame, wanted: Mapping[str, dt.date | None]
 ) -> dict[str, tuple[dt.date, set[str]]]:
-    """Of each day type with service, the date and its services: the wanted date, or the one with most trips,
-    the earliest of several.
+    """Return, for each day type with service, a date and the services on it: the wanted date, or the earliest
+    of the dates with the most trips.
 
-    Raises HeadwayError where a wanted date has no trip, or is of another day type, or nothing runs at all."""
+    Raises HeadwayError if a wanted date has no trips or another day type, or if there is no service at all.
+    """
     dates, services, runs = _service(feed)
     counts = trips["service_id"].value_counts().reindex(services).fillna(0.0).to_numpy(np.float64)
     by_date = runs @ counts
@@ -49,7 +51,7 @@ def chosen_days(
 
 
 def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
-    """Dates (D), services (V), and (D, V) which run when."""
+    """Return dates (D), services (V), and which services run on which date (D, V)."""
     calendar, exceptions = feed["calendar"], feed["calendar_dates"]
     begin = _dates("calendar", "start_date", calendar["start_date"])
     end = _dates("calendar", "end_date", calendar["end_date"])
@@ -57,7 +59,7 @@ def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
     every = [*begin, *end, *changed]
     first, last = min(every), max(every)
     if (last - first).days > 20_000:
-        raise HeadwayError(f"FEED: its days span {first} to {last}; mend the dates that are wrong")
+        raise HeadwayError(f"FEED: its dates span {first} to {last}; correct the wrong ones")
     dates = [first + dt.timedelta(days=n) for n in range((last - first).days + 1)]
     services = sorted({*calendar["service_id"].dropna(), *exceptions["service_id"].dropna()})
     place = {service: i for i, service in enumerate(services)}
@@ -75,12 +77,13 @@ def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
 
 
 def _dates(file: str, column: str, texts: "pd.Series[str]") -> list[dt.date]:
+    """Return texts YYYYMMDD as dates. Raises HeadwayError naming the line of any other text."""
     found = []
     for row, text in enumerate(texts):
         try:
             found.append(dt.datetime.strptime(str(text), "%Y%m%d").date())
         except ValueError as error:
             raise HeadwayError(
-                f"FEED: {file}.txt, line {row + 2}, {column}: '{text}' is no date YYYYMMDD"
+                f"FEED: {file}.txt, line {row + 2}, {column}: '{text}' is not a date YYYYMMDD"
             ) from error
     return found

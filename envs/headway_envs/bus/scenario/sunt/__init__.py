@@ -1,2 +1,2 @@
-"""Scenarios from raw files of SUNT, Salvador Urban Network Transportation (LabIA-UFBA, CC BY 4.0,
-doi 10.17632/85fdtx3kr5.1), which the user has downloaded."""
+"""Import of scenarios from raw files of SUNT, Salvador Urban Network Transportation (LabIA-UFBA, CC BY 4.0,
+doi 10.17632/85fdtx3kr5.1), which users download themselves."""

@@ -1,4 +1,5 @@
-"""Raw files of SUNT: trip records by day, counts by stop, where stops lie; oddities mended and counted."""
+"""Raw files of SUNT: trip records by day, counts by stop, and coordinates of stops. Irregularities are
+corrected and counted."""
 
 import datetime as dt
 import re
@@ -18,14 +19,16 @@ HOLIDAYS = (
     *((2024, 3, 29), (2024, 5, 1), (2024, 5, 30), (2024, 6, 24), (2024, 7, 2), (2024, 9, 7), (2024, 10, 12)),
     *((2024, 11, 2), (2024, 11, 15), (2024, 11, 20), (2024, 12, 8), (2024, 12, 25), (2025, 1, 1)),
 )
-"""Days with a timetable like a Sunday's, of Brazil, Bahia and Salvador, within the dataset's span."""
+"""Holidays of Brazil, Bahia and Salvador within the dataset's period, with a timetable like a Sunday's."""
 FARES_MISSING = 1.0
-"""With fewer boardings a trip than this a day lacks its fares (2024-08-26: 0.03)."""
+"""Boardings per trip below which a day's fares are taken to be missing (2024-08-26: 0.03)."""
 ALIGHTINGS_MISSING = 0.9
-"""With fewer alightings a boarding than this they were not expanded as boardings were (until April 2024)."""
+"""Alightings per boarding below which alightings are taken not to be expanded as boardings are (until April
+2024)."""
 UNPHYSICAL_LOAD = 150.0
-"""Passengers on one bus."""
-TRIP = ("vehicle", "trip_id", "start_trip")
+"""Largest plausible load of a bus, passengers."""
+TRIP_KEYS = ("vehicle", "trip_id", "start_trip")
+"""Columns that identify a trip of a day."""
 _COLUMNS = (
     *("route_short_name", "register_code", "direction_id", "pt_sequence", "stop_id", "vehicle", "trip_id"),
     *("start_trip", "stop_time", "n-boardings", "n-alighting", "lag_loading", "loading"),
@@ -36,13 +39,15 @@ _NODES = re.compile(r"node_temporal_features_(\d{2})-(\d{2})-(\d{4})\.parquet")
 
 @dataclass(frozen=True)
 class Day:
-    """One day's calls: line, reg, dir, seq (from 1), stop_id, trip (number), vehicle, time (s after midnight
-    of the service day), board, alight, load_before; trip after trip in the order of driving."""
+    """Calls of one day: line, reg, dir, seq (from 1), stop_id, trip (number), vehicle, time (s after midnight
+    of the service day), board, alight, load_before; one trip after the other, in driving order."""
 
     date: dt.date
     calls: pd.DataFrame
     fares: bool
+    """Whether boardings were counted."""
     alightings: bool
+    """Whether alightings were expanded as boardings were."""
 
     @property
     def day_type(self) -> DayType:
@@ -50,20 +55,22 @@ class Day:
 
     @property
     def trips(self) -> int:
+        """Number of trips."""
         return int(self.calls["trip"].nunique())
 
 
 def day_type(date: dt.date) -> DayType:
-    """Of the timetable on that date."""
+    """Return the day type of the timetable on a date."""
     if date.weekday() == 6 or (date.year, date.month, date.day) in HOLIDAYS:
         return "sunday"
     return "saturday" if date.weekday() == 5 else "weekday"
 
 
 def find_days(raw: Path) -> dict[dt.date, Path]:
-    """The files od-YYYY-MM-DD.parquet anywhere below `raw`. Raises HeadwayError if there is none."""
+    """Return the files od-YYYY-MM-DD.parquet anywhere below `raw`, by date. Raises HeadwayError if there are
+    none."""
     if not raw.is_dir():
-        raise HeadwayError(f"RAW: {raw} is no folder; give the one that holds SUNT's files od-*.parquet")
+        raise HeadwayError(f"RAW: {raw} is not a folder; give the one that holds SUNT's files od-*.parquet")
     found = {
         dt.date(*(int(part) for part in match.groups())): file
         for file in sorted(raw.rglob("od-*.parquet"))
@@ -77,11 +84,12 @@ def find_days(raw: Path) -> dict[dt.date, Path]:
 
 
 def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
-    """Raises HeadwayError naming a column that is missing."""
+    """Read, correct and check the trip records of one day. Raises HeadwayError for missing columns and for
+    files without a usable trip."""
     frame = _parquet(file, _COLUMNS)
     frame = frame.astype(dict.fromkeys(("route_short_name", "direction_id", "vehicle", "trip_id"), "str"))
     midnight = pd.Timestamp(date)
-    # Times are text in some files.
+    # Some files store times as text.
     time = (pd.to_datetime(frame["stop_time"]) - midnight).dt.total_seconds()
     calls = pd.DataFrame(
         {
@@ -90,7 +98,7 @@ def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
             "dir": frame["direction_id"],
             "seq": frame["pt_sequence"].astype(np.int64),
             "stop_id": frame["stop_id"].astype(str),
-            "trip": frame.groupby(list(TRIP), sort=False).ngroup(),
+            "trip": frame.groupby(list(TRIP_KEYS), sort=False).ngroup(),
             "vehicle": frame["vehicle"],
             "time": time,
             "board": frame["n-boardings"].astype(np.float64),
@@ -139,9 +147,12 @@ def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
 
 
 def read_node_boardings(raw: Path, counted: Counter[str]) -> dict[DayType, pd.DataFrame]:
-    """By day type the mean boardings of a day by stop_id and hour (columns stop_id, hour, board), and their
-    files' number as `attrs['days']`. These are raw counts, where trip records are expanded
-    (2024-03-03: by 1.49); bins begin at 05:00."""
+    """Return per day type the mean boardings per day by stop_id and hour (columns stop_id, hour, board), with
+    the number of files in `attrs['days']`.
+
+    These are raw counts, whereas boardings of trip records are expanded (2024-03-03: by 1.49). Bins begin at
+    05:00.
+    """
     parts: dict[DayType, list[pd.DataFrame]] = {}
     for file in sorted(raw.rglob("node_temporal_features_*.parquet")):
         match = _NODES.fullmatch(file.name)
@@ -170,7 +181,8 @@ def read_node_boardings(raw: Path, counted: Counter[str]) -> dict[DayType, pd.Da
 
 
 def read_places(raw: Path) -> pd.DataFrame:
-    """Where stops lie: lat, lon by stop_id, of the stop sequences, the counts by stop and any stops.txt."""
+    """Return the coordinates of stops: lat, lon by stop_id, from stop sequences, counts by stop and any
+    stops.txt. Raises HeadwayError if there are no such files."""
     sequences = sorted(raw.rglob("gtfs_bus_topique*.parquet"))
     nodes = sorted(raw.rglob("node_temporal_features_*.parquet"))[:1]
     parts = [_parquet(file, ("stop_id", "lat", "lon")) for file in sequences]
@@ -180,7 +192,7 @@ def read_places(raw: Path) -> pd.DataFrame:
         parts.append(text.reindex(columns=["stop_id", "lat", "lon"]))
     if not parts:
         raise HeadwayError(
-            f"RAW: no gtfs_bus_topique*.parquet below {raw} says where stops lie; put it there"
+            f"RAW: there is no gtfs_bus_topique*.parquet with coordinates of stops below {raw}; put it there"
         )
     places = pd.concat(parts, ignore_index=True).astype({"stop_id": "str", "lat": float, "lon": float})
     usable = places["lat"].between(-90, 90) & places["lon"].between(-180, 180)
@@ -188,6 +200,7 @@ def read_places(raw: Path) -> pd.DataFrame:
 
 
 def _parquet(file: Path, columns: tuple[str, ...]) -> pd.DataFrame:
+    """Read columns of a Parquet file. Raises HeadwayError if it is unreadable or lacks a column."""
     from pyarrow import parquet
 
     try:
@@ -196,5 +209,5 @@ def _parquet(file: Path, columns: tuple[str, ...]) -> pd.DataFrame:
         raise HeadwayError(f"{file} is not a readable Parquet file; fetch it again ({error})") from error
     for column in columns:
         if column not in there:
-            raise HeadwayError(f"{file.name} lacks column {column}: it is no such file of SUNT")
+            raise HeadwayError(f"{file.name} lacks column {column}: it is not a file of SUNT of this kind")
     return pd.read_parquet(file, columns=list(columns))

@@ -265,13 +265,13 @@ def test_passengers_come_when_buses_do(write_feed: FeedWriter) -> None:
         ({"stops": "stop_id,stop_lat,stop_lon\n"}, "stops.txt has no rows"),
         (
             {"stops": "stop_id,stop_lat,stop_lon\nA,north,2\n"},
-            "stops.txt, line 2, stop_lat: 'north' is no number",
+            "stops.txt, line 2, stop_lat: 'north' is not a number",
         ),
         ({"stops": "stop_id,stop_lat,stop_lon\nA,95,2\nD,1,1\n"}, "stop A lies nowhere on Earth"),
         ({"routes": "route_id,route_type\nr1,2\n"}, "no route is a bus; its route types are 2"),
         (
             {"stop_times": "trip_id,arrival_time,stop_id,stop_sequence\nout,8h,A,1\n"},
-            "stop_times.txt, line 2, arrival_time: '8h' is no time",
+            "stop_times.txt, line 2, arrival_time: '8h' is not a time",
         ),
         (
             {"stop_times": "trip_id,arrival_time,stop_id,stop_sequence\nout,08:00:00,A,1\n"},
@@ -279,7 +279,7 @@ def test_passengers_come_when_buses_do(write_feed: FeedWriter) -> None:
         ),
         (
             {"stop_times": "trip_id,arrival_time,stop_id,stop_sequence\nout,8\n"},
-            "is no table of comma-separated",
+            "is not a table of comma-separated",
         ),
         (
             {"frequencies": "trip_id,start_time,end_time,headway_secs\nout,06:00:00,07:00:00,0\n"},
@@ -287,7 +287,7 @@ def test_passengers_come_when_buses_do(write_feed: FeedWriter) -> None:
         ),
         (
             {"calendar_dates": "service_id,date,exception_type\nwork,2024-05-07,1\n"},
-            "calendar_dates.txt, line 2, date: '2024-05-07' is no date YYYYMMDD",
+            "calendar_dates.txt, line 2, date: '2024-05-07' is not a date YYYYMMDD",
         ),
     ],
 )
@@ -302,7 +302,7 @@ def test_other_wrong_feeds_and_lines_are_named(write_feed: FeedWriter, tmp_path:
     with pytest.raises(HeadwayError, match="does not exist; give a GTFS feed"):
         imported(tmp_path / "none.zip")
     (tmp_path / "no.zip").write_text("no")
-    with pytest.raises(HeadwayError, match="is no zip file"):
+    with pytest.raises(HeadwayError, match="is not a zip file"):
         imported(tmp_path / "no.zip")
     with pytest.raises(HeadwayError, match="the feed has no line 7; it has 1, "):
         imported(write_feed(), lines=("7",))
@@ -314,7 +314,7 @@ def test_files_of_two_feeds_are_not_mixed(write_feed: FeedWriter, tmp_path: Path
     (folder / "old" / "notes.txt").write_text("of last year")
     imported(folder)
     (folder / "old" / "stops.txt").write_text("stop_id,stop_lat,stop_lon\nA,1,1\n")
-    with pytest.raises(HeadwayError, match=r"holds old/stops\.txt and stops\.txt; leave one feed there"):
+    with pytest.raises(HeadwayError, match=r"holds old/stops\.txt and stops\.txt; keep a single feed there"):
         imported(folder)
     with zipfile.ZipFile(tmp_path / "two.zip", "w") as archive:
         for name in ("new/agency.txt", "old/agency.txt"):

@@ -105,8 +105,8 @@ def test_a_day_without_fares_takes_the_counts_by_stop(tmp_path: Path) -> None:
     assert tables.meta["made_from"]["demand weekday"] == "counts by stop of 1 days, raw counts"
     assert tables.meta["made_from"]["alighting"] == "trip records of 2024-09-15"
     without = imported(write_raw(tmp_path / "b", {WEEKDAY: records(WEEKDAY, board=0.0)}, nodes=False))
-    assert without.meta["made_from"]["demand weekday"] == "made up: 47 boardings a trip"
-    assert without.meta["made_from"]["alighting"] == "made up by measured shares"
+    assert without.meta["made_from"]["demand weekday"] == "made up: 47 boardings per trip"
+    assert without.meta["made_from"]["alighting"] == "made up from fitted shares"
     assert boards(without, "weekday") == pytest.approx(20 * 47.0)
 
 
@@ -194,25 +194,25 @@ def test_holidays_have_the_timetable_of_a_sunday_and_dates_can_be_given(tmp_path
     assert imported(raw).meta["dates"] == {"weekday": "2024-11-22", "sunday": "2024-11-15"}
     assert imported(raw, sunday=SUNDAY).meta["dates"]["sunday"] == "2024-09-15"
     with pytest.raises(
-        HeadwayError, match="--weekday: 2024-11-15 is no weekday with trips here; there is: 2024"
+        HeadwayError, match="--weekday: 2024-11-15 is no weekday with trips here; available: 2024"
     ):
         imported(raw, weekday=holiday)
 
 
 def test_wrong_folders_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(HeadwayError, match="is no folder"):
+    with pytest.raises(HeadwayError, match="is not a folder"):
         imported(tmp_path / "none")
     with pytest.raises(HeadwayError, match=r"there is no file od-YYYY-MM-DD\.parquet"):
         imported(tmp_path)
     raw = write_raw(tmp_path / "a", {SUNDAY: records(SUNDAY)})
-    with pytest.raises(HeadwayError, match="--lines: there is no line 12; there is 0007"):
+    with pytest.raises(HeadwayError, match="--lines: there is no line 12; the lines are 0007"):
         imported(raw, lines=("12",))
     write_tables(imported(raw), tmp_path / "done")
     with pytest.raises(HeadwayError, match="is a scenario already; use it as it is"):
         imported(tmp_path / "done")
     (raw / "gtfs_bus_topique_02_2024.parquet").unlink()
     (raw / "node_temporal_features_04-03-2024.parquet").unlink()
-    with pytest.raises(HeadwayError, match="says where stops lie"):
+    with pytest.raises(HeadwayError, match="with coordinates of stops"):
         imported(raw)
     write_raw(raw, {SUNDAY: records(SUNDAY).drop(columns="stop_time")})
     with pytest.raises(HeadwayError, match=r"od-2024-09-15\.parquet lacks column stop_time"):

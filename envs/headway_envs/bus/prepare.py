@@ -1,0 +1,75 @@
+"""Preparation of a bus environment: read or generate the scenario and build its network, once, in the parent
+process. Imports pandas."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.prepared import Prepared
+from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.source import scenario_tables
+from headway_envs.bus.scenario.tables import Tables
+
+_NEVER = 1e9
+"""Seconds per fuel unit, and hours of uptime, of a replay: too large for a bus to run out of either."""
+REPLAY_FIXED: Mapping[str, float] = {
+    "dispatch_window_s": 0.0,
+    "recovery_share": 3.0,
+    "noise.dispatch_s": 0.0,
+    "upkeep.breakdowns_per_hour": 0.0,
+    "upkeep.seconds_per_fuel_unit": _NEVER,
+    "upkeep.uptime_hours": _NEVER,
+}
+"""Settings that `prepare_replay` overrides, by dotted name."""
+
+
+def prepare(config: BusConfig) -> Prepared:
+    """Read or generate the scenario and build its network. Raises HeadwayError for an unusable scenario."""
+    tables = scenario_tables(config.scenario, config.scenario_seed)
+    network, lines = build(tables, config)
+    return Prepared(config, network, lines, source_of(tables.meta))
+
+
+def prepare_variant(config: BusConfig, other: Prepared) -> Prepared:
+    """Prepare `config` with the network of `other` if the two configurations differ only in rewards, which do
+    not affect the network; else prepare anew.
+
+    Sharing the network saves the seconds that generating a whole city takes.
+    """
+    if replace(config, reward=other.config.reward) == other.config:
+        return replace(other, config=config)
+    return prepare(config)
+
+
+def prepare_replay(config: BusConfig, tables: Tables | None = None) -> Prepared:
+    """Prepare a replay for comparison with measurements: every trip of the table leaves exactly at its
+    observed departure time. Raises HeadwayError for an unusable scenario.
+
+    Observed departures already contain the delays of earlier trips and the effect of breakdowns, so nothing
+    is added to them (`REPLAY_FIXED`): no decision before departure, no dispatch noise, no breakdowns and
+    unlimited fuel. Each slot recovers for three times a trip's duration before its next trip, so that no late
+    arrival delays a departure; there are therefore more slots than buses in the data. `tables`: the scenario,
+    if already read.
+    """
+    if tables is None:
+        tables = scenario_tables(config.scenario, config.scenario_seed)
+    config = replace(
+        config,
+        dispatch_window_s=REPLAY_FIXED["dispatch_window_s"],
+        recovery_share=REPLAY_FIXED["recovery_share"],
+        noise=replace(config.noise, dispatch_s=REPLAY_FIXED["noise.dispatch_s"]),
+        upkeep=replace(
+            config.upkeep,
+            breakdowns_per_hour=REPLAY_FIXED["upkeep.breakdowns_per_hour"],
+            seconds_per_fuel_unit=REPLAY_FIXED["upkeep.seconds_per_fuel_unit"],
+            uptime_hours=REPLAY_FIXED["upkeep.uptime_hours"],
+        ),
+    )
+    network, lines = build(tables, config, replay=True)
+    return Prepared(config, network, lines, source_of(tables.meta))
+
+
+def source_of(meta: Mapping[str, Any]) -> str:
+    """Return the source of a scenario as stated in its metadata, or "unknown"."""
+    return str(meta.get("source", "unknown"))
