@@ -164,7 +164,7 @@ def test_what_the_adapter_is_told_is_stored_and_reaches_it() -> None:
 
 def test_what_only_learning_is_given_is_asked_of_learning_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a factory whose signature tells nothing, the arguments that are given are all that is known."""
-    monkeypatch.setattr("headway.adapters.modules._described", lambda module, name: None)
+    monkeypatch.setattr("headway.adapters.modules._signature_source", lambda module, name: None)
     for wrappers in ("[]", "[clip_reward_v0]"):
         words = ("env.training_args.local_ratio=0.1", f"env.wrappers={wrappers}")
         experiment = compose([*SPREAD, *words])

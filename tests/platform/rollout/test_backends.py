@@ -98,7 +98,7 @@ def test_a_process_never_holds_more_copies_than_the_environment_allows(seeds: tu
             taken, _collected(plan_of_toy("visitors", seeds=seeds, copies=2 // len(seeds)), "serial", 1, 2)
         )
     assert given[0] == given[1]
-    ruled = evaluate_rule(RareVisitors, lambda prepared: OptimalVisitors(), VISITORS, 7, 5)
+    ruled = evaluate_rule(RareVisitors, OptimalVisitors, VISITORS, 7, 5)
     assert [row["length"] for row in ruled] == [row["length"] for row in given[0][0][0]]
 
 
