@@ -22,8 +22,8 @@ from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import ACTIONS, AS_HUMAN, IDLE, LEFT, STEP_S, SUBSTEPS
 from headway_envs.merge.kernel.motion import simulate
-from headway_envs.merge.kernel.observe import look
-from headway_envs.merge.kernel.steps import take
+from headway_envs.merge.kernel.observe import observe
+from headway_envs.merge.kernel.steps import apply_actions
 from headway_envs.merge.prepared import prepare
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ SLOW = 1.0
 MOTION = ("x", "y", "heading", "speed")
 PLAYS = ("idle", "left", "random", "human")
 """What the CAVs do; `human`: they drive as humans do."""
-EAGER = {"least_gain": 0.1, "most_braking": 9.0, "gain_where_equal": 0.11}
+EAGER = {"min_gain": 0.1, "max_braking": 9.0, "tie_gain": 0.11}
 """The study's constants of MOBIL, which change lanes more often than highway-env's."""
 
 
@@ -83,20 +83,20 @@ class _Pair:
         self.cavs, self.moving = int(episode["cavs"]), int(episode["cars"])
         self.cars = env.world.cars[0]
         constants = {
-            "LANE_CHANGE_MIN_ACC_GAIN": float(self.k["least_gain"]),
-            "LANE_CHANGE_MAX_BRAKING_IMPOSED": float(self.k["most_braking"]),
-            "GAIN_WHERE_EQUAL": float(self.k["gain_where_equal"]) if trial.ramp_lanes == 2 else -np.inf,
+            "LANE_CHANGE_MIN_ACC_GAIN": float(self.k["min_gain"]),
+            "LANE_CHANGE_MAX_BRAKING_IMPOSED": float(self.k["max_braking"]),
+            "GAIN_WHERE_EQUAL": float(self.k["tie_gain"]) if trial.ramp_lanes == 2 else -np.inf,
         }
         beginning, all_human = self.cars[: self.moving].copy(), trial.play == "human"
         self.oracle = _oracle()(beginning, self.cavs, trial.ramp_lanes, constants, all_human)
 
     def act(self, actions: NDArray[np.int64]) -> None:
-        take(self.env.network, self.k, self.cars, self.cavs, actions)
+        apply_actions(self.env.network, self.k, self.cars, self.cavs, actions)
         self.oracle.act(actions)
 
     def step(self) -> None:
-        things = self.moving + len(self.env.network.obstacles)
-        simulate(self.env.network, self.k, self.cars, self.moving, things, STEP_S)
+        bodies = self.moving + len(self.env.network.obstacles)
+        simulate(self.env.network, self.k, self.cars, self.moving, bodies, STEP_S)
         self.oracle.step(STEP_S)
 
     @property
@@ -131,7 +131,7 @@ class _Pair:
 
     def allowed(self) -> tuple[list[Any], list[Any]]:
         """The actions that each CAV is allowed, by us and by the other."""
-        look(self.env.network, self.k, self.env.world, self.env.outputs, 0)
+        observe(self.env.network, self.k, self.env.world, self.env.outputs, 0)
         masks = self.env.outputs.masks[0, : self.cavs]
         return [set(np.flatnonzero(mask)) for mask in masks], [*map(self.oracle.allowed, range(self.cavs))]
 

@@ -4,7 +4,7 @@ from functools import partial
 
 from headway.contracts import RANDOM, EnvEntry, Lazy, RuleEntry
 from headway_envs.intersection.config import IntersectionConfig
-from headway_envs.intersection.metrics import MEANINGS
+from headway_envs.intersection.metrics import METRIC_DESCRIPTIONS
 
 SHARES = (0.25, 0.5, 0.75)
 """Of AVs, in rules whose signal not all keep."""
@@ -50,7 +50,7 @@ ENTRY = EnvEntry(
             for share in SHARES
         },
     },
-    metrics=MEANINGS,
+    metrics=METRIC_DESCRIPTIONS,
     renderer=Lazy("headway_envs.intersection.renderer:IntersectionRenderer"),
     preload=("headway_envs.intersection.kernel", "headway_envs.intersection.env"),
 )

@@ -4,7 +4,7 @@ from headway_envs.intersection.config import TERMS
 
 _TERM = "of the reward in use: mean over steps; `scaled` unweighted, `paper` with its gains"
 _OTHERS = "the same of all others: human drivers, and automated vehicles without a slot"
-MEANINGS = {
+METRIC_DESCRIPTIONS = {
     "team_return": "the team's reward in use, scaled or the paper's, summed over steps",
     "paper_return": "the paper's reward, whichever is in use, summed over steps and AVs asked to act",
     "collisions": "collisions, each of two vehicles",

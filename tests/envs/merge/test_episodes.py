@@ -166,7 +166,7 @@ def test_without_the_tie_nobody_leaves_the_outer_ramp_lane(make: Make) -> None:
     merged = {}
     for tie in (0.21, 0.0):
         env = make("merge_two_lane", copies=64, density=1)
-        env.settings["gain_where_equal"] = tie
+        env.settings["tie_gain"] = tie
         outer = [env.world.cars[c]["y"][env.world.episodes[c]["cars"] - 1] == 14.5 for c in range(64)]
         y = np.zeros(64)
         for _ in range(99):
