@@ -199,10 +199,10 @@ def speeds(
             for _ in range(steps):
                 env.step(actions)
             seconds["whole"].append(time.process_time() - began)
-            vehicles = len(env.street.roster)
+            vehicles = len(env.bridge.roster)
             env.reset(np.array([3], np.uint64))
             began = time.process_time()
-            assert _step_bare(env.street.simulation.sumo, env.config, steps, 0.5) == vehicles
+            assert _step_bare(env.bridge.simulation.sumo, env.config, steps, 0.5) == vehicles
             seconds["bare"].append(time.process_time() - began)
     whole, bare = (np.array(each) for each in seconds.values())
     added = np.median(whole / bare) - 1

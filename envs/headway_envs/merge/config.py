@@ -53,7 +53,7 @@ class Dynamics:
     steering_from_slip: bool
     """True: convert the desired slip angle to a steering angle. False: use it as the steering angle."""
     follow_both_lanes: bool
-    """True: a human driver changing lanes follows the leaders on both lanes. False: on its current lane only."""
+    """True: a human driver changing lanes follows the leaders on both lanes. False: on its lane only."""
     min_change_speed: float
     """Minimum speed at which human drivers change lanes, m/s."""
     min_gain: float

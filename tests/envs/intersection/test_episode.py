@@ -30,7 +30,7 @@ def test_the_roster_is_what_sumo_has(crossing: Callable[..., Any]) -> None:
     env.reset(SEED)
     for _ in range(699):
         env.step(FULL)
-        roster = env.street.roster
+        roster = env.bridge.roster
         assert set(roster.ids) == set(sumo.vehicle.getIDList())
         holders = {slot: vehicle for _, slot, vehicle in roster.automated}
         assert holders == {slot: held for slot, held in enumerate(roster.holder) if held}
@@ -51,9 +51,9 @@ def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Cal
     crashed = 0
     for _ in range(899):
         env.step(FULL)
-        entered, arrived = env.ledger.entered, env.ledger.arrived
+        entered, arrived = env.counters.entered, env.counters.arrived
         crashed += len(env.crash_places)
-        assert entered - arrived - crashed == len(env.street.roster)
+        assert entered - arrived - crashed == len(env.bridge.roster)
     assert min(crashed, arrived) >= 4
     outcome, _ = env.step(NOTHING)
     metrics = _metrics(env, outcome)
@@ -70,9 +70,9 @@ def test_a_crash_among_humans_is_of_one_step(crossing: Callable[..., Any]) -> No
     env.reset(SEED)
     steps = 0
     for _ in range(1400):
-        before = env.ledger.crashes
+        before = env.counters.crashes
         env.step(NOTHING)
-        assert bool(env.crash_places) == (env.ledger.crashes > before)
+        assert bool(env.crash_places) == (env.counters.crashes > before)
         steps += bool(env.crash_places)
     assert steps >= 2
 
@@ -104,7 +104,7 @@ def test_whoever_leaves_ends_as_told_with_what_it_observed_last(
 def _asked(env: IntersectionBatchedEnv, interval: int, there: frozenset[str]) -> NDArray[np.float32]:
     """What each vehicle that was `there` is asked for in an interval, whichever slot it has."""
     actions = NOTHING.copy()
-    for _, slot, vehicle in env.street.roster.automated:
+    for _, slot, vehicle in env.bridge.roster.automated:
         if vehicle in there:
             actions[0, slot] = generator(int(vehicle.rsplit(".")[-1]), "asked", interval).uniform(-1, 3)
     return actions
@@ -123,20 +123,20 @@ def test_a_repeated_action_is_the_same_asked_for_step_by_step(
         env.reset(SEED)
         went, rewards, ended = [], [], dict.fromkeys(("arrived", "collided"), 0)
         for interval in range(intervals):
-            slot_of = {vehicle: slot for _, slot, vehicle in env.street.roster.automated}
+            slot_of = {vehicle: slot for _, slot, vehicle in env.bridge.roster.automated}
             there, paid = frozenset(slot_of), 0.0
             for _ in range(repeat // action_repeat):
                 outcome, _ = env.step(_asked(env, interval, there))
                 # What the team is paid, or all those together who were there.
                 slots = [0] if kind == "team" else list(slot_of.values())
                 paid += float(outcome.rewards[0, slots].sum())
-                still = {vehicle for _, _, vehicle in env.street.roster.automated}
+                still = {vehicle for _, _, vehicle in env.bridge.roster.automated}
                 slot_of = {vehicle: slot for vehicle, slot in slot_of.items() if vehicle in still}
                 for slot, event in env.events.items():
                     ended[event] += bool(outcome.acting[0, slot])
                 if outcome.episode_ended[0]:
                     break
-            roster = env.street.roster
+            roster = env.bridge.roster
             went.append((roster.ids.copy(), roster.traffic.speed[: len(roster)].tolist()))
             rewards.append(paid)
         assert outcome.episode_ended[0]
@@ -217,7 +217,7 @@ def test_noisy_humans_drive_by_the_seed(crossing: Callable[..., Any]) -> None:
         env.reset(np.array([seed], np.uint64))
         for _ in range(149):
             env.step(NOTHING)
-        given = env.street.roster.traffic.speed[: len(env.street.roster)].tolist()
+        given = env.bridge.roster.traffic.speed[: len(env.bridge.roster)].tolist()
         env.close()
         return given
 
@@ -229,7 +229,7 @@ def test_noisy_humans_drive_by_the_seed(crossing: Callable[..., Any]) -> None:
 def test_a_process_holds_one_simulation(crossing: Callable[..., Any]) -> None:
     first, second = crossing(), crossing()
     first.reset(SEED)
-    with pytest.raises(HeadwayError, match="holds a SUMO simulation already, and it can hold one: close"):
+    with pytest.raises(HeadwayError, match="already holds a SUMO simulation, and can hold only one: close"):
         second.reset(SEED)
     first.step(NOTHING)
     first.close()

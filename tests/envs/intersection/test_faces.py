@@ -63,7 +63,7 @@ def test_vehicles_live_once_and_are_the_batchs(crossing: Callable[..., Any]) -> 
     replayed: dict[str, list[tuple[Any, ...]]] = {}
     ended = False
     while not ended:
-        serial = env.street.roster.serial.copy()
+        serial = env.bridge.roster.serial.copy()
         there = np.flatnonzero(observed.alive[0]).tolist()
         outcome, observed = env.step(np.full((1, 96, 1), 2, np.float32))
         ended = bool(outcome.episode_ended[0])

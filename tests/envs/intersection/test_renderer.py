@@ -65,10 +65,10 @@ def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> N
     env.reset(np.array([3], np.uint64))
     camera, marked, crashed = Camera(env), [], []
     for _ in range(500):
-        before = env.ledger.crashes
+        before = env.counters.crashes
         env.step(FULL)
         marked.append(bool(camera.frame().crashes))
-        crashed.append(env.ledger.crashes > before)
+        crashed.append(env.counters.crashes > before)
     first = crashed.index(True)
     assert marked.index(True) == first
     assert all(marked[first : first + 20])

@@ -79,7 +79,7 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
     for _ in range(1499):
         _, observed = env.step(none.act(env, observed))
         actions = [rule.act(env, observed)[0, :, 0] for rule in (all_keep, half, none)]
-        for _, slot, vehicle in env.street.roster.automated:
+        for _, slot, vehicle in env.bridge.roster.automated:
             keeps, asked, drives = (found[slot] for found in actions)
             if keeps != drives:
                 assert asked in (keeps, drives)
@@ -96,7 +96,7 @@ def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
         VirtualSignal(None, 0.25),
         [f"av.{lane}.{number}" for lane in range(8) for number in range(50)],
     )
-    days = np.array([[rule._keeps(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
+    days = np.array([[rule._complies(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
     assert days.mean() == pytest.approx(0.25, abs=0.02)
     assert days.mean(axis=0).max() < 0.7
     gaps = np.diff(np.flatnonzero(days[0]))
@@ -113,7 +113,7 @@ def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[...,
     entered = held = 0
     for step in range(1499):
         _, observed = env.step(rule.act(env, observed))
-        roster, (turn, since) = env.street.roster, divmod(step * STEP_S, half_s)
+        roster, (turn, since) = env.bridge.roster, divmod(step * STEP_S, half_s)
         there = {vehicle: row for row, _, vehicle in roster.automated}
         position, speed = roster.traffic.position, roster.traffic.speed
         if abs(since - green_s) < STEP_S / 2:
@@ -140,7 +140,7 @@ def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -
         actions = rule.act(env, observed) if step >= 150 else np.zeros((1, 96, 1), np.float32)
         _, observed = env.step(actions)
     assert observed.alive.any()
-    for vehicle in env.street.roster.ids:
+    for vehicle in env.bridge.roster.ids:
         assert sumo.vehicle.getTypeID(vehicle) == "hdv"
         assert sumo.vehicle.getSpeedMode(vehicle) == 31
 
@@ -152,11 +152,11 @@ def test_who_asked_first_goes_first(crossing: Callable[..., Any]) -> None:
     inside_at_once = crossed = 0
     for _ in range(1199):
         _, observed = env.step(rule.act(env, observed))
-        traffic, count = env.street.roster.traffic, len(env.street.roster)
+        traffic, count = env.bridge.roster.traffic, len(env.bridge.roster)
         link, position = traffic.link[:count], traffic.position[:count]
         rows = np.flatnonzero((position > 201) & (position < 200 + env.prepared.network.link_length[link]))
         crossed += len(rows)
         inside_at_once += foes[np.ix_(link[rows], link[rows])].sum()
     assert crossed > 200
     assert inside_at_once == 0
-    assert env.ledger.crashes == 0
+    assert env.counters.crashes == 0

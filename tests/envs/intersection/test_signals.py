@@ -13,9 +13,9 @@ from headway_envs.intersection.human_drivers import acceleration
 from headway_envs.intersection.layout import (
     ACCOUNT,
     CROSSING,
-    PAY_OWN,
-    PAY_PAPER,
-    PAY_TEAM,
+    REWARD_OWN,
+    REWARD_PAPER,
+    REWARD_TEAM,
     SCRATCH,
     SUMS,
     TRAFFIC,
@@ -36,7 +36,7 @@ def test_the_papers_observation_is_what_sumo_says(crossing: Callable[..., Any]) 
     draw, followed = np.random.default_rng(0), 0
     for step in range(800):
         _, observed = env.step(draw.normal(1, 2, (1, 96, 1)).astype(np.float32))
-        for _, slot, vehicle in env.street.roster.automated if step % 20 == 0 else ():
+        for _, slot, vehicle in env.bridge.roster.automated if step % 20 == 0 else ():
             speed = sumo.vehicle.getSpeed(vehicle)
             leader, follower = sumo.vehicle.getLeader(vehicle, 200), sumo.vehicle.getFollower(vehicle, 200)
             ahead = (sumo.vehicle.getSpeed(leader[0]), leader[1] + 2.5) if leader else (30.0, LENGTH)
@@ -69,7 +69,9 @@ def _random_traffic(seed: int, count: int) -> Traffic:
     return traffic
 
 
-def _seen(traffic: Traffic, count: int, happened: StepEvents, pays: int = PAY_TEAM) -> tuple[np.void, Slots]:
+def _seen(
+    traffic: Traffic, count: int, events: StepEvents, reward_kind: int = REWARD_TEAM
+) -> tuple[np.void, Slots]:
     """The account, and what concerns each AV, after a step that brought this traffic; every other slot had
     been asked."""
     crossing, memory, account, scratch = (
@@ -80,12 +82,12 @@ def _seen(traffic: Traffic, count: int, happened: StepEvents, pays: int = PAY_TE
     foes = draw.random((16, 16)) < 0.5
     crossing["link_length"], crossing["total_length"], crossing["weights"] = 20.8, LENGTH, 1
     crossing["foes"], crossing["yields"] = foes | foes.T, foes
-    crossing["extended"], crossing["pays"] = True, pays
+    crossing["extended"], crossing["reward_kind"] = True, reward_kind
     memory["speed"], memory["slot"], memory["link"] = traffic.before, traffic.slot, traffic.link
     around = traffic.around[:count][traffic.slot[:count] >= 0]
-    answers = [column[:count] for column in (traffic.speed, traffic.position, traffic.fuel)]
-    told = np.concatenate([*answers, around.ravel()])
-    kernel.take_in(crossing, memory, account, scratch, *slots, count, told, *happened)
+    readings = [column[:count] for column in (traffic.speed, traffic.position, traffic.fuel)]
+    told = np.concatenate([*readings, around.ravel()])
+    kernel.process_step(crossing, memory, account, scratch, *slots, count, told, *events)
     for read, given in zip(Traffic.of(memory)[:4], traffic[:4], strict=True):
         assert (read == given).all()
     return account[0], slots
@@ -97,7 +99,7 @@ def test_speeds_asked_for_follow_from_accelerations_within_their_bounds() -> Non
     memory["slot"][0, :6], memory["speed"][0, :6] = [4, -1, 0, 3, 1, 2], [0.1, 9.0, 10.0, 12.0, 11.0, 13.0]
     accelerations = np.array([9.0, 0.7, 8.0, -8.0, -2.0], np.float32)
     acting, wished = np.array([True, True, False, True, True]), np.full(6, 7.0)
-    kernel.wish(accelerations, acting, memory, 6, wished)
+    kernel.target_speeds(accelerations, acting, memory, 6, wished)
     tenth = np.float32(0.1)
     change = [np.float32(3) * tenth, np.float32(-3) * tenth, np.float32(0.7) * tenth]
     expected = [0.0, 10.0 + float(change[0]), 12.0 + float(change[1]), 11.0 + float(change[2]), 13.0]
@@ -156,22 +158,22 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     assert (nobody["paper"] == 0).all()
 
 
-@pytest.mark.parametrize("pays", [PAY_PAPER, PAY_TEAM, PAY_OWN])
-def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(pays: int) -> None:
+@pytest.mark.parametrize("reward_kind", [REWARD_PAPER, REWARD_TEAM, REWARD_OWN])
+def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(reward_kind: int) -> None:
     count, traffic = 17, _random_traffic(2, 17)
-    account, slots = _seen(traffic, count, StepEvents(1, 0, 0, 420.0, 5, 0.5), pays)
+    account, slots = _seen(traffic, count, StepEvents(1, 0, 0, 420.0, 5, 0.5), reward_kind)
     there = slots.acting & slots.alive
     assert 0 < there.sum() < slots.alive.sum()
     paper = account["paper_return"] / there.sum()
-    returned = paper if pays == PAY_PAPER else account["scaled"].sum()
+    returned = paper if reward_kind == REWARD_PAPER else account["scaled"].sum()
     assert account["team_return"] == pytest.approx(returned)
-    terms = account["paper"] if pays == PAY_PAPER else account["scaled"]
+    terms = account["paper"] if reward_kind == REWARD_PAPER else account["scaled"]
     assert (account["terms"] == terms).all()
-    if pays == PAY_TEAM:
+    if reward_kind == REWARD_TEAM:
         np.testing.assert_allclose(slots.rewards, returned, rtol=1e-6)
         return
     assert (slots.rewards[~there] == 0).all()
-    if pays == PAY_PAPER:
+    if reward_kind == REWARD_PAPER:
         np.testing.assert_allclose(slots.rewards[there], paper, rtol=1e-6)
     else:
         assert len(set(slots.rewards[there])) == there.sum()
@@ -245,7 +247,7 @@ def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: i
 
 def test_the_state_counts_everybody_once() -> None:
     count, traffic = 30, _random_traffic(1, 30)
-    state = _seen(traffic, count, StepEvents(pending=10, passed=0.25))[0]["state"]
+    state = _seen(traffic, count, StepEvents(pending=10, progress=0.25))[0]["state"]
     by_approach = state[:-2].reshape(4, 16)
     cells, beyond = by_approach[:, :12].reshape(4, 4, 3), by_approach[:, 12:].reshape(4, 2, 2)
     assert 10 * (cells[..., :2].sum() + beyond[..., 0].sum()) == pytest.approx(count, abs=1e-4)
@@ -292,14 +294,14 @@ def test_own_rewards_are_of_ones_own_driving_and_crash(crossing: Callable[..., A
     assert not env.spec.shared_reward
     observed, seen = env.reset(SEED), {"arrived": 0, "collided": 0, "behind": 0}
     for _ in range(800):
-        there, before = observed.alive[0].copy(), env.street.roster.holder.copy()
+        there, before = observed.alive[0].copy(), env.bridge.roster.holder.copy()
         outcome, observed = env.step(np.full((1, 96, 1), 2, np.float32))
-        paid, traffic = outcome.rewards[0], env.street.roster.traffic
+        paid, traffic = outcome.rewards[0], env.bridge.roster.traffic
         assert (paid[~there] == 0).all()
         for slot, event in env.events.items():
             seen[event] += 1
             assert paid[slot] == (0.0 if event == "arrived" else -7.0)
-        for row, slot, vehicle in env.street.roster.automated:
+        for row, slot, vehicle in env.bridge.roster.automated:
             if before[slot] != vehicle:
                 continue
             speed, (leader, gap) = traffic.speed[row], traffic.around[row, :2]
@@ -328,7 +330,7 @@ def test_the_teams_return_is_not_of_own_rewards(crossing: Callable[..., Any]) ->
 def test_the_papers_reward_knows_no_own_scope() -> None:
     from headway_envs.intersection.config import RewardConfig
 
-    with pytest.raises(ValueError, match="scope=own is of kind scaled"):
+    with pytest.raises(ValueError, match="scope=own is for kind=scaled"):
         RewardConfig(kind="paper", scope="own")
 
 
@@ -336,12 +338,12 @@ def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None
     assert jain([3.0, 3.0, 3.0]) == pytest.approx(1.0)
     assert jain([5.0, 0.0, 0.0, 0.0]) == pytest.approx(0.25)
     assert jain([]) == 1.0
-    ledger = EpisodeMetrics(
+    counters = EpisodeMetrics(
         IntersectionConfig(), steps=1000, through=[2, 1, 0, 0], travel_s=[20.0, 30.0, 40.0]
     )
     account = np.zeros(1, ACCOUNT)
     account["present"] = 500.0, 400.0, 900.0, 0.0
-    metrics = dict(zip(METRICS, ledger.metrics(account[0]), strict=True))
+    metrics = dict(zip(METRICS, counters.metrics(account[0]), strict=True))
     assert metrics["travel_time_av_s"] == pytest.approx(30)
     assert metrics["worst_approach_s"] == pytest.approx(90)  # nobody from there went through
     assert metrics["fairness_jain"] == pytest.approx(jain([25.0, 40.0, 90.0]))

@@ -17,7 +17,7 @@ _MAX_SPEED = 40.0
 
 @compiled
 def move(net: Network, car: Record, dt: float) -> None:
-    """Move one vehicle by the kinematic bicycle model, with the speed and heading at the start of the step."""
+    """Move one vehicle by the kinematic bicycle model, with speed and heading of the step's start."""
     if car.crashed:
         car.steering = 0.0
         car.acceleration = -car.speed
