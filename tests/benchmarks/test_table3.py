@@ -8,7 +8,7 @@ from headway_launch.experiments.compose import compose
 
 
 def test_the_whole_is_counted_in_stacks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table3, "AT_LEAST_S", 0.0)
+    monkeypatch.setattr(table3, "MIN_MEASURED_S", 0.0)
     small = ["seed=0..3", "backend.stack=2", "env_steps=3_000", "env.args.scenario=line"]
     quick = ["evaluation.every=1_500", "evaluation.episodes=1", "evaluation.final_episodes=3"]
     cost = cost_of(compose(["experiment=bus_table3", "algo=ia2c", *small, *quick]))

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from benchmarks import crossing
-from benchmarks.crossing import BANDS, SCENARIOS, outside, play, speeds
+from benchmarks.crossing import BANDS, SCENARIOS, outside, run_episodes, speeds
 
 pytestmark = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO (headway[sumo]) is not installed")
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
@@ -19,7 +19,7 @@ BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 def test_traffic_lies_within_its_bands(name: str) -> None:
     """Three episodes, in bands widened for their number; there is no crash."""
     scenario = BY_NAME[name]
-    found = play(scenario, episodes=3)
+    found = run_episodes(scenario, episodes=3)
     assert outside(scenario, found, episodes=3) == []
     assert (found["collisions"], found["length"]) == (0, 1500)
 
