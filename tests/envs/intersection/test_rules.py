@@ -1,4 +1,4 @@
-"""Rules act within bounds, and those that heed the right of way do not crash."""
+"""Rules act within bounds, and those that observe the right of way do not crash."""
 
 from collections.abc import Callable
 from typing import Any
@@ -34,7 +34,7 @@ def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
     assert metrics["avs"] > 5
 
 
-def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
+def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=1200)
     crashes = {}
     for name in ("human", "reservation", "full_throttle"):
@@ -48,26 +48,26 @@ def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Calla
 
 
 @pytest.mark.parametrize("action_repeat", [1, 10])
-def test_a_signal_that_avs_keep_lets_more_through_than_right_of_way(
+def test_the_virtual_signal_has_more_outflow_than_right_of_way(
     action_repeat: int, crossing: Callable[..., Any]
 ) -> None:
-    """Humans queue behind those who hold, while the minor road, which would wait for long, drives."""
+    """Humans queue behind holding AVs while the minor road, which would otherwise wait long, has green."""
     through, worst, crashes = {}, {}, 0.0
     for name in ("human", "virtual_signal"):
         env = crossing(av_speed_mode=11, action_repeat=action_repeat)
         rule = ENTRY.rules[name].make(env.prepared)
         played = [_played(env, rule, seed) for seed in (1, 2, 3, 4)]
         env.close()
-        through[name] = np.mean([figures["outflow_vph"] for figures in played])
-        worst[name] = np.mean([figures["worst_approach_s"] for figures in played])
-        crashes += sum(figures["collisions"] for figures in played)
+        through[name] = np.mean([metrics["outflow_vph"] for metrics in played])
+        worst[name] = np.mean([metrics["worst_approach_s"] for metrics in played])
+        crashes += sum(metrics["collisions"] for metrics in played)
     assert crashes == 0
     assert through["virtual_signal"] > 1.1 * through["human"]
     assert worst["virtual_signal"] < 0.5 * worst["human"]
 
 
-def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callable[..., Any]) -> None:
-    """Each vehicle does the one or the other always; with none who keeps the signal it is in no action."""
+def test_with_a_share_the_other_avs_drive_as_without_a_signal(crossing: Callable[..., Any]) -> None:
+    """Each vehicle either always complies or never; with a share of 0 the signal has no effect."""
     env = crossing(av_speed_mode=11)
     all_keep, half, none = (
         VirtualSignal(env.prepared),
@@ -90,8 +90,8 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
     assert 0.3 < np.mean(list(kept.values())) < 0.7
 
 
-def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
-    """Neither every fourth nor the same on all days."""
+def test_compliance_is_drawn_per_vehicle_and_episode() -> None:
+    """It is neither periodic nor the same in all episodes."""
     rule, vehicles = (
         VirtualSignal(None, 0.25),
         [f"av.{lane}.{number}" for lane in range(8) for number in range(50)],
@@ -103,8 +103,8 @@ def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
     assert np.std(gaps) == pytest.approx(np.sqrt(0.75) / 0.25, rel=0.4)  # geometric
 
 
-def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
-    """Among AVs alone: nobody who could hold when its green ended enters before its next."""
+def test_avs_at_red_hold_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
+    """With AVs only: a vehicle that could hold when its green ended does not enter before its next green."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal(None)
     observed = env.reset(np.array([3], np.uint64))
     green_s, half_s = rule.GREEN_S, rule.GREEN_S + rule.CLEAR_S
@@ -145,8 +145,8 @@ def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -
         assert sumo.vehicle.getSpeedMode(vehicle) == 31
 
 
-def test_who_asked_first_goes_first(crossing: Callable[..., Any]) -> None:
-    """Two automated vehicles on crossing ways never are inside the junction at once."""
+def test_reservations_exclude_conflicts(crossing: Callable[..., Any]) -> None:
+    """Two AVs on conflicting paths are never inside the junction at once."""
     env, rule = crossing(vph_per_lane_hdv=0, horizon=1200), Reservation(None)
     observed, foes = env.reset(np.array([2], np.uint64)), env.prepared.network.foes
     inside_at_once = crossed = 0
