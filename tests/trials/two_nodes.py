@@ -84,7 +84,7 @@ class Turn:
     @property
     def noticed(self) -> str:
         """A part of the line in which a session says that it has lost one."""
-        return "it goes on elsewhere" if self.learners == "cluster" else "replaced, "
+        return "it continues elsewhere" if self.learners == "cluster" else "replaced, "
 
 
 TURNS = {

@@ -73,7 +73,7 @@ def execute(arguments: argparse.Namespace) -> int:
         from headway_launch.studies.dry_run import print_estimate
 
         return print_estimate(session.standings, session.cells)
-    code = session.conductor(arguments.debug).conduct()
+    code = session.open_runner(arguments.debug).run()
     if code != EXIT_STOPPED:
         session.require_all_ended()
     return code

@@ -11,7 +11,7 @@ from headway_launch.experiments.compose import Experiment
 _DECIDES = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
 
 
-def one_of_a_session(config: ExperimentConfig) -> dict[str, object]:
+def session_settings(config: ExperimentConfig) -> dict[str, object]:
     """What a session has one of, by its key: experiments that differ here take a session each."""
     return {
         "study": config.study,

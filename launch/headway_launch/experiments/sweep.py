@@ -6,7 +6,7 @@ from itertools import product
 from headway.config.schema import parse_seeds
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import Experiment, compose, groups
-from headway_launch.experiments.parameters import one_of_a_session
+from headway_launch.experiments.parameters import session_settings
 
 _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
 
@@ -66,7 +66,7 @@ def _all_seeds(override: str, text: str) -> str:
 
 def require_one_session(experiments: Sequence[Experiment]) -> None:
     """Raises HeadwayError where experiments differ in what a session has one of."""
-    wanted, *others = (one_of_a_session(experiment.config) for experiment in experiments)
+    wanted, *others = (session_settings(experiment.config) for experiment in experiments)
     for name, value in wanted.items():
         if any(other[name] != value for other in others):
             raise HeadwayError(f"{name} has one value in a sweep; give {name} one, or sweep once for each")

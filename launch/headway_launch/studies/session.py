@@ -41,13 +41,13 @@ class StudySession:
         ]
         return cls(tuple(experiments), tuple(standings), tuple(plan_cells(standings, labels)))
 
-    def conductor(self, debug: bool) -> Runner:
+    def open_runner(self, debug: bool) -> Runner:
         """Ready to conduct; the plan is kept in the store. Raises HeadwayError where that cannot be used."""
         config = self.experiments[0].config
-        conductor = Runner(self.cells, debug, plan_kept=True)
+        runner = Runner(self.cells, debug, plan_kept=True)
         keep_plan(Path(config.store.root), config.study, self.experiments)
         tell_standing(config.study, self.standings)
-        return conductor
+        return runner
 
     def require_all_ended(self) -> None:
         """See `require_all_ended`."""

@@ -138,7 +138,7 @@ def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
         _, told = process.communicate(timeout=2 * PATIENCE_S)
         assert process.returncode == 0, told
     assert (
-        told.count("its training process was lost (its worker process has died); it goes on elsewhere") == 1
+        told.count("its training process was lost (its worker process has died); it continues elsewhere") == 1
     )
     assert not any(child.is_running() for child in children)
     ended = {row.algorithm: row for row in RunIndex(tmp_path / "runs").rows()}
