@@ -67,7 +67,7 @@ class Experiment:
         return str(self.config.algo["name"])
 
     @property
-    def reported_on(self) -> Mapping[str, Any]:
+    def evaluated_env(self) -> Mapping[str, Any]:
         """What evaluation, rules and every figure are of: the environment, its arguments, what its adapter is
         told and the wrappers that do more than change rewards."""
         wrappers = [

@@ -90,7 +90,7 @@ class SessionCell:
         evaluation = self.config.evaluation
         episodes = evaluation.last_episodes
         key = json.dumps(
-            [self.experiment.reported_on, evaluation.seed, episodes, self.experiment.rules], default=str
+            [self.experiment.evaluated_env, evaluation.seed, episodes, self.experiment.rules], default=str
         )
         if key not in played:
             played[key] = self._rule_rows(episodes) if self.experiment.rules else {}
@@ -109,7 +109,7 @@ class SessionCell:
         return {rule: [{**row, _EVALUATION_SEED: seed} for row in rows] for rule, rows in played.items()}
 
     def finish(self, statuses: Sequence[Status], metrics: Mapping[str, float]) -> None:
-        """End the cell in MLflow with the session's `metrics`, by name; `statuses`: one per job of the cell."""
+        """End the cell in MLflow with the session's `metrics`; `statuses`: one per job of the cell."""
         rules = {
             f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
             for rule, rows in self.rules.items()

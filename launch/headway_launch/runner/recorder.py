@@ -116,7 +116,7 @@ class JobRecorder:
 
     @property
     def steps_per_second(self) -> float | None:
-        """Environment steps per second and seed, from the end of the first iteration to the end of the last."""
+        """Environment steps per second and seed, from the end of the first iteration to that of the last."""
         if self._first is None or self._last is None or self._last == self._first:
             return None
         (begin, first), (end, last) = self._first, self._last

@@ -185,8 +185,8 @@ def print_cells(
 ) -> None:
     """Print one row per cell: means over its finished seeds, and the resources used by all its seeds.
 
-    `cells`: (label, number of planned seeds, results of the seeds that ended or were stopped). `episodes`: the
-    distinct numbers of episodes per point of the evaluation curves.
+    `cells`: (label, number of planned seeds, results of the seeds that ended or were stopped). `episodes`:
+    the distinct numbers of episodes per point of the evaluation curves.
     """
     rows: list[tuple[Cell, ...]] = []
     for label, planned, results in cells:
@@ -211,9 +211,7 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
     from headway.stats.plots import counted
 
     if any(result.final_reward is not None for result in results):
-        print_line(
-            f"{_FINAL}: mean of a run's evaluation returns over the last {FINAL_SHARE:.0%} of its steps"
-        )
+        print_line(f"{_FINAL}: mean evaluation return over the last {FINAL_SHARE:.0%} of a run's steps")
     without = sum(result.final_reward is not None and result.auc is None for result in results)
     if without:
         print_line(

@@ -1,4 +1,4 @@
-"""Execution of a session: stored runs, training, energy measurement, rule evaluation and the results table."""
+"""Execution of a session: stored runs, training, energy measurement, rule episodes, results table."""
 
 import sys
 import time
@@ -146,7 +146,7 @@ class Runner:
     def _should_restart(self, index: int) -> bool:
         """Return whether to restart a job whose training process was lost, and plan its resumption if so.
 
-        Its runs end as those of a killed session do. False after `_MAX_RESTARTS` restarts at the same checkpoint.
+        Its runs end as killed ones. False after `_MAX_RESTARTS` restarts from the same checkpoint.
         """
         job = self._jobs[index]
         if job.recording is None:

@@ -38,7 +38,7 @@ class TrainingProcess:
         self._events, childs_end = context.Pipe()
         name = f"headway training {', '.join(str(seed) for seed in job.seeds)}"
         self._process = context.Process(
-            target=_work, args=(work or partial(train_and_tell, job), childs_end), name=name
+            target=_work, args=(work or partial(train_and_report, job), childs_end), name=name
         )
         resource_tracker.ensure_running()
         # Signals stay blocked until the child has left the terminal's process group.
@@ -123,7 +123,7 @@ def _work(work: Work, connection: Connection) -> None:
     sys.stdout.flush()
 
 
-def train_and_tell(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:
+def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:
     """Train a job; what it fails of is its last event. Raises BrokenPipeError where nobody listens."""
     from headway.training.loop import train
 

@@ -38,7 +38,7 @@ def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]
     expected: list[Expectation] = []
     for name, cell in zip(named, cells, strict=True):
         if cell.jobs:
-            of_cell = [paces[id(cell)].of_job(cell.experiment.config, job.iteration) for job in cell.jobs]
+            of_cell = [paces[id(cell)].estimate(cell.experiment.config, job.iteration) for job in cell.jobs]
             rows.append(
                 (name, len(of_cell), sum(job.seconds for job in of_cell) / len(of_cell), *_used(of_cell))
             )

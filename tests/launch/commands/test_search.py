@@ -76,7 +76,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(
             assert float(row[4]) == pytest.approx(float(row[3]) - optimal, abs=1e-3)
             assert float(row[5]) <= float(row[4]) <= float(row[6])
             assert row[7] == "t over episodes"
-    assert "1 seed: the interval is over days" in done.stderr
+    assert "1 seed: the interval is over episodes" in done.stderr
 
 
 def test_no_winner_is_named_while_another_session_trains_a_seed(

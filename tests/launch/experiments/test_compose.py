@@ -80,7 +80,7 @@ def test_the_bus_network_by_itself_takes_values_that_learn_on_it() -> None:
     untuned = compose(["env=bus", "algo=madqn"])
     assert untuned.config.preset == compose(["env=bus", "preset=none"]).config.preset == "none"
     assert untuned.algo_config == compose(["env=trivial", "algo=madqn"]).algo_config
-    tasks = [compose(["env=bus", f"algo={name}"]).reported_on for name in algo_entries() if name != "ddpg"]
+    tasks = [compose(["env=bus", f"algo={name}"]).evaluated_env for name in algo_entries() if name != "ddpg"]
     assert all(task == tasks[0] for task in tasks)
     with pytest.raises(HeadwayError, match="the preset has no values for algo=madqn"):
         compose(["env=bus", "algo=madqn", "preset=bus_tuned"])
@@ -249,12 +249,12 @@ def test_what_is_reported_on_leaves_out_what_only_learning_sees() -> None:
         ["env.wrappers=[clip_reward_v0]"],
         ["algo=ippo", "rollout=short"],
     ):
-        assert compose(["env=trivial", *words]).reported_on == plain.reported_on
+        assert compose(["env=trivial", *words]).evaluated_env == plain.evaluated_env
     spread = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3"]
-    assert compose([*spread, "env.max_copies_per_process=4"]).reported_on != compose(spread).reported_on
+    assert compose([*spread, "env.max_copies_per_process=4"]).evaluated_env != compose(spread).evaluated_env
     for words in (["env.args.steps=9"], ["env.wrappers=[clip_reward_v0, agent_indicator_v0]"]):
-        assert compose(["env=trivial", *words]).reported_on != plain.reported_on
-    assert compose(["env=matrix"]).reported_on != plain.reported_on
+        assert compose(["env=trivial", *words]).evaluated_env != plain.evaluated_env
+    assert compose(["env=matrix"]).evaluated_env != plain.evaluated_env
 
 
 def test_training_arguments_cannot_change_what_agents_observe() -> None:
@@ -334,7 +334,7 @@ def test_the_merging_study_has_no_other_protocol_in_one_sweep() -> None:
     cells = compose_sweep([*words, "env.args.supervisor=false,true"])
     assert len(cells) == len(distinct(cells)) == 12
     assert {cell.config.study for cell in cells} == {"merge_study"}
-    assert len({json.dumps(cell.reported_on, sort_keys=True) for cell in cells}) == 4
+    assert len({json.dumps(cell.evaluated_env, sort_keys=True) for cell in cells}) == 4
 
 
 def test_a_composition_without_a_name_runs_as_custom() -> None:

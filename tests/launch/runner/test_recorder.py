@@ -64,8 +64,8 @@ def test_a_curve_of_two_points_has_no_area(
     assert result.auc == (None if area is None else pytest.approx(area))
     assert result.final_reward is not None
     print_cells("study", [("ippo", 1, [result])], {2})
-    meaning = "final reward: the mean of a run's evaluations over the last 20% of its steps\n"
-    line = "no AUC of 1 run: evaluated fewer than 3 times (evaluation.every sets how often)\n"
+    meaning = "final reward: mean evaluation return over the last 20% of a run's steps\n"
+    line = "no AUC for 1 run: fewer than 3 evaluations (evaluation.every sets the interval)\n"
     assert capsys.readouterr().err == meaning + (line if area is None else "")
 
 

@@ -38,13 +38,13 @@ def test_a_job_takes_its_start_iterations_and_evaluations() -> None:
     config = replace(config, evaluation=replace(config.evaluation, episodes=10, final_episodes=30))
     # Ten iterations of 100 steps; evaluations before them (whose CPU seconds are the start's), at 300, 600
     # and 900, and the last of three times the episodes.
-    whole = PACE.of_job(config, 0)
+    whole = PACE.estimate(config, 0)
     assert whole.seconds == pytest.approx(3.0 + 10 * 0.5 + (1 + 3 + 3) * 2.0)
     assert whole.cpu_s == pytest.approx(4.0 + 10 * 1.0 + (3 + 3) * 2.0 * 2.0)
     assert whole.kwh == pytest.approx(whole.cpu_s * 1e-6)
-    rest = PACE.of_job(config, 7)
+    rest = PACE.estimate(config, 7)
     assert rest.seconds == pytest.approx(3.0 + 3 * 0.5 + (1 + 3) * 2.0)
-    assert replace(PACE, kwh=None).of_job(config, 0).kwh is None
+    assert replace(PACE, kwh=None).estimate(config, 0).kwh is None
 
 
 def test_a_dry_run_lists_estimates_and_keeps_nothing(
