@@ -126,16 +126,14 @@ def few_seeds(seeds: int) -> str:
     if seeds == 1:
         limit = "1 seed: the interval is over episodes of one policy and ignores the variation between seeds"
     else:
-        limit = (
-            f"{seeds} seeds: the interval assumes normal variation between seeds and may miss rare failures"
-        )
+        limit = f"{seeds} seeds: the interval assumes normally distributed seeds and may miss rare failures"
     return f"{limit}; train at least {SEEDS_FOR_A_CLAIM} before claiming that one is better"
 
 
 def few_episodes(episodes: int) -> str:
     """Return a warning about a comparison over few episodes."""
     return (
-        f"{episodes} episodes: the intervals assume normal variation between episodes and may miss rare ones; "
+        f"{episodes} episodes: the intervals assume normally distributed episodes and may miss rare ones; "
         f"play at least {EPISODES_FOR_A_CLAIM} before claiming that one is better"
     )
 

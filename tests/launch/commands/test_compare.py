@@ -38,7 +38,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     assert float(rows["return", "rule random"]["95% to"]) < 0
     assert rows["return", "rule optimal"]["minus optimal"] == ""
     assert "train at least" not in shown.err
-    assert "4 episodes: the intervals assume normal variation between episodes" in shown.err
+    assert "4 episodes: the intervals assume normally distributed episodes" in shown.err
     assert list(tmp_path.iterdir()) == []
 
 

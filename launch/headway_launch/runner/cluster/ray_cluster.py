@@ -59,14 +59,14 @@ class SessionCluster:
         return replace(asked, address=self.address, worker_cpus=cpus)
 
     def share_cores(self, backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> CoreShares:
-        """Return how the cores are shared, as `headway_launch.runner.jobs.share_cores`; `cores`: those of this
+        """Return how the cores are shared, as `headway_launch.runner.jobs.share_cores`. `cores`: of this
         machine. Training processes on the cluster take at most the CPUs of one node each."""
         if not self.learners or self.cpus is None:
             return share_cores(backend, jobs, cores, self.cpus)
         return share_cores(backend, jobs, self.cpus, node_cpus=self.node_cpus)
 
     def open_training(self, job: "TrainingJob") -> Training:
-        """Start a training process here, or on the cluster with its rollout workers as processes of its node."""
+        """Start a training process here, or on a cluster node, together with its rollout workers."""
         backend = job.config.backend
         if not self.learners or backend.name != "ray":
             return TrainingProcess(job)

@@ -1,7 +1,7 @@
 """A training process on a node of a Ray cluster, with the interface of `TrainingProcess`.
 
-Its rollout workers are processes of the same node. It writes its run folders itself, so the store must be on a
-file system that all nodes share.
+Its rollout workers are processes of the same node. It writes its run folders itself, so the store must be on
+a file system that all nodes share.
 """
 
 import pickle
@@ -71,7 +71,7 @@ class TrainingHost:
         self.events.put(event)
 
     def next_events(self) -> list[Event | None]:
-        """Return the events since the last call, after waiting up to `_WAIT_S` for one; None marks the end."""
+        """Return the events since the last call, after waiting up to `_WAIT_S`; None marks the end."""
         found: list[Event | None] = []
         try:
             found.append(self.events.get(timeout=_WAIT_S))
@@ -194,8 +194,8 @@ class RayTraining:
 
 
 def without_usage(event: Event) -> Event:
-    """Return an event from another machine without its resource use, by which the energy of this machine would
-    be divided."""
+    """Return an event from another machine without its resource use, since that divides the energy of this
+    machine only."""
     match event:
         case Started():
             return replace(event, process_ids=())
