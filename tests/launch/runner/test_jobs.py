@@ -196,7 +196,7 @@ def _asynchronous(*overrides: str) -> Experiment:
     [
         (
             (),
-            "a3c has 4 workers (rollout.copies / rollout.block), and a gradient of each rollout of 2 x 512",
+            "a3c has 4 workers (rollout.copies / rollout.block), and computes one gradient per rollout of 2 x 512",
         ),
         (("rollout=asynchronous",), "a3c has 4 workers"),
         (("rollout.block=8",), "a3c has 1 worker ("),
@@ -217,7 +217,7 @@ def test_with_the_default_rollout_an_asynchronous_algorithm_names_its_own(
 ) -> None:
     plan_jobs(compose(["env=tracking", "algo=a3c", "seed=0,1"]))
     assert "a3c has 2 workers" in (told := "".join(capsys.readouterr()))
-    assert "rollout=asynchronous has more and shorter ones" in told
+    assert "rollout=asynchronous sets more and shorter ones" in told
 
 
 def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> None:
@@ -235,8 +235,8 @@ def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> 
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("backend.workers=3", "a3c has a worker for each block of copies, 4 here.*leave backend.workers out"),
-        ("backend.stack=2", "a3c trains one seed a process: .*set backend.stack=1"),
+        ("backend.workers=3", "a3c has one worker per block of copies, 4 here.*leave out backend.workers"),
+        ("backend.stack=2", "a3c trains one seed per process, .*set backend.stack=1"),
     ],
 )
 def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(override: str, line: str) -> None:
@@ -248,8 +248,8 @@ def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(overr
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("backend.workers=1", "a3c has a worker for each block of copies, 2 here.*leave backend.workers out"),
-        ("backend.stack=9", "a3c trains one seed a process: .*set backend.stack=1"),
+        ("backend.workers=1", "a3c has one worker per block of copies, 2 here.*leave out backend.workers"),
+        ("backend.stack=9", "a3c trains one seed per process, .*set backend.stack=1"),
     ],
 )
 def test_advice_for_crowded_processes_is_what_an_asynchronous_algorithm_takes(

@@ -75,8 +75,8 @@ ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --
 others=$((SLURM_JOB_NUM_NODES - 1))
 on_nodes=(srun "--cpus-per-task=$SLURM_CPUS_PER_TASK" --ntasks-per-node=1 --kill-on-bad-exit=0)
 on_others=("${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME")
-# Ray has a temporary folder on each node. Once a job is cancelled no new step can start, so each daemon's step
-# removes the folder on SIGTERM. If the job ends normally, the daemons may be killed and a step removes it.
+# Ray has a temporary folder on each node. Once a job is cancelled no new step can start, so each daemon's
+# step removes the folder on SIGTERM. If the job ends normally, the daemons may be killed; a step removes it.
 and_tidy=(bash -c '"$@" & ray=$!; trap : TERM INT
     while kill -0 "$ray" 2> /dev/null; do wait "$ray" || true; done; rm -rf "$0"' "$folder")
 end_ray() {
@@ -182,8 +182,8 @@ def _require_kept(option: str, value: str) -> None:
     for word in _REMOVED_WORDS:
         if word in value.lower():
             raise HeadwayError(
-                f"{option}={value}: sbatch removes {word!r} from scripts; leave it out here and pass the option "
-                "to sbatch directly"
+                f"{option}={value}: sbatch removes {word!r} from scripts; leave it out here and pass the "
+                "option to sbatch directly"
             )
 
 
@@ -200,8 +200,8 @@ def _as_pattern(folder: Path) -> str:
     for unwanted in ("\\", "\n", *_REMOVED_WORDS):
         if unwanted in text.lower():
             raise HeadwayError(
-                f"sbatch cannot write to a folder with {unwanted!r} in its name, as {text!r}: change store.root "
-                "or study"
+                f"sbatch cannot write to a folder with {unwanted!r} in its name ({text!r}): change "
+                "store.root or study"
             )
     return text.replace("%", "%%")
 
@@ -214,7 +214,7 @@ def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Pa
         key = key.lstrip("+~")
         if key in ("backend", "backend.name") and value.strip("'\"") != "ray":
             raise HeadwayError(
-                f"{override}: the script starts a Ray cluster; leave the override out, or add --array for none"
+                f"{override}: the script starts a Ray cluster; leave the override out, or add --array"
             )
         if key == "backend.address":
             raise HeadwayError(f"{override}: the script starts its own Ray cluster; leave the override out")

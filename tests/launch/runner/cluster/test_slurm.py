@@ -126,12 +126,11 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (
             ("--slurm", "backend=process"),
-            "backend=process: the script starts a Ray cluster; leave the override out, or add --array for none",
+            "backend=process: the script starts a Ray cluster; leave the override out, or add --array",
         ),
         (
             ("--slurm", "++backend.name=serial"),
-            "++backend.name=serial: the script starts a Ray cluster; leave the override out, or add "
-            "--array for none",
+            "++backend.name=serial: the script starts a Ray cluster; leave the override out, or add --array",
         ),
         (
             ("--slurm", "backend=ray", "backend.address=head:6379"),
