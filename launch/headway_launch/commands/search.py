@@ -53,7 +53,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 
-        return print_estimate(session.standings, session.cells)
+        return print_estimate(session.progress, session.cells)
     runner = session.open_runner(arguments.debug)
     code = runner.run()
     if code != EXIT_DONE:

@@ -208,9 +208,7 @@ def _print_workers(rollout: RolloutConfig, algorithm: str) -> None:
         f"rollout of {rollout.block} x {rollout.steps} steps"
     )
     print_line(
-        f"{line}; rollout=asynchronous sets more and shorter ones"
-        if rollout == RolloutConfig()
-        else line
+        f"{line}; rollout=asynchronous sets more and shorter ones" if rollout == RolloutConfig() else line
     )
 
 

@@ -30,7 +30,7 @@ class TrainingProcess:
     """Runs one job in a separate process and process group, so that Ctrl-C reaches the session only."""
 
     lost = False
-    """See `headway_launch.runner.scheduler.Training`; always false, since the session is on the same machine."""
+    """Always false: the session is on the same machine. See `headway_launch.runner.scheduler.Training`."""
 
     def __init__(self, job: "TrainingJob", work: Work | None = None) -> None:
         """Start the process; `work` (picklable) replaces the training of `job`, which then only names it."""

@@ -13,7 +13,7 @@ from headway_launch.runner.jobs import CellPlan, share_cores
 from headway_launch.studies.plan import StudyProgress
 
 
-def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
+def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
     """Print the runs of a session and the estimated cost of training them; return the exit code. Nothing is
     written to the store.
 
@@ -24,8 +24,8 @@ def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]
     named = [cell.label or cell.experiment.algo_name for cell in cells]
     kinds = [
         (name, *kind)
-        for name, standing, cell in zip(named, standings, cells, strict=True)
-        for kind in _seeds_by_action(standing, cell)
+        for name, each, cell in zip(named, progress, cells, strict=True)
+        for kind in _seeds_by_action(each, cell)
     ]
     print_table(("cell", "seeds", "runs", "action"), kinds, f"study {config.study}")
     if not planned:
@@ -40,7 +40,12 @@ def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]
         if cell.jobs:
             estimates = [paces[id(cell)].estimate(cell.experiment.config, job.iteration) for job in cell.jobs]
             rows.append(
-                (name, len(estimates), sum(job.seconds for job in estimates) / len(estimates), *_totals(estimates))
+                (
+                    name,
+                    len(estimates),
+                    sum(job.seconds for job in estimates) / len(estimates),
+                    *_totals(estimates),
+                )
             )
             expected += estimates
     columns = ("cell", "trainings", "s each", "total CPU s", "total kWh", "total kg CO2eq")
@@ -77,14 +82,14 @@ def spans(numbers: Sequence[int]) -> str:
     return ",".join(f"{part[0]}..{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
 
 
-def _seeds_by_action(standing: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
+def _seeds_by_action(progress: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
     """Return (seeds as text, number of seeds, action) for each action that the session takes on a cell."""
     kinds: dict[str, list[int]] = {}
     for job in cell.jobs:
         iterations = cell.experiment.config.iterations
         action = f"resume at iteration {job.iteration} of {iterations}" if job.resumed else "train"
         kinds.setdefault(action, []).extend(job.seeds)
-    others = {"none (finished)": standing.finished, "none (in another session)": standing.elsewhere}
+    others = {"none (finished)": progress.finished, "none (in another session)": progress.elsewhere}
     kinds |= {action: [run.record.seed for run in runs] for action, runs in others.items() if runs}
     return [(spans(seeds), len(seeds), action) for action, seeds in kinds.items()]
 
@@ -112,8 +117,8 @@ def _print_totals(
     cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
     print(
         f"The estimate is from at least {fewest} iterations and one evaluation of {cells}, measured with "
-        f"{parallel} processes in parallel; it assumes equally long later iterations and the same load on this "
-        "machine."
+        f"{parallel} processes in parallel; it assumes that later iterations take as long and this "
+        "machine stays as busy."
     )
     if backend == "ray":
         print(

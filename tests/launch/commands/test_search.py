@@ -46,7 +46,7 @@ def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
     root, first = searched
     again = _headway("search", "toy_matrix", "env_steps=2048", "energy=off", f"store.root={root}")
     assert again.returncode == 0, again.stderr
-    assert "2 have finished and are left alone" in again.stderr
+    assert "2 finished and skipped" in again.stderr
     winners = [done.stdout[done.stdout.index("cell\tcandidate") :] for done in (first, again)]
     assert winners[0] == winners[1]
     assert len(RunIndex(root).rows("search_toy_matrix")) == 2

@@ -64,9 +64,9 @@ def test_a_cell_named_twice_is_one() -> None:
 @pytest.mark.parametrize(
     ("override", "part"),
     [
-        ("store.root=a,b", "store has one value in a sweep"),
+        ("store.root=a,b", "store takes one value per sweep"),
         ("backend.parallel=1,2", "backend.parallel has one value"),
-        ("algo.lr=interval(0,1)", "has no values to go through; write KEY=a,b"),
+        ("algo.lr=interval(0,1)", "has no values to sweep; write KEY=a,b"),
         ("algo=glob(x*)", "matches nothing"),
         ("algo=ippo,mapo", "did you mean algo=mappo?"),
     ],

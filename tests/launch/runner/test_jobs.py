@@ -196,7 +196,7 @@ def _asynchronous(*overrides: str) -> Experiment:
     [
         (
             (),
-            "a3c has 4 workers (rollout.copies / rollout.block), and computes one gradient per rollout of 2 x 512",
+            "a3c has 4 workers (rollout.copies / rollout.block) and computes one gradient per rollout of 2 x",
         ),
         (("rollout=asynchronous",), "a3c has 4 workers"),
         (("rollout.block=8",), "a3c has 1 worker ("),
