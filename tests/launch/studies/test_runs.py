@@ -231,6 +231,6 @@ def test_presets_distinguish_environments_with_different_arguments(tmp_path: Pat
     names = cell_names(RunIndex(tmp_path).rows()).values()
     assert {(name.controller, name.task) for name in names} == {
         ("ippo bus_tuned", "bus, state=aggregate"),
-        ("ippo paper", "bus, state=whole"),  # also named by its arguments
+        ("ippo paper", "bus, state=whole"),  # named as elsewhere
         ("ippo bus_tuned_independent", "bus, state=aggregate"),
     }
