@@ -1,4 +1,4 @@
-"""The crossing's traffic is that of the same demand elsewhere; a small part of the benchmark `crossing`."""
+"""Traffic at the crossing matches reference values; a small part of the benchmark `crossing`."""
 
 from importlib.util import find_spec
 
@@ -12,15 +12,15 @@ BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 
 @pytest.mark.parametrize("name", ["SUMO's humans", "SUMO's humans, 1,600 veh/h", "humans"])
 def test_traffic_lies_within_its_bands(name: str) -> None:
-    """Three episodes in bands that are as much wider; nobody crashes in any of them."""
+    """Three episodes, with correspondingly wider bands, and no collisions."""
     scenario = BY_NAME[name]
     found = play(scenario, episodes=3)
     assert outside(scenario, found, episodes=3) == []
     assert (found["collisions"], found["length"]) == (0, 1500)
 
 
-def test_bands_tell_scenarios_apart() -> None:
-    """Each row is outside the bands of others that differ in demand or driver."""
+def test_bands_distinguish_scenarios() -> None:
+    """Most scenarios lie outside the bands of those with another demand or driver."""
     apart = 0
     for scenario in SCENARIOS:
         for other in SCENARIOS:
@@ -31,8 +31,8 @@ def test_bands_tell_scenarios_apart() -> None:
     assert apart >= 0.8 * len(SCENARIOS) * (len(SCENARIOS) - 1)
 
 
-def test_a_whole_step_and_a_bare_one_move_the_same_traffic() -> None:
-    """That the two end with as many vehicles is asserted inside."""
+def test_steps_with_and_without_the_environment_move_the_same_traffic() -> None:
+    """`speeds` asserts that both end with the same number of vehicles."""
     whole, bare, added, vehicles = speeds(LIGHT, rounds=1, steps=150)
     assert min(whole, bare) > 0
     assert added == pytest.approx(bare / whole - 1)

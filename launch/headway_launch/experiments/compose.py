@@ -68,8 +68,8 @@ class Experiment:
 
     @property
     def evaluated_env(self) -> Mapping[str, Any]:
-        """The environment in which policies and rules are evaluated: its id, arguments, adapter options and the
-        wrappers that do more than change rewards."""
+        """Identity of the evaluation environment: id, arguments, adapter options, and the wrappers that do
+        more than change rewards."""
         wrappers = [
             wrapper
             for wrapper in self.env_mapping.get("wrappers", ())
@@ -171,8 +171,8 @@ def compose(overrides: Sequence[str]) -> Experiment:
 def _preset_values(
     presets: Mapping[str, Any], mapping: Mapping[str, Any], by_default: bool
 ) -> Mapping[str, Any]:
-    """Return a preset's values for the experiment's algorithm. If it has none: empty for a preset that applies
-    by default, otherwise raise HeadwayError."""
+    """Return a preset's values for the experiment's algorithm. If it has none, return nothing for a preset
+    that applies by default and raise HeadwayError for any other."""
     name = str((mapping.get("algo") or {}).get("name"))
     if not presets or (by_default and name not in presets):
         return {}
@@ -333,7 +333,8 @@ def _names_env(overrides: Sequence[str]) -> bool:
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
-    """Return the override that selects a registered name or a module path without a YAML file. Raises HeadwayError if there is none."""
+    """Return the override for a registered name or a module path, which need no YAML file. Raises
+    HeadwayError for an unknown option."""
     if group == "env" and (option in env_entries() or is_module_path(option)):
         return f"++env={{id:{option}}}"
     if group == "algo" and option in algo_entries():
