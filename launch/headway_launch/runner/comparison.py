@@ -35,7 +35,7 @@ def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "
         wanted = tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
         for name in wanted:
             if name not in known:
-                raise HeadwayError(f"{option}: {name!r} is no rule here; {suggestion(name, known)}")
+                raise HeadwayError(f"{option}: there is no rule {name!r}; {suggestion(name, known)}")
             if problem := _refusal(environment, name):
                 raise HeadwayError(f"{option}: {problem}")
         return wanted
@@ -126,14 +126,16 @@ def few_seeds(seeds: int) -> str:
     if seeds == 1:
         limit = "1 seed: the interval is over episodes of one policy and ignores the variation between seeds"
     else:
-        limit = f"{seeds} seeds: the interval assumes normally distributed seeds and may miss rare failures"
+        limit = (
+            f"{seeds} seeds: the interval assumes a normal distribution over seeds and may miss rare failures"
+        )
     return f"{limit}; train at least {SEEDS_FOR_A_CLAIM} before claiming that one is better"
 
 
 def few_episodes(episodes: int) -> str:
     """Return a warning about a comparison over few episodes."""
     return (
-        f"{episodes} episodes: the intervals assume normally distributed episodes and may miss rare ones; "
+        f"{episodes} episodes: the intervals assume a normal distribution and may miss rare episodes; "
         f"play at least {EPISODES_FOR_A_CLAIM} before claiming that one is better"
     )
 

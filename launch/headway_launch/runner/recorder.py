@@ -128,7 +128,7 @@ class JobRecorder:
 
     def _record_checkpoint(self) -> None:
         """Record the newest checkpoint on disk, which a killed process may not have reported."""
-        # The seeds of a stack share their checkpoints, so any seed's folder shows the newest.
+        # Every seed's checkpoint holds the whole stack, so the newest in any of the folders counts.
         saved = max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in self.runs)
         for run in self.runs:
             if saved > run.record.durable_iteration:
@@ -139,5 +139,5 @@ class JobRecorder:
             text = failure.traceback or failure.line
             try:
                 write_text(run.directory / TRACEBACK, text + "\n")
-            except HeadwayError as error:  # one full disk must not end the other jobs
+            except HeadwayError as error:  # an error here must not end the other jobs
                 print_line(f"headway: {error}")

@@ -191,16 +191,16 @@ class Scheduler:
 
     def _end(self, index: int, shown: Progress) -> None:
         training = self._running.pop(index)
-        how = training.join()
+        reason = training.join()
         job = self._progress[index]
         unfinished = job.status in ("starting", "training")
         if unfinished and training.lost and not self._asked_to_stop and self._should_restart(index):
-            shown.note(f"headway: {job.name}: {how}; it continues elsewhere from its last checkpoint")
+            shown.note(f"headway: {job.name}: {reason}; it continues elsewhere from its last checkpoint")
             job.status = "waiting"
             self._waiting.insert(0, index)
             return
         if unfinished:
-            last = Finished(job.iteration, stopped=True) if self._killed else Failed(how, "")
+            last = Finished(job.iteration, stopped=True) if self._killed else Failed(reason, "")
             self._take_event(index, last, shown)
 
     def _handle_requests(self, requests: StopRequests, shown: Progress) -> None:

@@ -306,11 +306,11 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
     assert "minus random" in shown
     assert "optimal" not in shown
     for words, line in (
-        (["--rules", "optimum"], "--rules: 'optimum' is no rule here; did you mean optimal?"),
+        (["--rules", "optimum"], "--rules: there is no rule 'optimum'; did you mean optimal?"),
         (["--rules", ","], "--rules names none"),
         (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
         (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
-        (["--rules", "random", "--against", "optimum"], "--against: 'optimum' is no rule here"),
+        (["--rules", "random", "--against", "optimum"], "--against: there is no rule 'optimum'"),
     ):
         assert run(["compare", "default", "--episodes", "2", *words]) == 2
         assert line in capsys.readouterr().err
