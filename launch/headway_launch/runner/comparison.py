@@ -126,9 +126,7 @@ def few_seeds(seeds: int) -> str:
     if seeds == 1:
         limit = "1 seed: the interval is over episodes of one policy and ignores the variation between seeds"
     else:
-        limit = (
-            f"{seeds} seeds: the interval assumes a normal distribution over seeds and may miss rare failures"
-        )
+        limit = f"{seeds} seeds: the interval assumes a normal distribution and may miss rare failures"
     return f"{limit}; train at least {SEEDS_FOR_A_CLAIM} before claiming that one is better"
 
 
