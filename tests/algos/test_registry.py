@@ -233,4 +233,4 @@ def test_initial_logits_that_do_not_fit_are_refused(space: Any) -> None:  # noqa
     assert line is not None
     assert "initial_logits has 2 entries" in line
     assert "leave it out" in line
-    assert ("give one an action" in line) == isinstance(space, Discrete)
+    assert ("give one per action" in line) == isinstance(space, Discrete)

@@ -52,7 +52,7 @@ def test_the_first_agents_of_a_shared_policy_come_back() -> None:
 def test_agents_of_several_policies_cannot_be_the_first_few(policies: str) -> None:
     layout = _layout(policies)
     rows = layout.rows(np.zeros((STEPS, REPLICAS * COPIES, 6)))
-    with pytest.raises(ValueError, match="policies are all there"):
+    with pytest.raises(ValueError, match="agents must be None with"):
         layout.by_agent(rows, STEPS, agents=2)
 
 

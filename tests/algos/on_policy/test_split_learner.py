@@ -115,13 +115,13 @@ def test_once_parted_they_learn_in_smaller_steps(update: str, fabricate: Fabrica
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"apart_lr": 0.5}, "apart_lr is for policies that part: set shared_until"),
+        ({"apart_lr": 0.5}, "apart_lr applies after shared_until: set shared_until"),
         ({"apart_lr": 0.0, "shared_until": 0.5}, "apart_lr must be above 0"),
         ({"shared_until": 1.0}, r"shared_until must lie in \[0, 1\)"),
-        ({"shared_until": 0.5, "policies": "shared"}, "shared_until is for policies that are not shared"),
+        ({"shared_until": 0.5, "policies": "shared"}, "shared_until must be 0 with policies: shared"),
         (
             {"shared_until": 0.5, "order": "sequential"},
-            "shared_until must be 0 where policies are updated one",
+            "shared_until must be 0 with order: sequential",
         ),
     ],
 )

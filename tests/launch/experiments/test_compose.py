@@ -344,7 +344,7 @@ def test_a_composition_without_a_name_runs_as_custom() -> None:
     )
     composed.prepare()
     with pytest.raises(
-        HeadwayError, match=r"algo\.policies=shared is but one on trivial; use algo\.policies=independent"
+        HeadwayError, match=r"algo\.policies=shared gives only one on trivial; use algo\.policies=independent"
     ):
         compose(["env=trivial", "algo=custom", "algo.order=sequential", "algo.policies=shared"]).prepare()
 
