@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, RecurrentPolicy, generator
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
-from headway_algos.off_policy.ddpg import DeterministicMethod
-from headway_algos.off_policy.dqn import ValueMethod
+from headway_algos.off_policy.ddpg import DeterministicPolicyGradient
+from headway_algos.off_policy.dqn import QLearning
 from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
@@ -20,7 +20,7 @@ from headway_algos.replay_config import NetworkConfig
 
 AGENTS, COPIES, SIZE = 5, 6, 3
 SPACES: dict[str, ActionSpace] = {"madqn": Discrete(4), "ddpg": Box((-1.0, 0.0), (3.0, 1.0))}
-METHODS: dict[str, Any] = {"madqn": ValueMethod, "ddpg": DeterministicMethod}
+METHODS: dict[str, Any] = {"madqn": QLearning, "ddpg": DeterministicPolicyGradient}
 Policies = Literal["independent", "shared", "groups"]
 
 
@@ -44,7 +44,7 @@ def _learner(
     with torch.no_grad():
         for parameter in learner.method.network.parameters():
             parameter += torch.randn(parameter.shape, generator=random, dtype=parameter.dtype)
-    stack = len(learner.memory.filled)
+    stack = len(learner.replay.filled)
     learner.moments.include(1 + 2 * torch.randn(stack, 50, SIZE, generator=random))
     return learner, entry.acting_policy(config, spec)
 

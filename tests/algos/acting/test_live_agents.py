@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringStack, OrnsteinUhlenbeckPolicy
 from headway_algos.acting.gru import GRUActingPolicy
-from headway_algos.acting.live_agents import SLOTS_EACH, Answer
+from headway_algos.acting.live_agents import MIN_SLOTS_PER_AGENT, ActingResult
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.config import AlgoConfig, ModelConfig
 
@@ -80,7 +80,7 @@ def _ask(
     observed: Observations,
     memory: NDArray[Any] | None,
     noise: NDArray[Any] | None,
-) -> Answer:
+) -> ActingResult:
     if isinstance(policy, GRUActingPolicy | OrnsteinUhlenbeckPolicy):
         assert memory is not None
         return policy.act_from(parameters, observed, memory, noise)
@@ -97,7 +97,7 @@ def _few(copies: int, count: int) -> NDArray[np.bool_]:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("greedy", [False, True])
-@pytest.mark.parametrize("count", [0, 1, COPIES * SLOTS // SLOTS_EACH])
+@pytest.mark.parametrize("count", [0, 1, COPIES * SLOTS // MIN_SLOTS_PER_AGENT])
 def test_whoever_is_there_acts_as_if_every_slot_were_computed(
     kind: str, precision: Precision, greedy: bool, count: int
 ) -> None:
@@ -107,7 +107,7 @@ def test_whoever_is_there_acts_as_if_every_slot_were_computed(
     before = None if memory is None else memory.copy()
     noise = None if greedy else drawn
     found = _ask(policy, parameters, observed, memory, noise)
-    expected = policy.answer(parameters, observed, memory, noise)
+    expected = policy.act_on_all_slots(parameters, observed, memory, noise)
     tolerance = 1e-5 if precision == "float32" else 1e-12
     for mine, whole in zip(found[:2], expected[:2], strict=True):
         assert (mine.dtype, mine.shape) == (whole.dtype, whole.shape)
@@ -149,21 +149,23 @@ def test_a_replica_acts_to_the_last_bit_as_if_it_were_alone(kind: str) -> None:
                 np.testing.assert_array_equal(part, whole[block])
 
 
-@pytest.mark.parametrize("count", [COPIES * SLOTS // SLOTS_EACH + 1, COPIES * SLOTS])
+@pytest.mark.parametrize("count", [COPIES * SLOTS // MIN_SLOTS_PER_AGENT + 1, COPIES * SLOTS])
 def test_where_few_slots_are_empty_every_one_is_computed(count: int) -> None:
     policy = _policy("discrete", "float32")
     observed, noise, _ = _faced(policy, _few(COPIES, count))
     parameters = _parameters(policy, 1)
     found = _ask(policy, parameters, observed, None, noise)
-    for mine, whole in zip(found[:2], policy.answer(parameters, observed, None, noise)[:2], strict=True):
+    for mine, whole in zip(
+        found[:2], policy.act_on_all_slots(parameters, observed, None, noise)[:2], strict=True
+    ):
         np.testing.assert_array_equal(mine, whole)
 
 
 def test_only_agents_of_many_that_come_and_go_and_share_a_policy_can_be_left_out() -> None:
     shared = _policy("discrete")
     assert isinstance(shared, MLPActingPolicy)
-    assert shared.alone is not None
-    assert replace(shared, spec=replace(shared.spec, agents_come_and_go=False)).alone is None
-    assert replace(shared, spec=replace(shared.spec, agents=shared.spec.agents[1:])).alone is None
-    assert _policy("discrete", policies="independent").alone is None
-    assert _policy("wandering", policies="independent").alone is None
+    assert shared.single_agent is not None
+    assert replace(shared, spec=replace(shared.spec, agents_come_and_go=False)).single_agent is None
+    assert replace(shared, spec=replace(shared.spec, agents=shared.spec.agents[1:])).single_agent is None
+    assert _policy("discrete", policies="independent").single_agent is None
+    assert _policy("wandering", policies="independent").single_agent is None

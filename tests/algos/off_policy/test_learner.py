@@ -175,7 +175,7 @@ def test_nothing_is_learned_before_there_is_enough_to_draw_from(
     made.acting[:, :, 1] &= np.arange(10)[:, None] < 5
     info = learner.update(made, 1, 0.0)
     assert info["critic/loss"][0] > 0
-    held = learner.memory.filled
+    held = learner.replay.filled
     assert held[0] == 0 < held[1] < 25 <= held[2]
     moved = [
         [bool((now[k] != then[k]).any()) for k in range(3)]

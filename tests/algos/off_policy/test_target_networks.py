@@ -11,8 +11,8 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.off_policy.ddpg import DeterministicMethod
-from headway_algos.off_policy.dqn import ValueMethod
+from headway_algos.off_policy.ddpg import DeterministicPolicyGradient
+from headway_algos.off_policy.dqn import QLearning
 from headway_algos.off_policy.replay_buffer import Batch
 from headway_algos.off_policy.target_networks import TargetNetwork, mean_over_batch, regression_loss
 from headway_algos.recipes.ddpg import DDPGConfig
@@ -70,7 +70,7 @@ def _by_hand(network: StackedMLP, p: int, x: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("double", [True, False])
 def test_q_targets_are_those_of_a_loop(double: bool) -> None:
-    method, batch = ValueMethod(replace(MADQN, double=double), DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
+    method, batch = QLearning(replace(MADQN, double=double), DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
     _estranged(method.target)
     targets = method.targets(batch)
     assert batch.next_masks is not None
@@ -89,7 +89,7 @@ def test_q_targets_are_those_of_a_loop(double: bool) -> None:
 
 
 def test_a_forbidden_action_s_value_never_enters_a_target() -> None:
-    method, batch = ValueMethod(MADQN, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
+    method, batch = QLearning(MADQN, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
     before = method.targets(batch)
     with torch.no_grad():
         for network in (method.network, method.target.network):
@@ -103,7 +103,7 @@ def test_a_forbidden_action_s_value_never_enters_a_target() -> None:
 
 def test_a_step_of_q_learning_is_adam_s_on_the_mean_loss_of_the_actions_taken() -> None:
     config = replace(MADQN, loss="squared", target_every=1000)
-    method, batch = ValueMethod(config, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
+    method, batch = QLearning(config, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
     _estranged(method.target)
     targets = method.targets(batch)
     before = [parameter.detach().clone() for parameter in method.network.parameters()]
@@ -124,15 +124,15 @@ def test_a_step_of_q_learning_is_adam_s_on_the_mean_loss_of_the_actions_taken() 
 
 
 def test_deterministic_targets_are_those_of_a_loop() -> None:
-    method, batch = DeterministicMethod(DDPG, BOX, SEEDS, K, CPU), _batch(BOX)
-    _estranged(method.slow_actor)
-    _estranged(method.slow_critic)
+    method, batch = DeterministicPolicyGradient(DDPG, BOX, SEEDS, K, CPU), _batch(BOX)
+    _estranged(method.target_actor)
+    _estranged(method.target_critic)
     targets = method.targets(batch)
     for p in range(P):
         for b in range(B):
             then = batch.next_observations[p, b]
-            action = _by_hand(method.slow_actor.network, p, then).tanh()
-            value = _by_hand(method.slow_critic.network, p, torch.cat([then, action]))[0]
+            action = _by_hand(method.target_actor.network, p, then).tanh()
+            value = _by_hand(method.target_critic.network, p, torch.cat([then, action]))[0]
             expected = batch.returns[p, b] + batch.discounts[p, b] * value
             np.testing.assert_allclose(targets[p, b], expected, rtol=1e-12)
 
@@ -142,7 +142,7 @@ def test_actors_climb_the_critic_along_their_own_action(saturation_coeff: float)
     """The step is Adam's on the gradient of the mean of Q(o, mu(o)), the critic standing still, less what
     the tanh is given, squared and weighted."""
     config = replace(DDPG, critic_lr=1e-30, tau=1.0, target_every=1000, saturation_coeff=saturation_coeff)
-    method, batch = DeterministicMethod(config, BOX, SEEDS, K, CPU), _batch(BOX)
+    method, batch = DeterministicPolicyGradient(config, BOX, SEEDS, K, CPU), _batch(BOX)
     before = [parameter.detach().clone() for parameter in method.network.parameters()]
     gradients: list[list[Tensor]] = []
     for p in range(P):
@@ -167,7 +167,7 @@ def test_critics_see_actions_in_units_of_the_bounds() -> None:
     wide = replace(BOX, action_space=Box((-20.0, 5.0), (20.0, 15.0)))
     scaled = replace(batch, actions=torch.tensor([0.0, 5.0]) + batch.actions * 10)
     losses = [
-        DeterministicMethod(DDPG, spec, SEEDS, K, CPU).learn(given, ALL)["critic/loss"]
+        DeterministicPolicyGradient(DDPG, spec, SEEDS, K, CPU).learn(given, ALL)["critic/loss"]
         for spec, given in ((BOX, batch), (wide, scaled))
     ]
     np.testing.assert_allclose(losses[0], losses[1], rtol=1e-9)
@@ -215,8 +215,8 @@ def test_soft_targets_go_a_share_of_the_way(tau: float) -> None:
 @pytest.mark.parametrize("kind", ["madqn", "ddpg"])
 def test_networks_without_a_batch_stay_as_they_are(kind: str) -> None:
     make: Callable[[], Any] = {
-        "madqn": lambda: ValueMethod(replace(MADQN, target_every=1), DISCRETE, SEEDS, K, CPU),
-        "ddpg": lambda: DeterministicMethod(DDPG, BOX, SEEDS, K, CPU),
+        "madqn": lambda: QLearning(replace(MADQN, target_every=1), DISCRETE, SEEDS, K, CPU),
+        "ddpg": lambda: DeterministicPolicyGradient(DDPG, BOX, SEEDS, K, CPU),
     }[kind]
     batch = _batch(DISCRETE if kind == "madqn" else BOX)
     method, untouched = make(), make()
@@ -228,8 +228,8 @@ def test_networks_without_a_batch_stay_as_they_are(kind: str) -> None:
         pairs += [(method.target.network, untouched.target.network)]
     else:
         pairs += [(method.critic, untouched.critic)]
-        pairs += [(method.slow_actor.network, untouched.slow_actor.network)]
-        pairs += [(method.slow_critic.network, untouched.slow_critic.network)]
+        pairs += [(method.target_actor.network, untouched.target_actor.network)]
+        pairs += [(method.target_critic.network, untouched.target_critic.network)]
     for module, before in pairs:
         for now, then in zip(module.parameters(), before.parameters(), strict=True):
             assert torch.equal(now[~torch.from_numpy(active)], then[~torch.from_numpy(active)])
