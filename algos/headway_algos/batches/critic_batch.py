@@ -27,7 +27,7 @@ class CriticBatch:
     """(M, C, N, A), or None where the environment has none."""
     actions: NDArray[Any] | None = None
     """(M, C, N) or (M, C, N, size): what was chosen; None where nothing was, or nobody asks."""
-    remembered: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
+    select_hidden: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
     """What was remembered at these moments, (M, C, W, size), of all that was along the trajectory."""
 
     @classmethod
@@ -43,7 +43,7 @@ class CriticBatch:
         )
 
     @classmethod
-    def after_the_last_step(cls, trajectory: Trajectory) -> "CriticBatch":
+    def after_last_step(cls, trajectory: Trajectory) -> "CriticBatch":
         """The one moment that nobody has acted on yet."""
         alive = trajectory.alive[-1:]
         return cls(
@@ -51,38 +51,41 @@ class CriticBatch:
             trajectory.states[-1:],
             alive,
             _allowed(trajectory.action_masks[-1:], alive),
-            remembered=attrgetter("after_the_last_step"),
+            select_hidden=attrgetter("after_the_last_step"),
         )
 
     @classmethod
-    def after_endings(cls, trajectory: Trajectory, endings: Truncations) -> "CriticBatch":
+    def after_truncations(cls, trajectory: Trajectory, truncations: Truncations) -> "CriticBatch":
         """F moments of R copies, right after the step of each ending: final observations and states where
         they are valid, what came next for those who went on.
 
         No mask is recorded for a final observation: those of the step before are the nearest known.
         """
-        ended = endings.take(trajectory.terminated | trajectory.truncated)
-        next_alive = endings.take(trajectory.alive[1:])
+        ended = truncations.take(trajectory.terminated | trajectory.truncated)
+        next_alive = truncations.take(trajectory.alive[1:])
         observations = np.where(
             ended[..., None],
-            endings.take(trajectory.final_observations),
-            endings.take(trajectory.observations[1:]),
+            truncations.take(trajectory.final_observations),
+            truncations.take(trajectory.observations[1:]),
         )
         everyone = ended.all(axis=-1, keepdims=True)
         states = np.where(
-            everyone, endings.take(trajectory.final_states), endings.take(trajectory.states[1:])
+            everyone, truncations.take(trajectory.final_states), truncations.take(trajectory.states[1:])
         )
         present, masks = ended | next_alive, None
         if len(trajectory.action_masks):
-            before = endings.take(trajectory.action_masks[:-1]) | ~endings.take(trajectory.alive)[..., None]
-            after = endings.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
+            before = (
+                truncations.take(trajectory.action_masks[:-1])
+                | ~truncations.take(trajectory.alive)[..., None]
+            )
+            after = truncations.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
             masks = np.where(ended[..., None], before, after)
         return cls(
             zero_where_absent(observations, present),
             states,
             present,
             masks,
-            remembered=lambda memories: memories.after_endings(endings),
+            select_hidden=lambda hidden_states: hidden_states.after_truncations(truncations),
         )
 
 

@@ -26,7 +26,7 @@ class HiddenStates:
     """(T, C, W): there was something to see."""
 
     @classmethod
-    def replayed(
+    def replay(
         cls,
         network: RecurrentNetwork,
         inputs: Tensor,
@@ -41,7 +41,7 @@ class HiddenStates:
         steps = len(keeps)
         start = np.where(begins[0, ..., None], 0, start)
         whole = Sequences.of(layout, steps, start[None], begins[:-1], keeps)
-        found = over_rows(network.memories, inputs, whole, piece_samples)
+        found = over_rows(network.hidden_states, inputs, whole, piece_samples)
         after = layout.grouping.scatter(found.cpu().numpy(), layout.replicas, steps)
         before = np.empty((steps + 1, *after.shape[1:]), after.dtype)
         before[0] = start
@@ -60,10 +60,10 @@ class HiddenStates:
         return self.before[:-1]
 
     @property
-    def after_the_last_step(self) -> NDArray[Any]:
+    def after_last_step(self) -> NDArray[Any]:
         """(1, C, W, M)"""
         return self.before[-1:]
 
-    def after_endings(self, endings: Truncations) -> NDArray[Any]:
+    def after_truncations(self, truncations: Truncations) -> NDArray[Any]:
         """(F, R, W, M): of what ended there, before it was forgotten."""
-        return endings.take(self.after)
+        return truncations.take(self.after)

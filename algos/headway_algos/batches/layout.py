@@ -78,9 +78,9 @@ class Truncations:
         steps, copies = np.nonzero(cut)
         replica_of = copies // (cut.shape[1] // replicas)
         lists = [np.flatnonzero(replica_of == r) for r in range(replicas)]
-        width = max(len(places) for places in lists)
+        width = max(len(positions) for positions in lists)
         table = np.stack(
-            [np.pad(places, (0, width - len(places)), constant_values=-1) for places in lists], 1
+            [np.pad(positions, (0, width - len(positions)), constant_values=-1) for positions in lists], 1
         )
         safe = np.maximum(table, 0)
         if width == 0:
@@ -110,12 +110,12 @@ def even_slices(rows: int, stack: int, piece_samples: int) -> list[slice]:
     return [slice(start, end) for start, end in pairwise(edges)]
 
 
-TAKEN_AHEAD = 16_384
+PREFETCH_SAMPLES = 16_384
 """Samples, over all policies of a stack, that small minibatches take at once: one after another they would
 wait for memory, wherever each row lies, again and again."""
 
 
-class Ahead:
+class Prefetched:
     """Rows of the next k minibatches, taken at once, the first time that somebody asks for them."""
 
     def __init__(self, index: Tensor) -> None:
@@ -143,7 +143,7 @@ class Piece:
     """(P, rows): 1 / (rows of this network's minibatch), 0 in padding."""
     timeline: Timeline | None = None
     """Their order, for networks that remember."""
-    ahead: tuple[Ahead, int] | None = None
+    ahead: tuple[Prefetched, int] | None = None
     """What holds them, and where among its k."""
 
     def of(self, rows: Tensor) -> Tensor:
@@ -180,21 +180,21 @@ def minibatches(
     shares = (1 / np.maximum(sizes, 1))[..., None] * (within < sizes[..., None])
     weights = torch.from_numpy(shares).to(layout.device, layout.dtype)
     del shares  # as many as there are rows
-    together = TAKEN_AHEAD // max(stack * len(within), 1)
+    together = PREFETCH_SAMPLES // max(stack * len(within), 1)
     # Of each network's shuffled rows; past a minibatch's end is padding.
-    places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
+    positions = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
-        index = np.empty(places.shape, np.int64)
+        index = np.empty(positions.shape, np.int64)
         for p, (random, rows) in enumerate(zip(generators, candidates, strict=True)):
             shuffled = random.permutation(rows)
-            index[:, p] = p * batch + (shuffled[places[:, p]] if len(rows) else 0)
+            index[:, p] = p * batch + (shuffled[positions[:, p]] if len(rows) else 0)
         indices = torch.from_numpy(index).to(layout.device)
         ahead, block = None, -1
         for part, width in enumerate(widths):
             if together > 1 and 0 < width * stack <= piece_samples:
                 if ahead is None or block != part // together:
                     block = part // together
-                    ahead = Ahead(indices[block * together : (block + 1) * together])
+                    ahead = Prefetched(indices[block * together : (block + 1) * together])
                 held = (ahead, part % together)
                 pieces = [Piece(indices[part, :, :width], weights[part, :, :width], ahead=held)]
             else:

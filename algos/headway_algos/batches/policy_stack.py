@@ -39,7 +39,7 @@ class Stack:
         means: NDArray[np.float64] = values.double().cpu().numpy().reshape(len(self.seeds), -1).mean(axis=1)
         return means
 
-    def refuse_divergence(
+    def raise_if_diverged(
         self, acting: Mapping[str, NDArray[Any]], algorithm: str, iteration: int, advice: str
     ) -> None:
         """Raise HeadwayError where acting parameters (P, ., .) are no longer finite: workers would act on

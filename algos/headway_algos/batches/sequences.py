@@ -25,11 +25,11 @@ from headway_algos.networks.timeline import Timeline
 class Sequences:
     """S sequences of L steps for each of P networks, over its rows, B of them."""
 
-    places: Tensor
+    row_index: Tensor
     """(L, S): row of each step; the same for all networks."""
     filled: Tensor
     """(L, S) bool: not past the trajectory's end."""
-    memory: Tensor
+    hidden: Tensor
     """(P, S, M): what is remembered before the first step."""
     continues: Tensor
     """(P, B): 0 where a stream begins, else 1."""
@@ -56,36 +56,36 @@ class Sequences:
         row = np.minimum(step, steps - 1)[:, None, :, None] * each + within
         row = row + (agents * steps * each)[:, None, None]
         filled = np.broadcast_to((step < steps)[:, None, :, None], row.shape).copy()
-        memory = layout.rows(starts).to(layout.dtype)
+        hidden = layout.rows(starts).to(layout.dtype)
         return cls(
             torch.from_numpy(row.reshape(length, -1)).to(layout.device),
             torch.from_numpy(filled.reshape(length, -1)).to(layout.device),
-            memory,
+            hidden,
             (~layout.rows(begins)).to(layout.dtype),
             None if keeps.all() else layout.rows(keeps),
         )
 
     def __len__(self) -> int:
         """S"""
-        return self.places.shape[1]
+        return self.row_index.shape[1]
 
     @property
     def length(self) -> int:
         """L"""
-        return len(self.places)
+        return len(self.row_index)
 
     def narrow(self, policies: Tensor) -> Self:
         """Those of networks (n,) alone."""
         return replace(
             self,
-            memory=self.memory[policies],
+            hidden=self.hidden[policies],
             continues=self.continues[policies],
             keeps=None if self.keeps is None else self.keeps[policies],
         )
 
     def holding(self, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(P, S): the sequence has one of the selected rows (P, B)."""
-        held: NDArray[np.bool_] = (selected[:, self.places.cpu().numpy()] & self.filled.cpu().numpy()).any(
+        held: NDArray[np.bool_] = (selected[:, self.row_index.cpu().numpy()] & self.filled.cpu().numpy()).any(
             axis=1
         )
         return held
@@ -94,16 +94,16 @@ class Sequences:
         """Pieces over sequences as pieces over their rows. Rows that are selected (P, B) weigh alike, and 1
         together; the others only lead up to them."""
         stack, rows = self.continues.shape
-        network = torch.arange(stack, device=self.places.device)[:, None]
+        network = torch.arange(stack, device=self.row_index.device)[:, None]
         found: list[Piece] = []
         for piece in of_sequences:
             sequence = piece.index - network * len(self)
-            index = self.places[:, sequence].transpose(0, 1) + (network * rows)[..., None]
+            index = self.row_index[:, sequence].transpose(0, 1) + (network * rows)[..., None]
             counts = self.filled[:, sequence].transpose(0, 1) & (piece.weight > 0)[:, None]
             flat = index.flatten()
             weight = (counts.flatten(1) & selected.flatten()[flat].view(stack, -1)).to(self.continues)
             timeline = Timeline(
-                self.memory.flatten(0, 1)[piece.index].transpose(1, 2),
+                self.hidden.flatten(0, 1)[piece.index].transpose(1, 2),
                 self.continues.flatten()[flat].view(stack, 1, -1),
                 None if self.keeps is None else self.keeps.flatten()[flat].view(stack, 1, -1),
             )
@@ -114,10 +114,10 @@ class Sequences:
     def all_rows(self, piece_samples: int) -> Iterator[Piece]:
         """Every sequence once, in pieces that stay in the cache; rows that are there have a weight."""
         stack, rows = self.continues.shape
-        network = torch.arange(stack, device=self.places.device)[:, None]
-        everything = torch.ones((stack, rows), dtype=torch.bool, device=self.places.device)
+        network = torch.arange(stack, device=self.row_index.device)[:, None]
+        everything = torch.ones((stack, rows), dtype=torch.bool, device=self.row_index.device)
         for part in even_slices(len(self), stack, max(piece_samples // self.length, 1)):
-            sequence = torch.arange(part.start, part.stop, device=self.places.device)
+            sequence = torch.arange(part.start, part.stop, device=self.row_index.device)
             index = sequence + network * len(self)
             yield self.pieces([Piece(index, torch.ones_like(index))], everything)[0]
 

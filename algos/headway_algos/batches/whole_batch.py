@@ -33,7 +33,7 @@ class WholeBatch:
     """(P, W)"""
     weight: Tensor
     """(P, W): 1 / (selected rows of the policy), 0 in padding."""
-    places: Tensor
+    row_index: Tensor
     """(P, W): which of the B rows it is."""
     timeline: Timeline | None = None
     """The order of rows, for policies that remember."""
@@ -49,16 +49,16 @@ class WholeBatch:
         if rows.sequences is not None:
             return cls._of_sequences(rows, advantages)
         order, weight = _in_front(rows.selected)
-        places = torch.from_numpy(order).to(advantages.device)
+        row_index = torch.from_numpy(order).to(advantages.device)
         stack = torch.arange(len(order), device=advantages.device)[:, None]
         return cls(
-            rows.observations[stack, places],
-            None if rows.masks is None else rows.masks[stack, places],
-            rows.actions[stack, places],
-            rows.log_probs[stack, places],
-            advantages[stack, places],
+            rows.observations[stack, row_index],
+            None if rows.masks is None else rows.masks[stack, row_index],
+            rows.actions[stack, row_index],
+            rows.log_probs[stack, row_index],
+            advantages[stack, row_index],
             torch.from_numpy(weight).to(advantages),
-            places,
+            row_index,
         )
 
     @classmethod

@@ -19,16 +19,16 @@ from headway.contracts import HeadwayError
 from headway_algos.acting.mlp import layer_sizes
 from headway_algos.config import ModelConfig
 from headway_algos.networks.mlp import HIDDEN_GAIN, StackedMLP, activated_layer, stacked_matrices
-from headway_algos.networks.timeline import Timeline, begun, kept
+from headway_algos.networks.timeline import Timeline, hold_hidden, reset_hidden
 
 
-def gated_step(given: Tensor, memory: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+def gated_step(given: Tensor, hidden: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """The memory (P, M, n) after one step: `given` (P, 3M, n) is W x + b, `weight` is U, `bias` b_h."""
-    size = memory.shape[1]
-    recalled = torch.bmm(weight, memory)
+    size = hidden.shape[1]
+    recalled = torch.bmm(weight, hidden)
     reset, update = torch.sigmoid(given[:, : 2 * size] + recalled[:, : 2 * size]).chunk(2, dim=1)
     candidate = torch.tanh(given[:, 2 * size :] + reset * (recalled[:, 2 * size :] + bias))
-    return candidate + update * (memory - candidate)
+    return candidate + update * (hidden - candidate)
 
 
 class RecurrentNetwork(nn.Module):
@@ -72,10 +72,10 @@ class RecurrentNetwork(nn.Module):
 
     def forward(self, rows: Tensor, timeline: Timeline | None = None) -> Tensor:
         """(P, L x n, in) -> (P, out, L x n), with n sequences of L steps, step after step."""
-        outputs: Tensor = torch.bmm(self.weights[-1], self.memories(rows, timeline)) + self.biases[-1]
+        outputs: Tensor = torch.bmm(self.weights[-1], self.hidden_states(rows, timeline)) + self.biases[-1]
         return outputs
 
-    def memories(self, rows: Tensor, timeline: Timeline | None) -> Tensor:
+    def hidden_states(self, rows: Tensor, timeline: Timeline | None) -> Tensor:
         """What is remembered right after each row, (P, M, L x n), of rows (P, L x n, in). Raises HeadwayError
         where nobody says what came before."""
         if timeline is None:
@@ -87,16 +87,16 @@ class RecurrentNetwork(nn.Module):
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = activated_layer(x, weight, bias, self.activation)
         given = torch.baddbmm(self.bias_input, self.weight_input, x)
-        memory, found = timeline.memory, []
-        width = memory.shape[2]
+        hidden, found = timeline.hidden, []
+        width = hidden.shape[2]
         for now, continues, keeps in zip(
             _steps(given, width), _steps(timeline.continues, width), _steps(timeline.keeps, width),
             strict=False,
         ):  # fmt: skip
             assert now is not None
-            before = begun(memory, continues)
+            before = reset_hidden(hidden, continues)
             found.append(gated_step(now, before, self.weight_memory, self.bias_memory))
-            memory = kept(before, found[-1], keeps)
+            hidden = hold_hidden(before, found[-1], keeps)
         return torch.cat(found, dim=2)
 
 

@@ -45,7 +45,7 @@ class LinearisedMLP:
             changed = aten.threshold_backward(signal, activated, 0)
         return changed
 
-    def push(self, direction: Sequence[Tensor]) -> Tensor:
+    def jvp(self, direction: Sequence[Tensor]) -> Tensor:
         """J v, (P, A, B): how outputs change along a direction in the parameters."""
         layers = len(self.weights)
         change = torch.baddbmm(direction[layers], direction[0], self.inputs[0])
@@ -63,7 +63,7 @@ class LinearisedMLP:
             if i > 0:
                 signal = self._through(i, torch.bmm(self.weights[i].transpose(1, 2), signal))
 
-    def pull(self, signal: Tensor) -> list[Tensor]:
+    def vjp(self, signal: Tensor) -> list[Tensor]:
         """J^T u summed over rows, for each parameter, from a signal u (P, A, B)."""
         of_weights, of_biases = [], []
         for i, arrived in self.back(signal):

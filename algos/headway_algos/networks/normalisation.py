@@ -83,12 +83,12 @@ def _one_by_one(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple
     """The same, of the rows chosen alone."""
     parts = []
     for of_network, which, number in zip(rows, chosen, count, strict=True):
-        places = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
+        row_index = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
         # In float64 they take twice the memory that the rows do: there is one such copy, changed in place.
-        values = torch.empty((len(places), rows.shape[2]), dtype=torch.float64, device=rows.device)
-        for first in range(0, len(places), _ROWS_AT_ONCE):
+        values = torch.empty((len(row_index), rows.shape[2]), dtype=torch.float64, device=rows.device)
+        for first in range(0, len(row_index), _ROWS_AT_ONCE):
             some = slice(first, first + _ROWS_AT_ONCE)
-            values[some] = of_network.index_select(0, places[some])
+            values[some] = of_network.index_select(0, row_index[some])
         mean = values.sum(0, keepdim=True) / number
         parts.append((mean, values.sub_(mean).square_().sum(0, keepdim=True)))
     means, squares = zip(*parts, strict=True)

@@ -50,7 +50,7 @@ class PerceptronPass:
 
     def send_back(self, slope: Tensor) -> None:
         weights, biases = zip(*self.network.by_layer(), strict=True)
-        add_gradients(weights + biases, self.linear.pull(slope))
+        add_gradients(weights + biases, self.linear.vjp(slope))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ class Timeline:
     A network without memory takes no notice of it.
     """
 
-    memory: Tensor
+    hidden: Tensor
     """(P, M, n): what is remembered before the first step."""
     continues: Tensor | None = None
     """(P, 1, L x n): 0 where a stream begins, before which nothing is remembered, else 1; None: all 1."""
@@ -22,13 +22,13 @@ class Timeline:
     """(P, 1, L x n) bool: the row changes what is remembered; None: every row does."""
 
     @classmethod
-    def of_moments(cls, memory: Tensor) -> Self:
+    def of_rows(cls, hidden: Tensor) -> Self:
         """Of rows (P, B) that have nothing to do with each other, each with its own memory (P, B, M)."""
-        return cls(memory.transpose(1, 2))
+        return cls(hidden.transpose(1, 2))
 
     def part(self, sequences: slice, policies: slice | Tensor) -> Self:
         """That of some of the sequences, of some of the networks."""
-        count = self.memory.shape[2]
+        count = self.hidden.shape[2]
 
         def cut(rows: Tensor | None) -> Tensor | None:
             if rows is None:
@@ -37,14 +37,14 @@ class Timeline:
             by_step = chosen.view(*chosen.shape[:2], rows.shape[2] // max(count, 1), count)
             return by_step[..., sequences].flatten(2)
 
-        return type(self)(self.memory[policies][..., sequences], cut(self.continues), cut(self.keeps))
+        return type(self)(self.hidden[policies][..., sequences], cut(self.continues), cut(self.keeps))
 
 
-def begun(memory: Tensor, continues: Tensor | None) -> Tensor:
+def reset_hidden(hidden: Tensor, continues: Tensor | None) -> Tensor:
     """What is remembered (P, M, n) before a step at which some streams begin (P, 1, n)."""
-    return memory if continues is None else memory * continues
+    return hidden if continues is None else hidden * continues
 
 
-def kept(before: Tensor, after: Tensor, keeps: Tensor | None) -> Tensor:
+def hold_hidden(before: Tensor, after: Tensor, keeps: Tensor | None) -> Tensor:
     """What is remembered (P, M, n) after a step that not all sequences keep (P, 1, n)."""
     return after if keeps is None else torch.where(keeps, after, before)

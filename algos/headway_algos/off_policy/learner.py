@@ -103,7 +103,7 @@ class OffPolicyLearner:
         steps, copies = trajectory.rewards.shape[:2]
         self.progress, self.scheduled_steps = progress, self.env_steps
         self.env_steps += steps * copies // len(self.seeds)
-        self.stack.refuse_divergence(
+        self.stack.raise_if_diverged(
             self.acting_parameters(), self.config.name, iteration, "lower algo.lr, scale rewards down"
         )
         held = torch.from_numpy(self.replay.filled)

@@ -151,6 +151,6 @@ class AsynchronousA2CLearner(OnPolicyLearner):
             if name in arrays:
                 count, mean, squares = torch.as_tensor(arrays[name], device=self.device)
                 moments.add(count[..., :1], mean, squares)
-        self.stack.refuse_divergence(
+        self.stack.raise_if_diverged(
             self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
         )

@@ -49,26 +49,28 @@ class OnPolicyLearner:
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """One iteration of learning: advantages, policies, critic, normalisers, in this order."""
-        trajectory = self._of_who_was_there(trajectory)
+        trajectory = self._drop_unused_slots(trajectory)
         share = 1 - (1 - self.config.lr_end) * progress
         self.policy_update.anneal(share)
         self.critic.anneal(share)
         observations = self._observations(trajectory)
-        memories = self._memories(trajectory, observations)
-        estimate = self.critic.estimate(trajectory, self.behaviour.remembering(memories), iteration)
-        self._refuse_blind_critic(estimate.advantages, iteration)
-        info = self._improve_policies(trajectory, observations, memories, estimate.advantages, iteration)
-        judged = self.critic.fit(estimate, iteration)
+        hidden_states = self._hidden_states(trajectory, observations)
+        estimate = self.critic.estimate(
+            trajectory, self.behaviour.with_hidden_states(hidden_states), iteration
+        )
+        self._raise_if_critic_diverged(estimate.advantages, iteration)
+        info = self._improve_policies(trajectory, observations, hidden_states, estimate.advantages, iteration)
+        critic_metrics = self.critic.fit(estimate, iteration)
         # Each is as large as all that was observed, and so is what the normalisers need next.
-        del observations, memories, estimate
-        self._absorb(trajectory)
-        self.stack.refuse_divergence(
+        del observations, hidden_states, estimate
+        self._update_normalisers(trajectory)
+        self.stack.raise_if_diverged(
             self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
         )
         metrics = {f"policy/{name}": self.stack.per_replica(value) for name, value in info.items()}
-        return metrics | {f"critic/{name}": value for name, value in judged.items()}
+        return metrics | {f"critic/{name}": value for name, value in critic_metrics.items()}
 
-    def _of_who_was_there(self, trajectory: Trajectory) -> Trajectory:
+    def _drop_unused_slots(self, trajectory: Trajectory) -> Trajectory:
         """Without the last agents, as far as these were never there, where nobody can tell: agents that
         share policy and critic, each of which sees but itself, and remembers nothing. Slots of an environment
         with room for many are mostly empty."""
@@ -86,7 +88,7 @@ class OnPolicyLearner:
             observations = self.actor.moments.normalised(observations)
         return observations
 
-    def _memories(self, trajectory: Trajectory, observations: Tensor) -> HiddenStates | None:
+    def _hidden_states(self, trajectory: Trajectory, observations: Tensor) -> HiddenStates | None:
         """What policies that remember did, as they acted."""
         network = self.actor.network
         if not isinstance(network, RecurrentNetwork):
@@ -94,13 +96,13 @@ class OnPolicyLearner:
         begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
         start, alive = trajectory.hidden_states[0], trajectory.alive[:-1]
         samples = self.config.piece_samples
-        return HiddenStates.replayed(network, observations, start, begins, alive, self.layout, samples)
+        return HiddenStates.replay(network, observations, start, begins, alive, self.layout, samples)
 
     def _improve_policies(
         self,
         trajectory: Trajectory,
         observations: Tensor,
-        memories: HiddenStates | None,
+        hidden_states: HiddenStates | None,
         advantages: NDArray[np.float64],
         iteration: int,
     ) -> dict[str, Tensor]:
@@ -117,7 +119,9 @@ class OnPolicyLearner:
             self.layout.rows(trajectory.actions, used),
             self.layout.rows(trajectory.log_probs, used),
             selected,
-            None if memories is None else memories.sequences(self.layout, self.config.model.sequence_length),
+            None
+            if hidden_states is None
+            else hidden_states.sequences(self.layout, self.config.model.sequence_length),
         )
         by_policy = self.layout.rows(np.broadcast_to(advantages, alive.shape))
         if self.config.normalise_advantages:
@@ -128,15 +132,15 @@ class OnPolicyLearner:
             self.policy_update, self.grouping, rows, by_policy, generators, in_order
         )
 
-    def _absorb(self, trajectory: Trajectory) -> None:
+    def _update_normalisers(self, trajectory: Trajectory) -> None:
         """Update the normalisers from this iteration; they act from the next one on."""
-        self.critic.absorb(trajectory)
+        self.critic.update_normalisers(trajectory)
         if self.config.normalise_observations:
             alive = trajectory.alive[:-1]
             rows = self.layout.rows(trajectory.observations[:-1], alive)
             self.actor.moments.include(rows, self.layout.selection(alive))
 
-    def _refuse_blind_critic(self, advantages: NDArray[np.float64], iteration: int) -> None:
+    def _raise_if_critic_diverged(self, advantages: NDArray[np.float64], iteration: int) -> None:
         """Raise HeadwayError where advantages (T, C, W) are not finite: a trust region would stay put on
         them, and training go on for nothing."""
         broken = np.argwhere(~np.isfinite(advantages))

@@ -51,18 +51,18 @@ def sequential(
     """
     policies, width = grouping.num_policies, grouping.width
     turns = np.stack([random.permutation(policies) for random in order_generators], axis=1)
-    replicas, moments = len(order_generators), advantages.shape[1] // width
-    log_factor = torch.zeros(replicas, moments, dtype=torch.float64, device=advantages.device)
+    replicas, samples = len(order_generators), advantages.shape[1] // width
+    log_factor = torch.zeros(replicas, samples, dtype=torch.float64, device=advantages.device)
     info: dict[str, Tensor] = {}
     for turn in turns:
         chosen = np.arange(replicas) * policies + turn
-        whose = torch.from_numpy(chosen).to(advantages.device)
-        part, own_rows = update.narrow(whose), rows.narrow(whose)
-        weighed = advantages[whose] * log_factor.exp().to(advantages.dtype).repeat(1, width)
-        for name, value in part.improve(own_rows, weighed, [generators[p] for p in chosen]).items():
-            info.setdefault(name, value.new_zeros(len(advantages))).index_copy_(0, whose, value)
-        update.adopt(whose, part)
-        log_factor += _log_ratio(part, own_rows).view(replicas, width, moments).sum(1)
+        policies_now = torch.from_numpy(chosen).to(advantages.device)
+        part, own_rows = update.narrow(policies_now), rows.narrow(policies_now)
+        weighted = advantages[policies_now] * log_factor.exp().to(advantages.dtype).repeat(1, width)
+        for name, value in part.improve(own_rows, weighted, [generators[p] for p in chosen]).items():
+            info.setdefault(name, value.new_zeros(len(advantages))).index_copy_(0, policies_now, value)
+        update.adopt(policies_now, part)
+        log_factor += _log_ratio(part, own_rows).view(replicas, width, samples).sum(1)
     return info
 
 
@@ -74,7 +74,7 @@ def _log_ratio(update: Update, rows: PolicyBatch) -> Tensor:
         for piece in batch.pieces(update.config.piece_samples):
             new = update.actor(piece.observations, piece.masks, piece.timeline)
             log_ratio = new.log_prob(piece.actions) - piece.log_probs
-            result.scatter_add_(1, piece.places, torch.where(piece.weight > 0, log_ratio, 0).double())
+            result.scatter_add_(1, piece.row_index, torch.where(piece.weight > 0, log_ratio, 0).double())
     return result
 
 

@@ -63,8 +63,8 @@ def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherP
             parts[0] += DiagonalGaussian.LOG_STD_FISHER * has_rows * direction[0]
             direction, parts = direction[1:], parts[1:]
         for network, distribution, piece in zip(linear, distributions, pieces, strict=True):
-            signal = distribution.fisher_of_outputs(network.push(direction)) * piece.weight[:, None]
-            for part, gradient in zip(parts, network.pull(signal), strict=True):
+            signal = distribution.fisher_of_outputs(network.jvp(direction)) * piece.weight[:, None]
+            for part, gradient in zip(parts, network.vjp(signal), strict=True):
                 part += gradient
         return result
 

@@ -123,7 +123,7 @@ class StackedKFAC:
         total = total + self.damping * inner(direction, direction)
         parameters = [layer[:, :, :-1] for layer in layers] + [layer[:, :, -1:] for layer in layers]
         for linear, information, weight in self.pieces:
-            change = linear.push(parameters)
+            change = linear.jvp(parameters)
             total = total + ((change * information(change)).sum(1) * weight).sum(1)
         return total
 

@@ -164,9 +164,9 @@ def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) ->
     made.truncated[:, :COPIES] = False  # replicas differ in how many there are
     made.truncated[3, 1] = True
     made.terminated[3, 1] = False
-    endings = Truncations.of(made, REPLICAS)
+    truncations = Truncations.of(made, REPLICAS)
     values = made.final_observations[..., 0].astype(np.float64)
-    back = endings.put(endings.take(values), values.shape)
+    back = truncations.put(truncations.take(values), values.shape)
     cut = (made.truncated & ~made.terminated).any(axis=2)
     np.testing.assert_array_equal(back[cut], values[cut])
     assert (back[~cut] == 0).all()
@@ -174,10 +174,10 @@ def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) ->
 
 def test_no_endings() -> None:
     made = Trajectory.allocate(TrajectoryLayout(SPEC, 4, REPLICAS * COPIES))
-    endings = Truncations.of(made, REPLICAS)
-    assert len(endings) == 0
-    assert endings.take(made.final_states).shape == (0, REPLICAS, 2)
-    assert (endings.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()
+    truncations = Truncations.of(made, REPLICAS)
+    assert len(truncations) == 0
+    assert truncations.take(made.final_states).shape == (0, REPLICAS, 2)
+    assert (truncations.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()
 
 
 def test_absent_rows_become_zero_in_a_copy() -> None:

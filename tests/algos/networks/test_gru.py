@@ -102,7 +102,7 @@ def test_the_units_are_those_of_torch() -> None:
     """Two networks, four sequences of six steps, one after another in torch.nn.GRU."""
     network = randomised(make_network(replace(GRU, hidden=()), (1, 2), 1, "x", (3, 2), 1.0, torch.float64))  # type: ignore[arg-type]  # it remembers
     rows, start = torch.randn(2, 4, 6, 3, dtype=torch.float64), torch.randn(2, 4, UNITS, dtype=torch.float64)
-    got = network.memories(rows.transpose(1, 2).flatten(1, 2), Timeline(start.transpose(1, 2)))
+    got = network.hidden_states(rows.transpose(1, 2).flatten(1, 2), Timeline(start.transpose(1, 2)))
     for p in range(2):
         alone = Alone(network, p).cell
         reference = torch.nn.GRU(3, UNITS, batch_first=True, dtype=torch.float64)
@@ -198,12 +198,12 @@ def test_memories_are_replayed_as_agent_by_agent(fabricate: Fabricate, policies:
     learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(fabricate, DISCRETE, 1, absent=0.3)
     network = learner.actor.network
     assert isinstance(network, RecurrentNetwork)
-    memories = learner._memories(track, learner._observations(track))
-    assert isinstance(memories, HiddenStates)
+    hidden_states = learner._hidden_states(track, learner._observations(track))
+    assert isinstance(hidden_states, HiddenStates)
     groups = {n: k for k, members in enumerate(learner.grouping.members) for n in members.tolist()}
     before, after = naive_memories(network, track.observations, track, lambda n: groups[n])
-    np.testing.assert_allclose(memories.before, before, atol=1e-12)
-    np.testing.assert_allclose(memories.after, after, atol=1e-12)
+    np.testing.assert_allclose(hidden_states.before, before, atol=1e-12)
+    np.testing.assert_allclose(hidden_states.after, after, atol=1e-12)
 
 
 def naive_surrogate(actor: Actor, track: Trajectory, advantages: NDArray[Any], coeff: float) -> list[Tensor]:
@@ -268,8 +268,8 @@ def rows_of(
     update, learner.policy_update = learner.policy_update, Keeping()  # type: ignore[assignment]
     learner.config = replace(learner.config, normalise_advantages=False)
     observations = learner._observations(track)
-    memories = learner._memories(track, observations)
-    learner._improve_policies(track, observations, memories, advantages, 1)
+    hidden_states = learner._hidden_states(track, observations)
+    learner._improve_policies(track, observations, hidden_states, advantages, 1)
     learner.policy_update = update
     return kept[0]
 

@@ -304,7 +304,7 @@ def test_impossible_numbers_of_one_are_named(config: type[Any], wrong: dict[str,
     [
         ("madqn", Box((-1.0,), (1.0,)), "madqn takes Discrete actions, .* made has Box ones; use algo=ddpg"),
         ("ddpg", Discrete(2), "ddpg takes Box actions, .* made has Discrete ones; use algo=madqn"),
-        ("ddpg", Box((-1.0,), (np.inf,)), "ddpg takes Box actions with bounds, .*algo=ippo"),
+        ("ddpg", Box((-1.0,), (np.inf,)), "ddpg takes bounded Box actions, .*algo=ippo"),
     ],
 )
 def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: ActionSpace, line: str) -> None:

@@ -124,7 +124,7 @@ def test_room_for_agents_that_never_come_changes_no_contribution(
     shared = replace(CONFIG, policies="shared", normalise_observations=True, normalise_values=True)
     roomy = replace(spec, agents=tuple("abcdefgh"))
     leaving_out, whole = (A2CContributor(shared, roomy, (SEED,)) for _ in range(2))
-    monkeypatch.setattr(whole.learner, "_of_who_was_there", lambda trajectory: trajectory)
+    monkeypatch.setattr(whole.learner, "_drop_unused_slots", lambda trajectory: trajectory)
     published = AsynchronousA2CLearner(shared, roomy, (SEED,), "cpu").published()
     for number, last in enumerate((2, 1, 0, 3), start=1):
         made = fabricate(roomy, 8, 2, seed=number, absent=0.3, idle=0.2, leaves=0.05)

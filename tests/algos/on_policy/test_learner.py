@@ -264,7 +264,7 @@ def test_room_for_agents_that_never_come_changes_nothing(
     shared = replace(config, policies="shared")
     roomy = replace(spec, agents=tuple("abcdefghi"), groups=())
     tight, wide = OnPolicyLearner(shared, spec, (1, 2), "cpu"), OnPolicyLearner(shared, roomy, (1, 2), "cpu")
-    monkeypatch.setattr(tight, "_of_who_was_there", lambda trajectory: trajectory)
+    monkeypatch.setattr(tight, "_drop_unused_slots", lambda trajectory: trajectory)
     for iteration, last in ((1, 4), (2, 2), (3, 0), (4, 3)):
         made = fabricate(roomy, 8, 6, seed=iteration, absent=0.3, idle=0.2, leaves=0.05)
         made.alive[:, :, last:] = False
@@ -435,7 +435,7 @@ class RewardAbovePar:
         self.par = estimate.returns.reshape(len(estimate.returns), len(self.par), -1).mean(axis=(0, 2))
         return {"par": self.par}
 
-    def absorb(self, trajectory: Trajectory) -> None:
+    def update_normalisers(self, trajectory: Trajectory) -> None:
         self.seen += len(trajectory.rewards)
 
     def anneal(self, share: float) -> None:
@@ -536,8 +536,10 @@ def _values(learner: OnPolicyLearner, scene: CriticBatch) -> NDArray[np.float64]
 
 def _final_values(learner: OnPolicyLearner, made: Trajectory) -> NDArray[np.float64]:
     """(T, C, N): what streams that were cut bootstrap from."""
-    endings = Truncations.of(made, 1)
-    return endings.put(_values(learner, CriticBatch.after_endings(made, endings)), made.rewards.shape)
+    truncations = Truncations.of(made, 1)
+    return truncations.put(
+        _values(learner, CriticBatch.after_truncations(made, truncations)), made.rewards.shape
+    )
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, WITH_STATE])

@@ -84,9 +84,9 @@ def test_the_optimiser_goes_on_with_the_moments_of_the_shared_policy(fabricate: 
     config, spec = CASES["ippo"]
     learner = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
-    steps = learner.together.state_dict()["policy_update"]["optimiser"]["counts"]
+    steps = learner.shared.state_dict()["policy_update"]["optimiser"]["counts"]
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
-    after = learner.apart.state_dict()["policy_update"]["optimiser"]["counts"]
+    after = learner.separate.state_dict()["policy_update"]["optimiser"]["counts"]
     assert (after == 2 * steps[0]).all()
     assert len(after) == 4 * len(steps)
 

@@ -94,7 +94,7 @@ class Case:
             )
         present = self.rows.selected.T[..., None]
         estimate = CriticEstimate(
-            returns, returns, returns, present, self.rows.observations, memories=None, taken=taken
+            returns, returns, returns, present, self.rows.observations, hidden_states=None, taken=taken
         )
         return regression, regression.fit(estimate, 0)
 

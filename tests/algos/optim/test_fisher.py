@@ -133,10 +133,10 @@ def test_pushing_and_pulling_are_the_jacobians(hidden: tuple[int, ...], activati
 
     step = torch.tensor(1e-6, dtype=DOUBLE)
     slope = (outputs(step) - outputs(-step)) / (2 * step)
-    torch.testing.assert_close(linear.push(change), slope, rtol=1e-7, atol=1e-7)
+    torch.testing.assert_close(linear.jvp(change), slope, rtol=1e-7, atol=1e-7)
     signal = torch.randn(linear.outputs.shape, generator=random, dtype=DOUBLE)
     expected = torch.autograd.grad(network(rows), list(network.parameters()), signal)
-    for mine, theirs in zip(linear.pull(signal), expected, strict=True):
+    for mine, theirs in zip(linear.vjp(signal), expected, strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(linear.outputs, network(rows).detach(), rtol=0, atol=0)
 

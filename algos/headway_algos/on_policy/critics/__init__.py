@@ -29,7 +29,7 @@ class Critic(Protocol):
         """Learn what values should have been. Returns metrics by name, each (R,)."""
         ...
 
-    def absorb(self, trajectory: Trajectory) -> None:
+    def update_normalisers(self, trajectory: Trajectory) -> None:
         """Add an iteration's inputs to the normalisers' statistics (once an iteration, after learning)."""
         ...
 

@@ -63,71 +63,71 @@ class CounterfactualCritic:
         self.fits = 0
 
     def action_values(
-        self, networks: ReturnNetworks, scene: CriticBatch, memories: HiddenStates | None = None
+        self, networks: ReturnNetworks, batch: CriticBatch, hidden_states: HiddenStates | None = None
     ) -> NDArray[np.float64]:
         """Q (M, C, N, A) of each own action, the others' as in the scene; in units of return. `memories`:
         what these networks remembered, if they do."""
-        return self._by_agent(networks, networks.inputs(*self._rows(scene)), scene, memories)
+        return self._by_agent(networks, networks.inputs(*self._rows(batch)), batch, hidden_states)
 
-    def _rows(self, scene: CriticBatch) -> tuple[Tensor, Tensor]:
+    def _rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor]:
         """What is seen, not normalised, (P, B, seen_size), and indicators (P, B, indicator_size)."""
-        return self.layout.rows(self.view.seen(scene)), self.layout.rows(self.view.indicators(scene))
+        return self.layout.rows(self.view.features(batch)), self.layout.rows(self.view.indicators(batch))
 
     def _by_agent(
-        self, networks: ReturnNetworks, inputs: Tensor, scene: CriticBatch, memories: HiddenStates | None
+        self, networks: ReturnNetworks, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
     ) -> NDArray[np.float64]:
         """Q (M, C, N, A) of a scene's network inputs (P, B, input_size)."""
-        memory = None if memories is None else self.layout.rows(scene.remembered(memories))
-        action_values = networks.predict(inputs, memory).transpose(1, 2)
-        return self.layout.by_agent(action_values, len(scene.observations))
+        hidden = None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
+        action_values = networks.predict(inputs, hidden).transpose(1, 2)
+        return self.layout.by_agent(action_values, len(batch.observations))
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """See `headway_algos.on_policy.critics.Critic`."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        scene = CriticBatch.of_steps(trajectory)
-        assert scene.actions is not None
-        taken = scene.actions[..., None]
-        rows = self._rows(scene)
+        batch = CriticBatch.of_steps(trajectory)
+        assert batch.actions is not None
+        taken = batch.actions[..., None]
+        rows = self._rows(batch)
 
-        def worth(scene: CriticBatch) -> NDArray[np.float64]:
-            drawn = behaviour.drawn(scene, random)
-            action_values = self.action_values(self.target, drawn, target_memories)
-            return np.asarray((behaviour.probabilities(scene) * action_values).sum(axis=-1))
+        def value_of(batch: CriticBatch) -> NDArray[np.float64]:
+            drawn = behaviour.with_drawn_actions(batch, random)
+            action_values = self.action_values(self.target, drawn, target_hidden_states)
+            return np.asarray((behaviour.probabilities(batch) * action_values).sum(axis=-1))
 
         target_inputs = self.target.inputs(*rows)
-        target_memories = self.target.replayed(target_inputs, trajectory, self.view, self.layout)
-        target_values = self._by_agent(self.target, target_inputs, scene, target_memories)
+        target_hidden_states = self.target.replay(target_inputs, trajectory, self.view, self.layout)
+        target_values = self._by_agent(self.target, target_inputs, batch, target_hidden_states)
         target_values = np.take_along_axis(target_values, taken, axis=-1)[..., 0]
         ahead, present = lambda_advantages(
-            trajectory, self.view, target_values, worth, self.config, self.spec, self.layout.replicas
+            trajectory, self.view, target_values, value_of, self.config, self.spec, self.layout.replicas
         )
         inputs = self.networks.inputs(*rows)
-        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
-        action_values = self._by_agent(self.networks, inputs, scene, memories)
+        hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
+        action_values = self._by_agent(self.networks, inputs, batch, hidden_states)
         return CriticEstimate(
-            counterfactual_advantages(action_values, scene.actions, behaviour.probabilities(scene), present),
+            counterfactual_advantages(action_values, batch.actions, behaviour.probabilities(batch), present),
             np.take_along_axis(action_values, taken, axis=-1)[..., 0],
             ahead + target_values,
             present,
             inputs,
-            self.layout.rows(scene.actions),
-            memories,
-            target_memories,
+            self.layout.rows(batch.actions),
+            hidden_states,
+            target_hidden_states,
         )
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """See `headway_algos.on_policy.critics.Critic`; renews the target network when it is due."""
         metrics = self.regression.fit(estimate, iteration)
-        self.target.carry(estimate.target_memories)
+        self.target.carry(estimate.target_hidden_states)
         if self.fits % self.config.target_every == 0:
             self.target.load_state_dict(self.networks.state_dict())
-            self.target.carry(estimate.memories)
+            self.target.carry(estimate.hidden_states)
         self.fits += 1
         return metrics
 
-    def absorb(self, trajectory: Trajectory) -> None:
+    def update_normalisers(self, trajectory: Trajectory) -> None:
         """See `headway_algos.on_policy.critics.Critic`."""
-        self.regression.absorb(trajectory)
+        self.regression.update_normalisers(trajectory)
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""

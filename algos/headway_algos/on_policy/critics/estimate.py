@@ -26,7 +26,7 @@ class CriticEstimate:
     """Rows (P, B, input_size) of the critic's networks, normalised."""
     taken: Tensor | None = None
     """(P, B): which of the networks' outputs was meant; None where they have one."""
-    memories: HiddenStates | None = None
+    hidden_states: HiddenStates | None = None
     """What the networks remembered, where they do."""
-    target_memories: HiddenStates | None = None
+    target_hidden_states: HiddenStates | None = None
     """What a target network remembered, where there is one that does."""

@@ -36,30 +36,28 @@ class ReturnNetworks(nn.Module):
         super().__init__()
         self.config = config
         networks, model = view.grouping.num_policies, config.model
-        sizes = (view.seen_size + view.indicator_size, outputs)
+        sizes = (view.feature_size + view.indicator_size, outputs)
         self.network = make_network(model, seeds, networks, "critic", sizes, 1.0, layout.dtype)
         self.carried: NDArray[Any] | None = None
         """(C, W, M): what networks that remember did after the last trajectory they learned from."""
-        self.input_moments = RunningStatistics(len(seeds) * networks, view.seen_size)
+        self.input_moments = RunningStatistics(len(seeds) * networks, view.feature_size)
         self.return_moments = RunningStatistics(len(seeds) * networks, 1)
         self.to(layout.device)
 
-    def inputs(self, seen: Tensor, indicators: Tensor | None) -> Tensor:
+    def inputs(self, features: Tensor, indicators: Tensor | None) -> Tensor:
         """(P, B, input_size): what was seen (P, B, seen_size) in units of its running moments, cut at 10,
         then indicators (P, B, indicator_size) as they are."""
         if self.config.normalise_observations:
-            seen = self.input_moments.normalised(seen)
-        return seen if indicators is None else torch.cat([seen, indicators], dim=2)
+            features = self.input_moments.normalised(features)
+        return features if indicators is None else torch.cat([features, indicators], dim=2)
 
-    def predict(self, inputs: Tensor, memory: Tensor | None = None) -> Tensor:
+    def predict(self, inputs: Tensor, hidden: Tensor | None = None) -> Tensor:
         """Outputs (P, O, B) in units of return, in float64, of inputs (P, B, input_size) and, for networks
         that remember, of what they do before each row (P, B, M), in pieces that stay in the cache."""
         pieces = even_slices(inputs.shape[1], len(inputs), self.config.piece_samples)
         with torch.no_grad():
             parts = [
-                self.network(
-                    inputs[:, piece], None if memory is None else Timeline.of_moments(memory[:, piece])
-                )
+                self.network(inputs[:, piece], None if hidden is None else Timeline.of_rows(hidden[:, piece]))
                 for piece in pieces
             ]
             outputs = torch.cat(parts, dim=2).double()
@@ -67,7 +65,7 @@ class ReturnNetworks(nn.Module):
             outputs = outputs * self.return_moments.std + self.return_moments.mean
         return outputs
 
-    def replayed(
+    def replay(
         self, inputs: Tensor, trajectory: Trajectory, view: CriticInputs, layout: Layout
     ) -> HiddenStates | None:
         """What networks that remember do along a trajectory, from where the last one left them; of others
@@ -80,14 +78,14 @@ class ReturnNetworks(nn.Module):
         if start is None:
             start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
         begins = streams.begins(trajectory, view)
-        return HiddenStates.replayed(
+        return HiddenStates.replay(
             self.network, inputs, start, begins, keeps, layout, self.config.piece_samples
         )
 
-    def carry(self, memories: HiddenStates | None) -> None:
+    def carry(self, hidden_states: HiddenStates | None) -> None:
         """Go on, at the next trajectory, from what was remembered at the end of this one."""
-        if memories is not None:
-            self.carried = memories.after_the_last_step[0]
+        if hidden_states is not None:
+            self.carried = hidden_states.after_last_step[0]
 
     def carried_state(self) -> Tensor | None:
         """For a checkpoint."""
@@ -131,8 +129,8 @@ class ReturnRegression:
         targets = targets.to(layout.dtype)
         loss_sum = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype)
         steps = np.zeros(len(selected))
-        memories, length = estimate.memories, config.model.sequence_length
-        sequences = None if memories is None else memories.sequences(layout, length)
+        hidden_states, length = estimate.hidden_states, config.model.sequence_length
+        sequences = None if hidden_states is None else hidden_states.sequences(layout, length)
         generators = self._generators(iteration)
         compiled: Learn | None = None
         if isinstance(self.optimiser, StackedAdam):
@@ -146,7 +144,7 @@ class ReturnRegression:
                 loss_sum += learn(piece)
             self.optimiser.step(active)
             steps += active
-        self.networks.carry(memories)
+        self.networks.carry(hidden_states)
         mean_loss = loss_sum / torch.from_numpy(steps).to(loss_sum).clamp(min=1)
         by_network = mean_loss.double().cpu().numpy().reshape(layout.replicas, -1)
         return {
@@ -180,12 +178,12 @@ class ReturnRegression:
         networks = range(self.layout.grouping.num_policies)
         return [generator(seed, "critic minibatch", k, iteration) for seed in self.seeds for k in networks]
 
-    def absorb(self, trajectory: Trajectory) -> None:
+    def update_normalisers(self, trajectory: Trajectory) -> None:
         """Add an iteration's inputs to the normaliser's statistics."""
         if self.config.normalise_observations:
-            seen = self.layout.rows(self.view.seen(CriticBatch.of_steps(trajectory)))
+            features = self.layout.rows(self.view.features(CriticBatch.of_steps(trajectory)))
             selected = self.layout.selection(presence(trajectory.alive[:-1], self.view))
-            self.networks.input_moments.include(seen, selected)
+            self.networks.input_moments.include(features, selected)
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""

@@ -50,14 +50,14 @@ class RewardStreams:
 
 def presence(alive: NDArray[np.bool_], view: CriticInputs) -> NDArray[np.bool_]:
     """(M, C, N) -> (M, C, W): where there is a value to speak of."""
-    return np.ones((*alive.shape[:2], 1), np.bool_) if view.whole else alive
+    return np.ones((*alive.shape[:2], 1), np.bool_) if view.single else alive
 
 
 def lambda_advantages(
     trajectory: Trajectory,
     view: CriticInputs,
     values: NDArray[np.float64],
-    worth: Callable[[CriticBatch], NDArray[np.float64]],
+    value_of: Callable[[CriticBatch], NDArray[np.float64]],
     config: AlgoConfig,
     spec: EnvSpec,
     replicas: int,
@@ -68,11 +68,13 @@ def lambda_advantages(
     after the last step, and the final observations of streams that were truncated.
     """
     streams = RewardStreams.of(trajectory, view)
-    values = np.concatenate([values, worth(CriticBatch.after_the_last_step(trajectory))])
-    endings = Truncations.of(trajectory, replicas)
+    values = np.concatenate([values, value_of(CriticBatch.after_last_step(trajectory))])
+    truncations = Truncations.of(trajectory, replicas)
     final_values = np.zeros(streams.rewards.shape)
-    if len(endings):
-        final_values = endings.put(worth(CriticBatch.after_endings(trajectory, endings)), final_values.shape)
+    if len(truncations):
+        final_values = truncations.put(
+            value_of(CriticBatch.after_truncations(trajectory, truncations)), final_values.shape
+        )
     present = streams.present
     if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
         values, present = with_teammates_values(values, present, () if spec.shared_reward else spec.groups)

@@ -44,22 +44,22 @@ class ValueCritic:
         self.networks = ReturnNetworks(config, self.view, 1, seeds, self.layout)
         self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
 
-    def rows(self, scene: CriticBatch) -> Tensor:
+    def rows(self, batch: CriticBatch) -> Tensor:
         """Network inputs (P, B, input_size)."""
-        indicators = self.view.indicators(scene)
+        indicators = self.view.indicators(batch)
         shown = None if indicators is None else self.layout.rows(indicators)
-        return self.networks.inputs(self.layout.rows(self.view.seen(scene)), shown)
+        return self.networks.inputs(self.layout.rows(self.view.features(batch)), shown)
 
     def values(
-        self, rows: Tensor, moments: int, memory: Tensor | None = None, viewpoints: int | None = None
+        self, rows: Tensor, moments: int, hidden: Tensor | None = None, viewpoints: int | None = None
     ) -> NDArray[np.float64]:
         """Values (M, C, W), in units of return, of network inputs and what is remembered before them;
         `viewpoints`: W, where it is fewer than all."""
-        return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments, viewpoints)
+        return self.layout.by_agent(self.networks.predict(rows, hidden)[:, 0], moments, viewpoints)
 
-    def _memory(self, scene: CriticBatch, memories: HiddenStates | None) -> Tensor | None:
+    def _memory(self, batch: CriticBatch, hidden_states: HiddenStates | None) -> Tensor | None:
         """(P, B, M): what the networks remembered at the moments of a scene, if they do."""
-        return None if memories is None else self.layout.rows(scene.remembered(memories))
+        return None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """See `headway_algos.on_policy.critics.Critic`."""
@@ -67,27 +67,29 @@ class ValueCritic:
         there = presence(trajectory.alive, self.view).shape[2]
         viewpoints = there if there < self.view.viewpoints else None
 
-        def worth(scene: CriticBatch) -> NDArray[np.float64]:
-            shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene
+        def value_of(batch: CriticBatch) -> NDArray[np.float64]:
+            shown = behaviour.with_drawn_actions(batch, random) if self.view.needs_actions else batch
             moments = len(shown.observations)
-            return self.values(self.rows(shown), moments, self._memory(shown, memories), viewpoints)
+            return self.values(self.rows(shown), moments, self._memory(shown, hidden_states), viewpoints)
 
-        scene = CriticBatch.of_steps(trajectory)
-        inputs = self.rows(scene)
-        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
-        values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories), viewpoints)
+        batch = CriticBatch.of_steps(trajectory)
+        inputs = self.rows(batch)
+        hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
+        values = self.values(inputs, len(trajectory.rewards), self._memory(batch, hidden_states), viewpoints)
         advantages, present = lambda_advantages(
-            trajectory, self.view, values, worth, self.config, self.spec, self.layout.replicas
+            trajectory, self.view, values, value_of, self.config, self.spec, self.layout.replicas
         )
-        return CriticEstimate(advantages, values, advantages + values, present, inputs, memories=memories)
+        return CriticEstimate(
+            advantages, values, advantages + values, present, inputs, hidden_states=hidden_states
+        )
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """See `headway_algos.on_policy.critics.Critic`."""
         return self.regression.fit(estimate, iteration)
 
-    def absorb(self, trajectory: Trajectory) -> None:
+    def update_normalisers(self, trajectory: Trajectory) -> None:
         """See `headway_algos.on_policy.critics.Critic`."""
-        self.regression.absorb(trajectory)
+        self.regression.update_normalisers(trajectory)
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its base."""

@@ -67,7 +67,7 @@ class KFAC:
             of_entropy = self.config.entropy_coeff * piece.weight
             signal, of_log_std = old.slopes(piece.actions, piece.weight * piece.advantages, of_entropy)
             of_own = [] if of_log_std is None else [of_log_std]
-            for total, part in zip(gradient, [*of_own, *linear.pull(signal)], strict=True):
+            for total, part in zip(gradient, [*of_own, *linear.vjp(signal)], strict=True):
                 total += part
             mean_entropy += (old.entropy() * piece.weight).sum(1)
             score = old.drawn_score(noise[:, start:end])

@@ -80,10 +80,10 @@ def test_what_is_measured_is_normalised_and_what_indicates_is_not(
     assert isinstance(critic, CounterfactualCritic | ValueCritic)
     made = poisoned(fabricate(spec, STEPS, 3, seed=0, absent=0.3))
     raw = _estimate(learner, made).inputs[0]
-    critic.absorb(made)
+    critic.update_normalisers(made)
     scaled = _estimate(learner, made).inputs[0]
     here = torch.from_numpy(critic.layout.selection(made.alive[:-1])[0])
-    size, (rows, own_rows) = critic.view.seen_size, (scaled[here], raw[here])
+    size, (rows, own_rows) = critic.view.feature_size, (scaled[here], raw[here])
     mean, std = own_rows[:, :size].mean(0), own_rows[:, :size].std(0, correction=0)
     torch.testing.assert_close(rows[:, :size], (own_rows[:, :size] - mean) / std, rtol=1e-6, atol=1e-6)
     assert torch.equal(rows[:, size:], own_rows[:, size:])
@@ -105,7 +105,7 @@ def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvS
     """As often as the policy says, never what is forbidden, and nothing for who is away."""
     learner = OnPolicyLearner(COMA if spec is STATE else OTHERS, spec, (1, 2), "cpu")
     made = fabricate(spec, 1, 4, seed=0, absent=0.3)
-    one = CriticBatch.after_the_last_step(made)
+    one = CriticBatch.after_last_step(made)
     many = 4000
 
     def repeated(array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - as it came
@@ -113,7 +113,7 @@ def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvS
 
     scene = CriticBatch(*(repeated(a) for a in (one.observations, one.states, one.present, one.masks)))
     random = [generator(seed, "test") for seed in (1, 2)]
-    drawn = learner.behaviour.drawn(scene, random).actions
+    drawn = learner.behaviour.with_drawn_actions(scene, random).actions
     assert drawn is not None
     assert (drawn[~scene.present] == 0).all()
     if spec is STATE:

@@ -122,7 +122,7 @@ def test_a_whole_batch_holds_every_selected_row_once_and_pads_with_weight_zero()
     assert batch.has_rows.tolist() == [True, False, True]
     for p in range(P):
         chosen, count = np.flatnonzero(selected[p]), int(selected[p].sum())
-        assert batch.places[p, :count].tolist() == chosen.tolist()
+        assert batch.row_index[p, :count].tolist() == chosen.tolist()
         assert torch.equal(batch.observations[p, :count], rows.observations[p, chosen])
         assert torch.equal(batch.actions[p, :count], rows.actions[p, chosen])
         assert torch.equal(batch.log_probs[p, :count], rows.log_probs[p, chosen])
@@ -135,7 +135,7 @@ def test_a_whole_batch_holds_every_selected_row_once_and_pads_with_weight_zero()
         )
         assert (batch.weight[p, count:] == 0).all()
         if count:  # rows of others' places may hold anything
-            assert np.isin(batch.places[p].numpy(), chosen).all()
+            assert np.isin(batch.row_index[p].numpy(), chosen).all()
 
 
 def test_cuts_of_a_whole_batch_are_its_rows_in_order() -> None:
@@ -144,7 +144,7 @@ def test_cuts_of_a_whole_batch_are_its_rows_in_order() -> None:
     pieces = list(batch.pieces(12))
     assert len(pieces) > 2
     assert all(piece.weight.numel() <= 12 for piece in pieces)
-    assert torch.equal(torch.cat([piece.places for piece in pieces], 1), batch.places)
+    assert torch.equal(torch.cat([piece.row_index for piece in pieces], 1), batch.row_index)
     assert torch.equal(torch.cat([piece.weight for piece in pieces], 1), batch.weight)
 
 
@@ -156,7 +156,7 @@ def test_every_nth_row_of_each_policy_has_the_weight_of_all() -> None:
     third = batch.strided(3)
     for p in range(P):
         chosen = np.flatnonzero(selected[p])[::3]
-        assert third.places[p, : len(chosen)].tolist() == chosen.tolist()
+        assert third.row_index[p, : len(chosen)].tolist() == chosen.tolist()
         expected = torch.full((len(chosen),), 1 / max(len(chosen), 1), dtype=DOUBLE)
         torch.testing.assert_close(third.weight[p, : len(chosen)], expected)
         assert (third.weight[p, len(chosen) :] == 0).all()
