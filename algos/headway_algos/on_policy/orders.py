@@ -1,4 +1,4 @@
-"""In what order a team's policies are improved."""
+"""Orders in which a team's policies are updated: simultaneous or sequential."""
 
 from collections.abc import Callable, Sequence
 
@@ -16,7 +16,7 @@ Order = Callable[
     dict[str, Tensor],
 ]
 """(update, grouping, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,))
--> info, each (P,); changes the policies."""
+-> metrics by name, each (P,). Updates the policies in place."""
 
 
 def simultaneous(
@@ -27,7 +27,7 @@ def simultaneous(
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """All policies at once, each against the others as they were."""
+    """Update all policies at once, each with the others as they acted."""
     return update.improve(rows, advantages, generators)
 
 
@@ -39,15 +39,15 @@ def sequential(
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """One policy after another, in an order drawn anew for each replica (Kuba et al. 2022, arXiv:2109.11251).
+    """Update one policy after another, in a random order per replica (Kuba et al. 2022, arXiv:2109.11251,
+    section 4).
 
-    The policy whose turn is m-th improves on A times the product of pi_new / pi_old of all agents of the
-    policies before it, at the same step and copy, each at what it has become (section 4 there). The ratio is
-    1 where such an agent was not acting. The factor is positive, so an update needs to know nothing of it.
+    The m-th policy is updated with advantages A times the product of pi_new / pi_old over all agents of the
+    policies updated before, at the same step and copy; the ratio is 1 where such an agent was not acting. The
+    factor is positive, so it only rescales the advantages passed to an unchanged update.
 
-    In the paper every agent has a policy of its own (K = N). The agents of a group, who share one, have
-    their turn together, as all have without an order. Turns are taken one after another, the replicas'
-    together.
+    In the paper every agent has its own policy (K = N). Agents of a group that shares a policy are updated
+    together. The m-th policies of all replicas are updated in one call.
     """
     policies, width = grouping.num_policies, grouping.width
     turns = np.stack([random.permutation(policies) for random in order_generators], axis=1)
@@ -67,7 +67,7 @@ def sequential(
 
 
 def _log_ratio(update: Update, rows: PolicyBatch) -> Tensor:
-    """log(pi / pi_old) of what was done, (P, B), 0 where a row is not selected."""
+    """Return log(pi / pi_old) of the actions taken, (P, B), 0 for rows not selected."""
     batch = WholeBatch.of(rows, torch.zeros_like(rows.log_probs))
     result = torch.zeros_like(rows.log_probs, dtype=torch.float64)
     with torch.no_grad():

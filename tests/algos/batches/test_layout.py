@@ -223,7 +223,7 @@ def test_rows_taken_ahead_are_those_of_each_minibatch(
     ahead = 0
     for pieces, _ in minibatches(selected, generators, 2, 4, 3 * piece_rows, _layout("shared")):
         for piece in pieces:
-            ahead += piece.ahead is not None
+            ahead += piece.prefetched is not None
             for tensor in rows:
                 assert torch.equal(piece.of(tensor), tensor.flatten(0, 1)[piece.index])
     assert ahead == (8 if piece_rows == 1000 else 0)

@@ -114,7 +114,7 @@ def test_the_units_are_those_of_torch() -> None:
 
 def test_a_network_that_remembers_says_what_it_misses() -> None:
     network = make_network(GRU, (1,), 1, "x", (3, 2), 1.0, torch.float64)
-    with pytest.raises(HeadwayError, match=r"what came before.*use algo\.model\.core=none$"):
+    with pytest.raises(HeadwayError, match=r"order of rows in time.*use algo\.model\.core=none$"):
         network(torch.zeros(1, 2, 3, dtype=torch.float64))
 
 

@@ -624,7 +624,7 @@ def test_a_gpu_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.Monk
 
 
 def test_a_device_that_is_none_is_refused_in_one_line() -> None:
-    with pytest.raises(HeadwayError, match="'gpu' is no device; use device=auto, cpu or cuda"):
+    with pytest.raises(HeadwayError, match="'gpu' is not a device; use device=auto, cpu or cuda"):
         OnPolicyLearner(IPPO, DISCRETE, (1,), "gpu")
 
 
