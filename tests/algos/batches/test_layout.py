@@ -219,7 +219,7 @@ def test_rows_taken_ahead_are_those_of_each_minibatch(
     selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
     rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]
     generators = [generator(p, "test") for p in range(3)]
-    monkeypatch.setattr(layout, "TAKEN_AHEAD", 3 * 9 * 3)
+    monkeypatch.setattr(layout, "PREFETCH_SAMPLES", 3 * 9 * 3)
     ahead = 0
     for pieces, _ in minibatches(selected, generators, 2, 4, 3 * piece_rows, _layout("shared")):
         for piece in pieces:

@@ -326,7 +326,7 @@ def test_what_is_kept_beside_a_checkpoint_is_foretold(
     config = replace(config, policies=policies, n_step=1)
     learner, steps = _learner(config, spec, (1,)), 12 * 2
     for iteration in range(iterations):
-        learner._remember(fabricate(spec, 12, 2, seed=iteration))
+        learner._store(fabricate(spec, 12, 2, seed=iteration))
     real = sum(array.nbytes for array in learner.experience()["memory"]["arrays"].values())
     assert real == pytest.approx(
         ENTRIES[config.name].replay_bytes(config, spec, iterations * steps), rel=0.15

@@ -439,5 +439,5 @@ def test_returns_come_from_the_target_network_and_advantages_from_the_critic(fab
 
 
 def test_actions_without_end_are_refused() -> None:
-    with pytest.raises(ValueError, match="takes Discrete actions, and made has others; use critic: local or"):
+    with pytest.raises(ValueError, match="needs Discrete actions, which made does not have; use critic: local or"):
         OnPolicyLearner(COMA, BOX, (1,), "cpu")
