@@ -86,7 +86,7 @@ def _of_agents(made: Trajectory, agents: slice) -> Trajectory:
 
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
+def test_a_seed_trains_the_same_alone_and_in_a_stack_of_three(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Policies
 ) -> None:
     config = replace(config, policies=policies)
@@ -103,7 +103,7 @@ def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
 
 
 @every_case
-def test_an_independent_policy_alone_learns_what_it_learns_among_others(
+def test_an_independent_policy_trains_the_same_alone_and_among_others(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
 ) -> None:
     among = _learner(config, spec, (4,))
@@ -119,7 +119,7 @@ def test_an_independent_policy_alone_learns_what_it_learns_among_others(
 
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared"])
-def test_poison_in_what_nobody_lived_through_changes_nothing(
+def test_poisoned_rows_without_experience_change_nothing(
     fabricate: Fabricate,
     poisoned: Callable[[Trajectory], Trajectory],
     config: ReplayConfig,
@@ -139,7 +139,9 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
 
 
 @every_case
-def test_a_checkpoint_goes_on_bit_for_bit(fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec) -> None:
+def test_training_resumed_from_a_checkpoint_is_exact(
+    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
+) -> None:
     config = replace(config, lr_end=0.1, precision="float32")
     first, second = (_learner(config, spec, (1, 2)) for _ in range(2))
     assert isinstance(first, LearnerWithReplay)
@@ -167,7 +169,7 @@ def test_a_checkpoint_goes_on_bit_for_bit(fabricate: Fabricate, config: ReplayCo
 def test_nothing_is_learned_before_there_is_enough_to_draw_from(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
 ) -> None:
-    """Each policy waits for its own memory."""
+    """Each policy waits for its own replay buffer to fill."""
     learner = _learner(replace(config, learning_starts=25), spec, (1,))
     before = [array.detach().clone() for array in learner.method.network.parameters()]
     made = fabricate(spec, 10, 3, seed=0, ends=0.3)
@@ -319,7 +321,7 @@ def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: Act
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("iterations", [1, 6])
-def test_what_is_kept_beside_a_checkpoint_is_foretold(
+def test_replay_bytes_are_predicted(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Policies, iterations: int
 ) -> None:
     """Of a seed whose agents act at every step, memories full or not."""

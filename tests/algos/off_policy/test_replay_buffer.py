@@ -108,7 +108,7 @@ def test_a_policys_draws_do_not_depend_on_the_others() -> None:
 
 @pytest.mark.parametrize("lived", [3, 20])
 @pytest.mark.parametrize("space", [Discrete(3), Box((-1.0,), (1.0,))])
-def test_what_is_saved_is_what_is_held_and_goes_on_alike(lived: int, space: Any) -> None:  # noqa: ANN401
+def test_a_saved_buffer_restores_and_continues_identically(lived: int, space: Any) -> None:  # noqa: ANN401
     spec = replace(SPEC, action_space=space, has_action_mask=isinstance(space, Discrete))
     buffer, other = _buffer(spec=spec), _buffer(spec=spec)
     buffer.add(np.arange(lived) % 2, _numbered(np.arange(lived), spec))
