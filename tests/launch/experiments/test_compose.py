@@ -29,7 +29,7 @@ def test_what_no_named_algorithm_is_can_be_composed() -> None:
     composed = compose(["env=trivial", "algo=custom", "algo.critic=central"])
     assert composed.algo_config.critic == "central"
     with pytest.raises(
-        HeadwayError, match=r"ippo has local: .*With V\(s\) it is algo=mappo; algo=custom takes"
+        HeadwayError, match=r"ippo has local: .*For V\(s\): algo=mappo; algo=custom accepts"
     ):
         compose(["env=trivial", "algo=ippo", "algo.critic=central"])
 
