@@ -69,7 +69,7 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     view = VIEWS["local"](config, spec, grouping)
     regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
     returns = random.normal(size=(rows, case.seeds, 1))
-    estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, memories=None)
+    estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, hidden_states=None)
     return [
         lambda: update.improve(batch, advantages, [generator(seed, "benchmark") for seed in seeds]),
         lambda: regression.fit(estimate, 0),

@@ -1,6 +1,6 @@
-"""Action distributions of stacked policies, with actions' axis second: (P, A, B).
+"""Action distributions of stacked policies, with the action axis second: (P, A, B).
 
-Proven equal to torch.distributions in the tests; these skip its checks and keep rows contiguous.
+Tested to equal torch.distributions; these skip its argument checks and keep rows contiguous.
 """
 
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ class MaskedCategorical:
 
     log_probs: Tensor
     allowed: Tensor | None
-    """(P, A, B) bool, or None."""
+    """(P, A, B) bool, or None if every action is allowed."""
 
     @classmethod
     def of_logits(cls, logits: Tensor, masks: Tensor | None) -> Self:
-        """From logits (P, A, B) and masks (P, B, A)."""
+        """Return the distributions of logits (P, A, B) under action masks (P, B, A)."""
         if masks is None:
             return cls(torch.log_softmax(logits, dim=1), None)
         allowed = masks.transpose(1, 2)
-        # A large negative number instead of -inf keeps gradients free of 0 x inf; exp gives exactly 0.
+        # A large negative number avoids 0 x inf in gradients, unlike -inf; its exponential is exactly 0.
         masked = logits.masked_fill(~allowed, torch.finfo(logits.dtype).min / 4)
         return cls(torch.log_softmax(masked, dim=1), allowed)
 
     def log_prob(self, actions: Tensor) -> Tensor:
-        """(P, B) from actions (P, B) int64."""
+        """Return log p(u), (P, B), of actions (P, B) int64."""
         return self.log_probs.gather(1, actions[:, None])[:, 0]
 
     def _expectation(self, values: Tensor) -> Tensor:
@@ -40,11 +40,11 @@ class MaskedCategorical:
         return terms.sum(1)
 
     def entropy(self) -> Tensor:
-        """- sum p log p over the allowed actions: (P, B)."""
+        """Return -sum p log p over the allowed actions, (P, B)."""
         return -self._expectation(self.log_probs)
 
     def kl_from(self, old: Self) -> Tensor:
-        """sum p_old (log p_old - log p): (P, B)."""
+        """Return KL(old || self) = sum p_old (log p_old - log p), (P, B)."""
         return old._expectation(old.log_probs - self.log_probs)
 
     def slopes(
@@ -54,9 +54,11 @@ class MaskedCategorical:
         of_entropy: Tensor,
         penalty: tuple[Self, Tensor] | None = None,
     ) -> tuple[Tensor, None]:
-        """d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B): a, b (P, B) are coefficients of
-        the log-probabilities of actions (P, B) and of entropies, a `penalty` is (old, c). None: there is no
-        log standard deviation."""
+        """Return d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B), and None.
+
+        Coefficients a = `of_log_prob` and b = `of_entropy` are (P, B); `penalty` is (old, c), or None for
+        c = 0. The second result stands for the gradient of a Gaussian's log standard deviation.
+        """
         probabilities = self.log_probs.exp()
         surprise = self.log_probs + self.entropy()[:, None]
         slope = -probabilities * (of_log_prob[:, None] + of_entropy[:, None] * surprise)
@@ -69,18 +71,17 @@ class MaskedCategorical:
         return slope, None
 
     def detach(self) -> Self:
-        """The same as a constant."""
+        """Return the distribution detached from the autograd graph."""
         return type(self)(self.log_probs.detach(), self.allowed)
 
     def fisher_of_outputs(self, direction: Tensor) -> Tensor:
-        """(diag(p) - p p^T) v: the Fisher information in the logits, times v (P, A, B)."""
+        """Return (diag(p) - p p^T) v, (P, A, B): the Fisher information in the logits, times v."""
         probabilities = self.log_probs.exp()
-        weighed = probabilities * direction
-        return weighed - probabilities * weighed.sum(1, keepdim=True)
+        weighted = probabilities * direction
+        return weighted - probabilities * weighted.sum(1, keepdim=True)
 
     def drawn_score(self, noise: Tensor) -> Tensor:
-        """d log p(u) / d logits, (P, A, B), of actions u drawn by uniforms (P, B) in float64: 1 at the
-        action, minus the chances."""
+        """Return d log p(u) / d logits, (P, A, B): one-hot(u) - p, for u drawn by uniforms (P, B) float64."""
         cumulative = self.log_probs.double().exp().cumsum(1)
         chosen = (cumulative <= noise[:, None] * cumulative[:, -1:]).sum(1, keepdim=True)
         actions = torch.arange(cumulative.shape[1], device=chosen.device)[None, :, None]
@@ -89,26 +90,26 @@ class MaskedCategorical:
 
 @dataclass(frozen=True)
 class DiagonalGaussian:
-    """Mean (P, A, B) and a log standard deviation (P, A, 1) that does not depend on the state."""
+    """Gaussians with mean (P, A, B) and a log standard deviation (P, A, 1) independent of the state."""
 
     LOG_STD_FISHER: ClassVar[float] = 2.0
-    """Fisher information of each log standard deviation; the mean and the others share none with it."""
+    """Fisher information of each log standard deviation; its off-diagonal entries are 0."""
 
     mean: Tensor
     log_std: Tensor
 
     def log_prob(self, actions: Tensor) -> Tensor:
-        """Log-density (P, B) of actions (P, B, A)."""
+        """Return the log-density (P, B) of actions (P, B, A)."""
         standard = (actions.transpose(1, 2) - self.mean) * torch.exp(-self.log_std)
         return (-0.5 * standard**2 - self.log_std - 0.5 * log(2 * pi)).sum(1)
 
     def entropy(self) -> Tensor:
-        """(P, B), the same for every row."""
+        """Return the entropy (P, B), the same for every row of a policy."""
         entropy = (self.log_std + 0.5 * log(2 * pi) + 0.5).sum(1)
         return entropy.expand(-1, self.mean.shape[2])
 
     def kl_from(self, old: Self) -> Tensor:
-        """KL(old || self): (P, B)."""
+        """Return KL(old || self), (P, B)."""
         variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
         distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
@@ -120,13 +121,15 @@ class DiagonalGaussian:
         of_entropy: Tensor,
         penalty: tuple[Self, Tensor] | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1): a, b
-        (P, B) are coefficients of the log-densities of actions (P, B, A) and of entropies, a `penalty` is
-        (old, c)."""
+        """Return d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1).
+
+        Coefficients a = `of_log_prob` and b = `of_entropy` are (P, B), actions u (P, B, A); `penalty` is
+        (old, c), or None for c = 0.
+        """
         inverse = torch.exp(-self.log_std)
         standard = (actions.transpose(1, 2) - self.mean) * inverse
-        pulled = of_log_prob[:, None] * standard
-        of_mean, of_log_std = pulled, pulled * standard - of_log_prob[:, None] + of_entropy[:, None]
+        weighted = of_log_prob[:, None] * standard
+        of_mean, of_log_std = weighted, weighted * standard - of_log_prob[:, None] + of_entropy[:, None]
         if penalty is not None:
             old, of_kl = penalty
             shift = (self.mean - old.mean) * inverse
@@ -136,13 +139,13 @@ class DiagonalGaussian:
         return of_mean * inverse, of_log_std.sum(2, keepdim=True)
 
     def detach(self) -> Self:
-        """The same as a constant, whatever becomes of the parameters."""
+        """Return a detached copy, which later changes of the parameters leave unchanged."""
         return type(self)(self.mean.detach(), self.log_std.detach().clone())
 
     def fisher_of_outputs(self, direction: Tensor) -> Tensor:
-        """v / variance: the Fisher information in the mean, times v (P, A, B)."""
+        """Return v / variance, (P, A, B): the Fisher information in the mean, times v."""
         return direction * torch.exp(-2 * self.log_std.detach())
 
     def drawn_score(self, noise: Tensor) -> Tensor:
-        """d log p(u) / d mean, (P, A, B), of actions u drawn by standard normals (P, B, A)."""
+        """Return d log p(u) / d mean, (P, A, B), for actions u drawn by standard normals (P, B, A)."""
         return noise.transpose(1, 2).to(self.log_std.dtype) * torch.exp(-self.log_std)

@@ -1,7 +1,7 @@
-"""Passes through a stack of networks, to learn from: outputs forward, and a loss's slope there backward.
+"""Forward and backward passes through stacked networks, for training.
 
-For multilayer perceptrons both are written out: recording each operation, as torch does to differentiate
-whatever it was, takes longer than the operations do where minibatches are small.
+For multilayer perceptrons both are written out: with small minibatches, recording operations for autograd
+takes longer than the operations themselves.
 """
 
 from collections.abc import Iterable
@@ -18,28 +18,27 @@ from headway_algos.networks.timeline import Timeline
 
 
 class Pass(Protocol):
-    """P networks at rows of their own."""
+    """A forward pass of P networks, each on its own rows."""
 
     @property
     def outputs(self) -> Tensor:
-        """(P, A, B), a constant to torch."""
+        """(P, A, B), detached from the autograd graph."""
         ...
 
     def send_back(self, slope: Tensor) -> None:
-        """Add to the gradients of the networks' parameters those of a loss of which d loss / d outputs is
-        given, (P, A, B)."""
+        """Add a loss's gradients to those of the networks' parameters, given d loss / d outputs (P, A, B)."""
         ...
 
 
 def add_gradients(parameters: Iterable[nn.Parameter], gradients: Iterable[Tensor]) -> None:
-    """Add to the parameters' gradients, as torch's backpropagation does."""
+    """Accumulate gradients into the parameters, as torch's backpropagation does."""
     for parameter, gradient in zip(parameters, gradients, strict=True):
         parameter.grad = gradient if parameter.grad is None else parameter.grad.add_(gradient)
 
 
 @dataclass(frozen=True)
 class PerceptronPass:
-    """Through multilayer perceptrons."""
+    """A pass through multilayer perceptrons."""
 
     network: StackedMLP
     linear: LinearisedMLP
@@ -50,7 +49,7 @@ class PerceptronPass:
 
     def send_back(self, slope: Tensor) -> None:
         weights, biases = zip(*self.network.by_layer(), strict=True)
-        add_gradients(weights + biases, self.linear.pull(slope))
+        add_gradients(weights + biases, self.linear.vjp(slope))
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class _RecordedPass:
 
 
 def forward_pass(network: Network, rows: Tensor, timeline: Timeline | None) -> Pass:
-    """Of rows (P, B, D), for networks that remember in the order of a timeline."""
+    """Run networks on rows (P, B, D); recurrent networks need a timeline."""
     if isinstance(network, RecurrentNetwork):
         return _RecordedPass(network(rows, timeline))
     return PerceptronPass(network, LinearisedMLP.of(network, rows))

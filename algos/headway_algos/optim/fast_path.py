@@ -1,5 +1,4 @@
-"""Learning from minibatches with compiled kernels, where that is faster than torch: small perceptrons in
-float32 on a processor."""
+"""Minibatch training with compiled kernels, where faster than torch: small float32 perceptrons on a CPU."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,37 +18,40 @@ from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.adam import StackedAdam
 
 MOST_PRODUCTS = 1_500_000
-"""Rows of a minibatch times weights, both of one network, up to which the kernels are chosen: with more, what
-torch loses in calls counts less than what its library of matrix products gains."""
+"""Maximum product of minibatch rows and weights, per network, for which the kernels are used. Beyond it, the
+faster matrix products of torch's library outweigh its call overhead."""
 
 Learn = Callable[[Piece], Tensor]
-"""Adds a piece's gradients; returns its shares of what is reported."""
+"""Adds a piece's gradients and returns its shares of the metrics."""
 
 
 def uncut(config: AlgoConfig) -> AlgoConfig:
-    """The same with minibatches in one piece: kernels cut each network's by themselves, as of one alone."""
+    """Return the config with minibatches in one piece: kernels split each network's rows themselves."""
     return replace(config, piece_samples=2**62)
 
 
 @dataclass(frozen=True)
 class Perceptrons:
-    """P networks of one form, as kernels take them."""
+    """P stacked multilayer perceptrons, with the arrays that kernels work on."""
 
     values: NDArray[Any]
-    """(P, V): all that an optimiser steps."""
+    """(P, V): all parameters."""
     gradient: NDArray[Any]
-    """(P, V)"""
+    """(P, V): their gradients."""
     form: NDArray[np.int64]
-    """(L, 4): inputs, outputs, where weights and where biases begin, of each layer."""
+    """(L, 4): per layer, number of inputs, number of outputs, offsets of weights and of biases."""
     relu: bool
     held: NDArray[Any]
-    """(F, ROWS), to work in: what layers are given, then outputs."""
+    """(F, ROWS): buffer for the inputs of each layer, then the outputs."""
     signals: NDArray[Any]
-    """(2, W, ROWS), to work in: slopes of a loss."""
+    """(2, W, ROWS): buffer for backpropagated gradients."""
 
     @classmethod
     def of(cls, network: Network, optimiser: StackedAdam, rows: int, minibatches: int) -> Self | None:
-        """Of a network whose minibatches are of so many rows altogether. None where torch is to learn."""
+        """Return the arrays of a network, or None if torch is faster or required.
+
+        `rows`: rows of all minibatches of a pass.
+        """
         values, gradient = optimiser.values.whole, optimiser.gradient.whole
         if not isinstance(network, StackedMLP) or values.is_cuda or values.dtype != torch.float32:
             return None
@@ -63,7 +65,7 @@ class Perceptrons:
         return cls(values.numpy(), gradient.numpy(), form, network.activation == "relu", held, signals)
 
     def learn(self, kernel: Callable[..., None], piece: Piece, *others: object) -> None:
-        """Call a kernel with what all take first, and others of its own."""
+        """Call a kernel with the arguments common to all kernels, then `others`."""
         index, weight = (np.ascontiguousarray(tensor.numpy()) for tensor in (piece.index, piece.weight))
         kernel(
             self.values, self.gradient, self.form, self.relu, self.held, self.signals, index, weight, *others
@@ -71,7 +73,7 @@ class Perceptrons:
 
 
 def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
-    """Rows (P, B, ...) as an array (P B, ...) of the type of an empty one, which stands for none."""
+    """Return rows (P, B, ...) as an array (P B, ...) with the dtype of the empty array `like`, or `like`."""
     if rows is None:
         return like
     array: NDArray[Any] = np.ascontiguousarray(rows.detach().numpy(), dtype=like.dtype)
@@ -87,8 +89,10 @@ def surrogate(
     kl_coeff: Tensor,
     config: AlgoConfig,
 ) -> Learn | None:
-    """Compiled, what `PPO._learn` does, of old network outputs (P, B, A), None without a penalty, and log
-    standard deviations (P, A, 1). None where torch is to learn."""
+    """Return the compiled equivalent of `PPO._learn`, or None if torch is to be used.
+
+    `old`: network outputs (P, B, A), None without a KL penalty, and log standard deviations (P, A, 1).
+    """
     networks = Perceptrons.of(actor.network, optimiser, rows.selected.shape[1], config.minibatches)
     if networks is None:
         return None
@@ -127,9 +131,10 @@ def regression(
     targets: Tensor,
     config: AlgoConfig,
 ) -> Learn | None:
-    """Compiled twin of `ReturnRegression._learn`, or None where torch has to learn.
+    """Return the compiled equivalent of `ReturnRegression._learn`, or None if torch is to be used.
 
-    Takes inputs (P, B, D), the outputs (P, B) that were taken (None if there is only one) and targets (P, B).
+    Arguments are inputs (P, B, D), the index (P, B) of the trained output (None with one output) and targets
+    (P, B).
     """
     networks = Perceptrons.of(network, optimiser, inputs.shape[1], config.minibatches)
     if networks is None:

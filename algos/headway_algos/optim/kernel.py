@@ -1,11 +1,11 @@
-"""Compiled steps of learning on a processor: small perceptrons forward and back, losses, Adam.
+"""Compiled training steps on a CPU: forward and backward passes of small perceptrons, losses, Adam.
 
-Networks of a stack come one after another, each through its own rows in parts that fit the cache, features
-first: what a network becomes depends neither on its stack nor on how much the others have to learn from.
-torch takes longer to call a product of small matrices than to compute it. What these compute is said, and
-tested, where torch does the same: `passes`, `distributions`, `updates.ppo`, `critics.returns`.
+For small matrices torch's call overhead exceeds the arithmetic. The networks of a stack are processed one
+after another, each on its own rows in parts that fit the cache, features first, so that a network's result
+does not depend on its stack. The equations stand at the torch equivalents, against which the kernels are
+tested: `networks.passes`, `networks.distributions`, `updates.ppo`, `critics.return_regression`.
 
-This is one file since numba notices only changes in the file of the function that is called.
+All kernels are in one file because numba's cache notices changes only in the file of the called function.
 """
 
 import math
@@ -20,21 +20,19 @@ from headway.contracts.numba_setup import compiled_with
 P = ParamSpec("P")
 R = TypeVar("R")
 Floats = NDArray[Any]
-"""In the networks' precision."""
+"""Floating-point array in the networks' dtype."""
 
 ROWS = 256
-"""Taken through a network at once."""
+"""Rows passed through a network at a time."""
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Without allocation. Sums may be taken in any order and products rounded together with them; NaN and
-    infinities are what they are."""
+    """Compile without memory allocation; sums may be reordered and fused, NaN and infinities are kept."""
     return compiled_with(function, _nrt=False, fastmath={"contract", "reassoc", "nsz"})
 
 
-# tanh(x) / x = P(x^2) / Q(x^2), fitted for the least relative error (1.2e-8) below where tanh is 1 in
-# float32.
+# tanh(x) / x = P(x^2) / Q(x^2), a minimax fit of relative error 1.2e-8 up to where tanh is 1 in float32.
 _END = np.float32(8.5)
 _P = tuple(
     np.float32(c)
@@ -65,8 +63,7 @@ def _tanh(row: Floats, n: int) -> None:
 def _add_product(
     w: Floats, step_out: int, step_in: int, outs: int, ins: int, x: Floats, y: Floats, n: int
 ) -> None:
-    """y[o] += sum_i w[o step_out + i step_in] x[i], in n columns; four by four, so that what was loaded is
-    used several times."""
+    """y[o] += sum_i w[o step_out + i step_in] x[i], in n columns; in blocks of 4 x 4, which reuse loads."""
     whole_outs, whole_ins = outs - outs % 4, ins - ins % 4
     for o in range(0, whole_outs, 4):
         y0, y1, y2, y3 = y[o], y[o + 1], y[o + 2], y[o + 3]
@@ -105,7 +102,7 @@ def _add_product(
 
 @_compiled
 def _add_outer(g: Floats, x: Floats, outs: int, ins: int, w: Floats, n: int) -> None:
-    """w[o, i] += sum_t g[o, t] x[i, t], of w laid out row after row; four by four as well."""
+    """w[o, i] += sum_t g[o, t] x[i, t], with w in row-major order; in blocks of 4 x 4, which reuse loads."""
     whole_outs, whole_ins = outs - outs % 4, ins - ins % 4
     for o in range(0, whole_outs, 4):
         g0, g1, g2, g3 = g[o], g[o + 1], g[o + 2], g[o + 3]
@@ -178,9 +175,11 @@ def _add_outer(g: Floats, x: Floats, outs: int, ins: int, w: Floats, n: int) -> 
 def _forward(
     values: Floats, form: NDArray[np.int64], relu: bool, held: Floats, rows: Floats, index: NDArray[np.int64]
 ) -> None:
-    """One network, `values` (V,), at rows (., D) of an index (n,). `held` (F, ROWS) gets what every layer
-    is given, then the outputs; `form` (L, 4) is each layer's inputs, outputs, and where its weights and
-    biases begin."""
+    """Evaluate one network, `values` (V,), on the rows `index` (n,) of `rows` (., D).
+
+    Writes the inputs of each layer, then the outputs, to `held` (F, ROWS). `form` (L, 4) holds each layer's
+    number of inputs, number of outputs, and offsets of weights and biases.
+    """
     n, top = len(index), 0
     for t in range(n):
         row = rows[index[t]]
@@ -216,8 +215,10 @@ def _backward(
     gradient: Floats,
     n: int,
 ) -> None:
-    """Add to the gradient (V,) of one network that of a loss whose slope at the outputs stands in
-    `signals[len(form) % 2]`, of signals (2, W, ROWS)."""
+    """Add a loss's gradient to `gradient` (V,) of one network.
+
+    `signals` (2, W, ROWS) holds d loss / d outputs at index len(form) % 2.
+    """
     top = 0
     for layer in range(len(form)):
         top += form[layer, 0]
@@ -251,7 +252,7 @@ def _backward(
 
 @_compiled
 def _rows_of_its_own(weight: Floats) -> int:
-    """How many rows a network has in a minibatch; behind them is padding, of weight 0."""
+    """Return a network's number of rows in a minibatch; padding, of weight 0, follows them."""
     n = 0
     while n < len(weight) and weight[n] > 0:
         n += 1
@@ -262,7 +263,7 @@ def _rows_of_its_own(weight: Floats) -> int:
 def _pull(
     log_ratio: float, advantage: float, entropy: float, share: float, clip: float, shares: Floats
 ) -> float:
-    """The slope of PPO's loss in a row's log-probability, and to `shares` (3,) what `PPO._learn` returns."""
+    """Return d (PPO's loss) / d log-probability of a row, and add the metrics of `PPO._learn` to `shares`."""
     ratio = math.exp(log_ratio)
     shares[0] += share * (ratio - 1 - log_ratio)
     shares[1] += share * entropy
@@ -294,9 +295,11 @@ def learn_gaussian(
     log_std_at: int,
     old_log_std: Floats,
 ) -> None:
-    """Add PPO's gradients at index and weight (P, n) of rows (P B, ...), and to `shares` (P, 3) what
-    `PPO._learn` returns. Log standard deviations begin at `log_std_at` of a network's values; `old_means`
-    (P B, A) is empty without a penalty."""
+    """Add PPO's gradients on rows `index` (P, n), with `weight` (P, n), of `rows` (P B, ...).
+
+    Adds the metrics of `PPO._learn` to `shares` (P, 3). Log standard deviations are at offset `log_std_at` of
+    a network's values; `old_means` (P B, A) is empty without a KL penalty.
+    """
     penalised = len(old_means) > 0
     size = form[-1, 1]
     top = form[:, 0].sum()
@@ -354,8 +357,11 @@ def learn_categorical(
     actions: NDArray[np.int64],
     masks: NDArray[np.bool_],
 ) -> None:
-    """As `learn_gaussian`: `masks` (P B, A) are empty where all actions are allowed, `old_logits` (P B, A)
-    without a penalty."""
+    """Add PPO's gradients on rows `index` (P, n), with `weight` (P, n), of `rows` (P B, ...).
+
+    Adds the metrics of `PPO._learn` to `shares` (P, 3). `masks` (P B, A) is empty if all actions are allowed,
+    `old_logits` (P B, A) without a KL penalty.
+    """
     masked, penalised = len(masks) > 0, len(old_logits) > 0
     size = form[-1, 1]
     top = form[:, 0].sum()
@@ -381,7 +387,7 @@ def learn_categorical(
                         total += math.exp(held[top + a, t] - most)
                         if penalised:
                             total_old += math.exp(old_logits[r, a] - most_old)
-                # Of a probability: logit - scale.
+                # Log-probability: logit - scale.
                 scale = most + math.log(total)
                 scale_old = most_old + math.log(total_old) if penalised else 0.0
                 entropy = 0.0
@@ -421,8 +427,11 @@ def learn_returns(
     most: float,
     losses: Floats,
 ) -> None:
-    """Add the gradients of squared errors, bounded by `most`, at index and weight (P, n) of rows (P B, ...),
-    and the mean to `losses` (P,). `taken` (P B,) names the outputs that are compared; empty: the only one."""
+    """Add the gradients of squared errors, bounded by `most`, on rows `index` (P, n) of `rows` (P B, ...).
+
+    Adds the mean, by `weight` (P, n), to `losses` (P,). `taken` (P B,) selects the trained outputs; empty if
+    there is only one.
+    """
     chosen = len(taken) > 0
     top = form[:, 0].sum()
     for p in range(len(index)):
@@ -461,8 +470,10 @@ def adam(
     epsilon: float,
     norms: Floats,
 ) -> None:
-    """A step of the networks (P, V) that are active (P,), each after `counts` (P,) of its own, along
-    gradients whose `norms` (P,) are bounded; of others the norms are 0."""
+    """Take Adam's step of the `active` (P,) networks (P, V), after `counts` (P,) steps so far.
+
+    Gradient norms are clipped at `bound` and written to `norms` (P,), 0 for inactive networks.
+    """
     one = values.dtype.type(1)
     first, second = values.dtype.type(decays[0]), values.dtype.type(decays[1])
     least = values.dtype.type(epsilon)
@@ -476,7 +487,7 @@ def adam(
             total += g[i] * g[i]
         norm = math.sqrt(total)
         norms[p] = norm
-        # Written so that the share of a norm that is not a number is none either, as torch has it.
+        # Written so that a NaN norm makes the share NaN, as in torch.
         limit = bound / (norm + 1e-6) if bound < math.inf else 1.0
         share = values.dtype.type(1.0 if limit >= 1 else limit)
         count = counts[p] + 1
@@ -491,7 +502,7 @@ def adam(
 
 
 def warm() -> None:
-    """Compile all of it, or load it from the cache, by steps of empty minibatches."""
+    """Compile all kernels, or load them from the cache, by calling them with empty minibatches."""
     form = np.zeros((1, 4), np.int64)
     counts, active, indices = np.zeros(1, np.int64), np.ones(1, np.bool_), np.zeros((1, 0), np.int64)
     for dtype in (np.float32, np.float64):

@@ -69,14 +69,14 @@ def test_gradients_of_the_categorical_equal_torchs_and_are_finite(what: str, mas
 
 
 def _coefficients() -> list[Tensor]:
-    """Of log-probabilities, entropies and divergences, (P, B) each."""
+    """Coefficients of log-probabilities, entropies and KL divergences, (P, B) each."""
     random = torch.Generator().manual_seed(7)
     return [torch.randn(P, B, generator=random, dtype=torch.float64) for _ in range(3)]
 
 
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("with_old", [False, True])
-def test_slopes_of_the_categorical_are_those_torch_finds(masked: bool, with_old: bool) -> None:
+def test_gradients_of_the_categorical_equal_autograd(masked: bool, with_old: bool) -> None:
     new, old_logits, masks, actions = _categorical_case(torch.float64, masked)
     if masks is not None:  # as no step of an agent that acts: a forbidden action, and nothing allowed
         masks[0, 0, int(actions[0, 0])], masks[1, 1] = False, False
@@ -94,7 +94,7 @@ def test_slopes_of_the_categorical_are_those_torch_finds(masked: bool, with_old:
 
 
 @pytest.mark.parametrize("with_old", [False, True])
-def test_slopes_of_the_gaussian_are_those_torch_finds(with_old: bool) -> None:
+def test_gradients_of_the_gaussian_equal_autograd(with_old: bool) -> None:
     random = torch.Generator().manual_seed(1)
     mean, old_mean = (torch.randn(P, A, B, generator=random, dtype=torch.float64) for _ in range(2))
     log_std, old_log_std = (
@@ -136,7 +136,7 @@ def test_forbidden_actions_have_probability_exactly_zero(dtype: torch.dtype) -> 
 
 
 def test_kl_of_a_categorical_is_weighted_by_its_probabilities() -> None:
-    """Not the mean over actions of an estimator, which is wrong by two orders of magnitude here."""
+    """An unweighted mean over actions would be wrong by two orders of magnitude here."""
     old = torch.tensor([[0.9, 0.09, 0.01]], dtype=torch.float64).log()[..., None]
     new = torch.tensor([[0.85, 0.12, 0.03]], dtype=torch.float64).log()[..., None]
     by_hand = sum(p * np.log(p / q) for p, q in zip([0.9, 0.09, 0.01], [0.85, 0.12, 0.03], strict=True))

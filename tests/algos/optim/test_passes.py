@@ -1,4 +1,4 @@
-"""Passes forward and back against what torch records and differentiates."""
+"""Forward and backward passes against torch's autograd."""
 
 import pytest
 import torch
@@ -22,7 +22,7 @@ DOUBLE = torch.float64
         ModelConfig(hidden=(6,), core="gru", gru_size=3),
     ],
 )
-def test_what_is_sent_back_adds_up_to_the_gradients_torch_finds(model: ModelConfig) -> None:
+def test_accumulated_gradients_equal_autograd(model: ModelConfig) -> None:
     network = make_network(model, SEEDS, 1, "passes", (INPUTS, OUTPUTS), 1.0, DOUBLE)
     random = torch.Generator().manual_seed(0)
     expected = [torch.zeros_like(parameter) for parameter in network.parameters()]

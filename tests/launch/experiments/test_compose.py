@@ -29,7 +29,7 @@ def test_algo_custom_composes_unnamed_algorithms() -> None:
     composed = compose(["env=trivial", "algo=custom", "algo.critic=central"])
     assert composed.algo_config.critic == "central"
     with pytest.raises(
-        HeadwayError, match=r"ippo has local: .*With V\(s\) it is algo=mappo; algo=custom takes"
+        HeadwayError, match=r"ippo has local: .*For V\(s\): algo=mappo; algo=custom accepts"
     ):
         compose(["env=trivial", "algo=ippo", "algo.critic=central"])
 
@@ -345,7 +345,7 @@ def test_an_unnamed_composition_runs_as_custom() -> None:
     )
     composed.prepare()
     with pytest.raises(
-        HeadwayError, match=r"algo\.policies=shared is but one on trivial; use algo\.policies=independent"
+        HeadwayError, match=r"algo\.policies=shared gives only one on trivial; use algo\.policies=independent"
     ):
         compose(["env=trivial", "algo=custom", "algo.order=sequential", "algo.policies=shared"]).prepare()
 

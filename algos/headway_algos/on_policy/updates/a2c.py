@@ -1,4 +1,4 @@
-"""The advantage actor-critic's step (Mnih et al. 2016, arXiv:1602.01783), for a stack of policies."""
+"""Advantage actor-critic update of a stack of policies (Mnih et al. 2016, arXiv:1602.01783)."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -18,10 +18,10 @@ from headway_algos.optim.adam import StackedAdam
 
 
 class A2C:
-    """One gradient step, over all of an iteration's rows, on -E[log pi(u|o) A] - entropy_coeff H.
+    """One gradient step on -E[log pi(u|o) A] - entropy_coeff H over the whole batch.
 
-    Always one: `epochs` and `minibatches` are the critic's alone. The gradient is summed up in pieces that
-    stay in the cache, which changes nothing but rounding.
+    `epochs` and `minibatches` apply to the critic only. The gradient is accumulated over pieces that fit the
+    cache.
     """
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
@@ -31,7 +31,7 @@ class A2C:
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """See `headway_algos.on_policy.updates.Update`; there is nothing to shuffle."""
+        """Take one gradient step; `generators` are not used."""
         batch = WholeBatch.of(rows, advantages)
         mean_entropy = torch.zeros(len(advantages), device=advantages.device, dtype=advantages.dtype)
         self.optimiser.begin()
@@ -48,25 +48,25 @@ class A2C:
         return {"entropy": mean_entropy, "gradient_norm": norm}
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.optimiser.anneal(share)
 
     def narrow(self, policies: Tensor) -> Self:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Return this update for copies of `policies` (n,)."""
         part = copy(self)
         part.actor = self.actor.narrow(policies)
         part.optimiser = self.optimiser.narrow(policies, part.actor.learnable)
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Copy `policies` (n,) and their optimiser state from `part`."""
         self.actor.adopt(policies, part.actor)
         self.optimiser.adopt(policies, part.optimiser)
 
     def state_dict(self) -> dict[str, Any]:
-        """The optimiser."""
+        """Return the optimiser's state."""
         return {"optimiser": self.optimiser.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
+        """Restore the result of `state_dict`."""
         self.optimiser.load_state_dict(state["optimiser"])

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347), for a stack of policies."""
+"""Proximal policy optimisation of a stack of policies (Schulman et al. 2017, arXiv:1707.06347)."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -20,14 +20,16 @@ from headway_algos.optim.fast_path import surrogate, uncut
 
 
 def slope_of_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
-    """d min(r A, clip(r, 1 - clip, 1 + clip) A) / d log r, row by row: the surrogate is equation 7 of the
-    paper. It is r A, but 0 where the clip binds: growth beyond it pays nothing, a loss is felt in full."""
+    """Return d min(r A, clip(r, 1 - clip, 1 + clip) A) / d log r (equation 7), elementwise.
+
+    It is r A, or 0 where the clipped term is the minimum.
+    """
     gained = ratio * advantages
     return torch.where(gained > ratio.clamp(1 - clip, 1 + clip) * advantages, 0, gained)
 
 
 def _network_outputs(actor: Actor, rows: PolicyBatch, config: AlgoConfig) -> Tensor:
-    """Network outputs (P, B, A) of all rows."""
+    """Return the network outputs (P, B, A) of all rows."""
     if rows.sequences is not None:
         return over_rows(actor.network, rows.observations, rows.sequences, config.piece_samples)
     with torch.no_grad():
@@ -37,7 +39,7 @@ def _network_outputs(actor: Actor, rows: PolicyBatch, config: AlgoConfig) -> Ten
 
 
 class PPO:
-    """Several epochs of minibatch steps on the clipped surrogate, KL penalty and entropy bonus."""
+    """Epochs of minibatch steps on the clipped surrogate with KL penalty and entropy bonus."""
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
         self.actor, self.config, self.layout = actor, config, layout
@@ -48,7 +50,7 @@ class PPO:
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Take the minibatch steps; `generators` shuffle the rows."""
         actor, config, layout = self.actor, self.config, self.layout
         penalised = config.kl_coeff > 0
         old_outputs = _network_outputs(actor, rows, config) if penalised else None
@@ -87,8 +89,10 @@ class PPO:
         old_outputs: Tensor | None,
         old_log_std: Tensor | None,
     ) -> Tensor:
-        """Add a piece's gradients; returns its shares of the mean KL divergence (an estimate, which a penalty
-        does without), entropy and clip fraction, (3, P)."""
+        """Add a piece's gradients; return its shares of mean KL, entropy and clip fraction, (3, P).
+
+        The KL divergence is an estimate, replaced by the exact value with a KL penalty.
+        """
         actor, config, weight = self.actor, self.config, piece.weight
         masks = piece.of(rows.masks) if rows.masks is not None else None
         actions, advantage = piece.of(rows.actions), piece.of(advantages)
@@ -108,17 +112,17 @@ class PPO:
                 penalty,  # type: ignore[arg-type]  # both of one kind
             )
             actor.send_back(passed, slopes)
-            # Schulman's estimate of low variance, http://joschu.net/blog/kl-approx.html.
+            # Schulman's low-variance estimator, http://joschu.net/blog/kl-approx.html.
             kl = ratio - 1 - log_ratio
             clipped = ((ratio - 1).abs() > config.clip).to(weight)
             return (torch.stack([kl, distribution.entropy(), clipped]) * weight).sum(2)
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.optimiser.anneal(share)
 
     def narrow(self, policies: Tensor) -> Self:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Return this update for copies of `policies` (n,)."""
         part = copy(self)
         part.actor = self.actor.narrow(policies)
         part.optimiser = self.optimiser.narrow(policies, part.actor.learnable)
@@ -126,24 +130,24 @@ class PPO:
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Copy `policies` (n,), their optimiser state and KL coefficients from `part`."""
         self.actor.adopt(policies, part.actor)
         self.optimiser.adopt(policies, part.optimiser)
         self.kl_coeff = self.kl_coeff.index_copy(0, policies, part.kl_coeff)
 
     def state_dict(self) -> dict[str, Any]:
-        """The optimiser and the KL coefficients."""
+        """Return the optimiser's state and the KL coefficients."""
         return {"optimiser": self.optimiser.state_dict(), "kl_coeff": self.kl_coeff}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
+        """Restore the result of `state_dict`."""
         self.optimiser.load_state_dict(state["optimiser"])
         self.kl_coeff = state["kl_coeff"].to(self.layout.device)
 
 
 def adapted(kl_coeff: Tensor, kl: Tensor, target: float) -> Tensor:
-    """KL coefficients (P,) for the next improvement, from this one's mean KL (P,): section 4 of the paper,
-    with RLlib's factors."""
+    """Return the next KL coefficients (P,), given the mean KL (P,): section 4 of the paper, with RLlib's
+    factors."""
     kl_coeff = torch.where(kl > 2 * target, kl_coeff * 1.5, kl_coeff)
     return torch.where(kl < target / 2, kl_coeff * 0.5, kl_coeff)
 
@@ -155,7 +159,7 @@ def _mean_kl(
     old_log_std: Tensor | None,
     config: AlgoConfig,
 ) -> Tensor:
-    """Mean KL(old || new) of each policy over its selected rows, (P,)."""
+    """Return the mean KL(old || new) of each policy over its selected rows, (P,)."""
     assert old_outputs is not None
     selected = torch.from_numpy(rows.selected).to(old_outputs.device)
     total = torch.zeros(len(selected), device=old_outputs.device, dtype=old_outputs.dtype)
