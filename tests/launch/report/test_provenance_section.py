@@ -25,4 +25,4 @@ def test_runs_whose_gradients_come_as_they_come_are_not_said_to_repeat(
         cells={("task", algo["name"]): [SimpleNamespace(directory=algo)] for algo in algos}
     )
     monkeypatch.setattr(provenance_section, "configuration", lambda directory: {"algo": directory})
-    assert provenance_section._but_for_arrival(data).startswith(ending)
+    assert provenance_section._determinism_exception(data).startswith(ending)

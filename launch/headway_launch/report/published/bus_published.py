@@ -13,7 +13,7 @@ from headway_launch.report.published.episode_metrics import (
     published_values,
     tasks_of,
 )
-from headway_launch.report.study_data import StudyData, over_known
+from headway_launch.report.study_data import StudyData, mean_of_known
 from headway_launch.studies.runs import configuration
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def bus_published_section(data: StudyData) -> Section | None:
     if not tasks:
         return None
     title = "Comparison with BusEnv's published table"
-    if data.training_figures is None:
+    if data.training_metrics is None:
         return Section(
             "busenv",
             title,
@@ -137,12 +137,12 @@ def _missing_seeds(table: pd.DataFrame) -> list[Part]:
 
 def _training_results(data: StudyData, members: list["RunRow"]) -> dict[str, float]:
     """Return the results of a cell's runs as the paper defines them."""
-    assert data.training_figures is not None
+    assert data.training_metrics is not None
     runs = [row.run_id for row in members]
     buses = int(configuration(members[0].directory)["env"]["args"]["agents"])
-    curves = data.training_figures.loc[runs]
-    reward = over_known(buses * curves["final_reward"])
-    auc = over_known(curves["auc_own"])
+    curves = data.training_metrics.loc[runs]
+    reward = mean_of_known(buses * curves["final_reward"])
+    auc = mean_of_known(curves["auc_own"])
     return {
         "seeds": len(members),
         "final_reward": reward.mean,
@@ -201,8 +201,8 @@ def _identical_policies(data: StudyData, task: str, controllers: list[str]) -> l
         + (
             "always moved, with every seed on every day: they learned the same policy"
             if days is None
-            else f"have the same {data.what} to the last digit, with every seed on every day: they learned "
-            "the same policy as far as those days show"
+            else f"have the same {data.metric_label} to the last digit, with every seed on "
+            "every day: they learned the same policy as far as those days show"
         )
         + ", so their ranks differ only by the actions sampled during training."
         for days, names in alike.items()
@@ -243,7 +243,7 @@ def _rules_and_learners(data: StudyData, task: str) -> list[Part]:
     """Compare learners with the rules that always move, in the units of the published table."""
     buses = int(env_of(data, task)["args"]["agents"])
     values = {
-        rule: buses * float(data.by_day(task, rule).mean())
+        rule: buses * float(data.by_episode(task, rule).mean())
         for rule in ("always_move", "move_with_service")
         if rule in data.ranked_rules(task)
     }
