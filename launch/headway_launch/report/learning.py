@@ -137,8 +137,8 @@ def episode_metrics_section(data: StudyData) -> Section:
             )
     if not has_components:
         body.append(
-            "The reward is not shown by component, because the environment reports no metrics named "
-            "`reward_...`."
+            "The reward is not shown by component, because the environment reports no metrics with names "
+            "that begin with `reward_`."
         )
     return Section("figures", "Episode metrics of the last evaluation", body)
 

@@ -218,10 +218,7 @@ def improvement_section(data: StudyData) -> Section:
     for place, task in enumerate(data.tasks):
         where = data.where(task)
         if all(len(members) == 1 for members in data.on(task).values()):
-            body.append(
-                f"There is no performance profile{where}: it needs several seeds, and each controller has "
-                "one."
-            )
+            body.append(f"There is no performance profile{where}: it needs several seeds per controller.")
             continue
         caption = (
             f"Performance profiles{where}: the share of seeds whose final {data.metric_label} is above a "
@@ -305,7 +302,7 @@ def _unequal_budgets(data: StudyData) -> list[str]:
         budgets = data.budgets(task)
         if len({steps for each in budgets.values() for steps in each}) > 1:
             steps = ", ".join(
-                f"{name} {' or '.join(f'{number:,}' for number in each)}" for name, each in budgets.items()
+                f"`{name}` {' or '.join(f'{number:,}' for number in each)}" for name, each in budgets.items()
             )
             differing.append(f"{task}: {steps}" if len(data.tasks) > 1 else steps)
     if not differing:
@@ -320,9 +317,9 @@ def _evaluation_episodes(data: StudyData) -> str:
     """Describe the episodes of the curves and of the last evaluation."""
     kinds = {(data.curve_episodes(task), data.last_episodes(task)) for task in data.tasks}
     if len(kinds) > 1:
-        return "the first episodes of the last evaluation, as for the curves"
+        return "the episodes of the curves, the first of the last evaluation's episodes"
     [(curves, last)] = kinds
-    return f"{curves} as for the curves, the first of the last evaluation's {last}"
+    return f"{curves} per point of the curves, the first of the last evaluation's {last}"
 
 
 def _environment(data: StudyData) -> list[str]:

@@ -70,12 +70,13 @@ def _best_learner(data: StudyData, task: str) -> str:
     episodes = f"{data.curve_episodes(task)} per evaluation"
     if len(means) == 1:
         return (
-            f"{names[0]} has a mean final {data.metric_label} of {figure(best * data.sign)} over {seeds} "
+            f"`{names[0]}` has a mean final {data.metric_label} of {figure(best * data.sign)} over {seeds} "
             f"on {task} ({episodes})."
         )
     return (
-        f"{where} the learners, {' and '.join(names)} {'has' if len(names) == 1 else 'have'} the {kind} mean "
-        f"final {data.metric_label}: {figure(best * data.sign)} over {seeds} ({episodes})."
+        f"{where} the learners, {' and '.join(f'`{name}`' for name in names)} "
+        f"{'has' if len(names) == 1 else 'have'} the {kind} mean final {data.metric_label}: "
+        f"{figure(best * data.sign)} over {seeds} ({episodes})."
     )
 
 
@@ -94,22 +95,29 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
         if found is None:
             unknown[against.reason] = None
             continue
-        shown = f"{controller} ({with_interval(found.estimate, found.low, found.high, sign=True)})"
+        shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign=True)})"
         if not found.excludes_zero:
             undecided.append(shown)
         elif data.sign * found.estimate > 0:
             better.append(shown)
         else:
             worse.append(shown)
-    kinds = (("above", better), ("below", worse), ("no difference shown", undecided))
+    kinds = (("above it", better), ("below it", worse), ("no difference shown", undecided))
     if data.lower_is_better:
-        kinds = (("better, below", better), ("worse, above", worse), ("no difference shown", undecided))
+        kinds = (
+            ("better (below it)", better),
+            ("worse (above it)", worse),
+            ("no difference shown", undecided),
+        )
     text = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
     if not text:
         why = "; ".join(unknown)
         return [f"The best rule on {task} is `{rule}`; the learners' difference to it is unknown: {why}."]
-    episodes = f"{data.last_episodes(task)} of the last evaluation"
-    return [f"Compared with the best rule on {task}, `{rule}`, on {episodes} [95% intervals]: {text}."]
+    episodes = data.last_episodes(task)
+    return [
+        f"Compared with the best rule on {task}, `{rule}`, in the last evaluation ({episodes}) [95% "
+        f"intervals]: {text}."
+    ]
 
 
 def _cost(data: StudyData) -> str:
