@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from headway_launch.console.output import print_line
-from headway_launch.console.output_files import unwritten
+from headway_launch.console.output_files import write_error
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
 
 PAGE = "report.html"
@@ -42,7 +42,7 @@ def write_report(report: Report, folder: Path) -> Path:
         page = folder / PAGE
         page.write_text(html(report), encoding="utf-8")
     except OSError as error:
-        raise unwritten("--output", folder, error) from error
+        raise write_error("--output", folder, error) from error
     others = sorted(
         str(path.relative_to(folder))
         for name in _PARTS
