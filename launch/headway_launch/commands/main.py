@@ -177,7 +177,7 @@ def _parser_of_parts(name: str, command: _Command) -> argparse.ArgumentParser:
 
 
 def _listed(commands: Mapping[str, _Command]) -> str:
-    return "commands:\n" + "".join(f"  {name:<10}{command.summary}\n" for name, command in commands.items())
+    return "commands:\n" + "".join(f"  {name:<11}{command.summary}\n" for name, command in commands.items())
 
 
 def _top_parser() -> argparse.ArgumentParser:

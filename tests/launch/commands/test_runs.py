@@ -86,7 +86,7 @@ def test_lines_of_csv_end_as_those_of_other_commands_do(
         (["--sort", "seed, algo.lrr desc"], "--sort: no run has the parameter 'algo.lrr'"),
         (["--where", "status>3"], "status>3 compares text (FINISHED) by its size"),
         (["--where", "final_reward<abc"], "final_reward<abc compares a number, and 'abc' is none; write"),
-        (["--seed", "99"], "--seed 99: no run has that"),
+        (["--seed", "99"], "--seed 99: no run has such a seed"),
         (["--where", "final_reward"], "'final_reward' is no condition; write FIELD<VALUE"),
         (["--sort", "sede"], "did you mean seed?"),
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),

@@ -307,8 +307,8 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
     assert "optimal" not in shown
     for words, line in (
         (["--rules", "optimum"], "--rules: 'optimum' is no rule here; did you mean optimal?"),
-        (["--rules", ","], "--rules names none"),
-        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
+        (["--rules", ","], "--rules is empty"),
+        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, because episodes are paired\n"),
         (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
         (["--rules", "random", "--against", "optimum"], "--against: 'optimum' is no rule here"),
     ):
