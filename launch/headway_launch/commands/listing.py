@@ -53,13 +53,13 @@ def execute(arguments: argparse.Namespace) -> int:
 def _list_envs(name: str | None) -> None:
     if name is None:
         summaries = {key: entry.summary for key, entry in env_entries().items()}
-        summaries |= {option: summary_of("env", option) for option in _by_file()}
+        summaries |= {option: summary_of("env", option) for option in _file_only_envs()}
         rows = [(key, summary, ", ".join(_rules(key))) for key, summary in summaries.items()]
         print_table(("environment", "description", "rules"), rows)
-    elif name in _by_file():
+    elif name in _file_only_envs():
         _list_group("env")(name)
     else:
-        _print_keys(env_entry(_known(name)).config, "env.args")
+        _print_keys(env_entry(_require_env(name)).config, "env.args")
 
 
 def _list_algos(name: str | None) -> None:
@@ -82,26 +82,25 @@ def _list_wrappers(name: str | None) -> None:
     print_table(("wrapper", "arguments", "batched", "description"), rows)
 
 
-def _known(name: str) -> str:
-    """Return `name` if it is an environment or, with a dot, a module. Otherwise raise HeadwayError, with a
-    suggestion."""
+def _require_env(name: str) -> str:
+    """Return `name`. Raises HeadwayError if it is neither an environment nor a module path."""
     if "." in name or name in _names(None):
         return name
     raise HeadwayError(f"{name!r} is no environment; {suggestion(name, _names(None))}")
 
 
-def _by_file() -> list[str]:
+def _file_only_envs() -> list[str]:
     """Return the environments that are defined only by a file of `configs/env`."""
     return [option for option in groups()["env"] if option not in env_entries()]
 
 
-def _configured(name: str) -> str | None:
+def _registered_id(name: str) -> str | None:
     """Return the registered environment that the file `name` configures, or `name` if there is no such file.
 
     None if the file configures a PettingZoo module.
     """
-    if name not in _by_file():
-        return _known(name)
+    if name not in _file_only_envs():
+        return _require_env(name)
     configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
     own = configured.get("id")
     return own if own in env_entries() else None
@@ -109,19 +108,19 @@ def _configured(name: str) -> str | None:
 
 def _rules(name: str) -> Mapping[str, RuleEntry]:
     """Return the rules of an environment or configuration file; only `random` for a PettingZoo module."""
-    own = _configured(name)
+    own = _registered_id(name)
     return {"random": RANDOM} if own is None else env_entry(own).rules
 
 
 def _metrics(name: str) -> Mapping[str, str]:
     """Return the metrics of an environment or configuration file; none for a PettingZoo module."""
-    own = _configured(name)
+    own = _registered_id(name)
     return {} if own is None else env_entry(own).metrics
 
 
 def _names(name: str | None) -> list[str]:
     """Return `name` alone or, if it is None, all environments and those defined only by a file."""
-    return [*env_entries(), *_by_file()] if name is None else [name]
+    return [*env_entries(), *_file_only_envs()] if name is None else [name]
 
 
 def _list_rules(name: str | None) -> None:

@@ -66,9 +66,7 @@ def execute(arguments: argparse.Namespace) -> int:
     require_known(finished, conditions, "")
     chosen = tuple(row for row in finished if all(condition.holds(row) for condition in conditions))
     if not chosen:
-        raise HeadwayError(
-            f"--where: no finished run of {arguments.study} meets it; see headway runs --where"
-        )
+        raise HeadwayError(f"--where: no finished run of {arguments.study} matches; see headway runs --where")
     runs = RunSelection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))

@@ -90,7 +90,7 @@ def execute(arguments: argparse.Namespace) -> int:
     caption = f"{player.name}: evaluation episode {arguments.episode} of seed {root}"
     with closing(_frames(player, root, arguments.episode, caption)) as frames:
         if output.suffix == ".png":
-            moment = _moment(frames, arguments.step)
+            moment = _picture_at(frames, arguments.step)
             _make_folder(arguments, output)
             write_picture(moment, output, caption)
         else:
@@ -248,7 +248,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
             yield np.concatenate((renderer.render(behind_wrappers(env), at_end=ended), strip))
 
 
-def _moment(frames: "Iterator[Frame]", step: int | None) -> "Frame":
+def _picture_at(frames: "Iterator[Frame]", step: int | None) -> "Frame":
     """Return the picture after `step` steps, or the last one.
 
     Earlier ones are rendered too, because a renderer may show recent events. Raises HeadwayError if the

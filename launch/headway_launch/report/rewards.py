@@ -27,16 +27,18 @@ def final_reward_section(data: StudyData) -> Section:
     for task in data.tasks:
         for controller, members in data.on(task).items():
             cells, values = _curve_results(data, [row.run_id for row in members])
-            rows.append([*_place(data, task), controller, str(len(members)), *cells])
+            rows.append([*_environment_cell(data, task), controller, str(len(members)), *cells])
             exact.append({"environment": task, "controller": controller, "seeds": len(members), **values})
         of_rules = data.rules_beside_curves.get(task, {})
         for rule, value in sorted(of_rules.items(), key=lambda item: -data.sign * item[1]):
             rules.add(len(rows))
             before, after = [MISSING] * 3 * (len(_curves(data)) - 1), [MISSING] * 2
-            rows.append([*_place(data, task), f"rule {rule}", MISSING, *before, figure(value), *after])
+            rows.append(
+                [*_environment_cell(data, task), f"rule {rule}", MISSING, *before, figure(value), *after]
+            )
             name = f"{data.mode}_final_reward_mean"
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
-    headings = [*_environment(data), "controller", "seeds"]
+    headings = [*_environment_heading(data), "controller", "seeds"]
     for name in _curves(data):
         label = "reward" if name == "training" else data.metric_label
         headings += [f"{name}: final {label}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
@@ -47,7 +49,7 @@ def final_reward_section(data: StudyData) -> Section:
         headings,
         rows,
         pd.DataFrame(exact),
-        words=_words(data),
+        words=_text_columns(data),
         emphasised=frozenset(rules),
     )
     body: list[Part] = [
@@ -180,7 +182,7 @@ def _interquartile_table(data: StudyData) -> Table:
             episodes = data.by_seed(task, str(name), data.column)
             last = float(episodes.to_numpy().mean()) if episodes.size else float("nan")
             iqm = with_interval(found["iqm"], found["iqm_low"], found["iqm_high"])
-            place = [*_place(data, task), str(name), str(seeds)]
+            place = [*_environment_cell(data, task), str(name), str(seeds)]
             rows.append([*place, iqm, figure(last), *_against(data, against, seeds)])
             learner = {"environment": task, "controller": name, "last_evaluation": last}
             learner |= {str(column): value for column, value in found.items()}
@@ -188,7 +190,7 @@ def _interquartile_table(data: StudyData) -> Table:
         for rule in data.ranked_rules(task):
             against, mean = data.rule_against_best(task, rule), float(data.by_episode(task, rule).mean())
             rules.add(len(rows))
-            place = [*_place(data, task), f"rule {rule}", MISSING, MISSING]
+            place = [*_environment_cell(data, task), f"rule {rule}", MISSING, MISSING]
             rows.append([*place, figure(mean), *_against(data, against, None)])
             of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
             exact.append({**of_rule, **_exact(against)})
@@ -199,10 +201,10 @@ def _interquartile_table(data: StudyData) -> Table:
         f"stratified bootstrap over seeds, evaluated on {_evaluation_episodes(data)}; mean over all "
         "episodes of the last evaluation; and its paired difference from the best rule on those episodes, "
         "with the 95% interval by Student's t.",
-        [*_environment(data), *names, "minus the best rule [95%]", "interval over", "conclusion"],
+        [*_environment_heading(data), *names, "minus the best rule [95%]", "interval over", "conclusion"],
         rows,
         pd.DataFrame(exact),
-        words=_words(data) | {len(_environment(data)) + column for column in (5, 6)},
+        words=_text_columns(data) | {len(_environment_heading(data)) + column for column in (5, 6)},
         emphasised=frozenset(rules),
     )
 
@@ -322,14 +324,14 @@ def _evaluation_episodes(data: StudyData) -> str:
     return f"{curves} per point of the curves, the first of the last evaluation's {last}"
 
 
-def _environment(data: StudyData) -> list[str]:
+def _environment_heading(data: StudyData) -> list[str]:
     return ["environment"] if len(data.tasks) > 1 else []
 
 
-def _place(data: StudyData, task: str) -> list[str]:
+def _environment_cell(data: StudyData, task: str) -> list[str]:
     return [task] if len(data.tasks) > 1 else []
 
 
-def _words(data: StudyData) -> frozenset[int]:
+def _text_columns(data: StudyData) -> frozenset[int]:
     """Return the columns that name a row."""
-    return frozenset(range(1 + len(_environment(data))))
+    return frozenset(range(1 + len(_environment_heading(data))))

@@ -83,7 +83,7 @@ def test_help_imports_numpy_alone() -> None:
 def test_lists_are_tables_with_tabs_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["list", "algos", "mappo"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split("\t") == ["key", "type", "default", "meaning"]
+    assert lines[0].split("\t") == ["key", "type", "default", "description"]
     assert any(line.startswith("algo.lr\tnumber\t") for line in lines)
 
 
@@ -148,7 +148,7 @@ def test_what_metrics_are_is_listed_for_each_of_an_episode(
 ) -> None:
     assert run(["list", "metrics", name]) == 0
     header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert header == ["environment", "metric", "what it is"]
+    assert header == ["environment", "metric", "description"]
     entry = env_entry(name)
     with closing(entry.make(entry.prepare(entry.config()), 1)) as env:
         assert [row[1] for row in rows] == ["length", "return", *env.spec.metrics]
@@ -159,7 +159,7 @@ def test_what_every_rule_does_is_listed(capsys: pytest.CaptureFixture[str]) -> N
     """In a line that is no other rule's of the same environment."""
     assert run(["list", "rules"]) == 0
     header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert header == ["environment", "rule", "what it does"]
+    assert header == ["environment", "rule", "description"]
     listed = [(name, rule) for name, rule, _ in rows]
     registered = [(name, rule) for name, entry in env_entries().items() for rule in entry.rules]
     assert listed[: len(registered)] == registered

@@ -342,7 +342,7 @@ def test_a_run_of_an_environment_that_observed_otherwise_is_one_line(
 def test_wrappers_are_listed_with_their_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["list", "wrappers"]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert rows[0] == ["wrapper", "arguments", "batched", "what it does"]
+    assert rows[0] == ["wrapper", "arguments", "batched", "description"]
     by_name = {row[0]: row[1:3] for row in rows}
     assert by_name["frame_stack_v1"] == ["stack_size=4, stack_dim=-1", "yes"]
     assert by_name["sticky_actions_v0"] == ["repeat_action_probability", "no"]

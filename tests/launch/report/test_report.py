@@ -1,4 +1,4 @@
-"""The page says what the store holds, and what it does not hold it says too."""
+"""The report shows the store's results and notes missing ones."""
 
 import csv
 import io

@@ -250,7 +250,7 @@ def test_realism_prints_simulated_beside_measured(
     capsys.readouterr()
     assert run(["data", "realism", str(out), "--days", "1", "--format", "csv"]) == 0
     header, *rows = csv.reader(capsys.readouterr().out.splitlines())
-    assert header[0] == "figure"
+    assert header[0] == "statistic"
     first = dict(zip(header, next(row for row in rows if row[0] == "headway CV, first call"), strict=True))
     assert first["simulated"] == first["measured"]
     assert first["holds"] == "yes"
