@@ -19,7 +19,7 @@ import headway.api
 import headway_algos.api
 import headway_envs.api
 import headway_launch.api
-from headway.contracts import Lazy
+from headway.contracts import Lazy, PublishedResults
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
@@ -244,7 +244,10 @@ def lazy_targets(value: object) -> Iterator[str]:
 def test_every_name_in_the_registries_can_be_loaded() -> None:
     targets = set(lazy_targets([headway_envs.api.ENTRIES, headway_algos.api.ENTRIES]))
     assert len(targets) > 30
-    assert [target for target in targets if not callable(Lazy(target).load())] == []
+    loaded = {target: Lazy(target).load() for target in targets}
+    results = {target for target, value in loaded.items() if isinstance(value, PublishedResults)}
+    assert len(results) == 4
+    assert [target for target in targets - results if not callable(loaded[target])] == []
 
 
 def example_code() -> Iterator[tuple[str, str]]:

@@ -33,4 +33,5 @@ ENTRY = EnvEntry(
     },
     metrics=METRIC_DESCRIPTIONS,
     preload=("headway_envs.bus_published.kernel", "headway_envs.bus_published.env"),
+    published=Lazy("headway_envs.bus_published.published:BUSENV_TABLE_3"),
 )

@@ -23,7 +23,7 @@ RULES: dict[str, RuleEntry] = {
 }
 
 
-def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
+def _entry(summary: str, ramp_lanes: int, published: str) -> EnvEntry:
     return EnvEntry(
         summary=summary,
         config=MergeConfig,
@@ -34,12 +34,13 @@ def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
         metrics=METRIC_DESCRIPTIONS,
         renderer=Lazy("headway_envs.merge.renderer:MergeRenderer"),
         preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),
+        published=Lazy(f"headway_envs.merge.published:{published}"),
     )
 
 
 ENTRIES: dict[str, EnvEntry] = {
-    "merge": _entry("CAVs among human drivers merge from a ramp lane into a highway", 1),
+    "merge": _entry("CAVs among human drivers merge from a ramp lane into a highway", 1, "ONE_RAMP_LANE"),
     "merge_two_lane": _entry(
-        "CAVs among human drivers merge from two ramp lanes, the outer by two changes", 2
+        "CAVs among human drivers merge from two ramp lanes, the outer by two changes", 2, "TWO_RAMP_LANES"
     ),
 }

@@ -1,1 +1,1 @@
-"""One module a command: `EXAMPLES`, `add_arguments` and `execute`."""
+"""One module per command, with `EXAMPLES`, `add_arguments` and `execute`."""

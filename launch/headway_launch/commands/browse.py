@@ -1,4 +1,4 @@
-"""`headway browse`: MLflow's pages over the store, on this machine only."""
+"""`headway browse`: serve the MLflow UI of the store on this machine."""
 
 import argparse
 import contextlib
@@ -22,14 +22,14 @@ examples:
 """
 
 _HOST = "127.0.0.1"
-_READY_S = 180.0  # a busy machine is slow to import MLflow; a server that dies is seen at once
+_READY_S = 180.0  # importing MLflow is slow on a busy machine; a server that dies is noticed at once
 _END_S = 5.0
 _MOST_STUDIES = 10
-"""Printed with their addresses."""
+"""Studies printed with their addresses."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Port and store."""
+    """Add the port and the store."""
     parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (default: 5000)")
     add_store_argument(parser)
 
@@ -46,7 +46,7 @@ def execute(arguments: argparse.Namespace) -> int:
     command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", uri]
     command += ["--host", _HOST, "--port", str(arguments.port), "--workers", "1"]
     with StopRequests() as requests, TemporaryFile("w+") as log:
-        # MLflow's jobs (scoring of traces) are nothing of ours, but seven processes that start slowly.
+        # MLflow's job runner (scoring of traces) is unused here and would start seven slow processes.
         without_jobs = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
         server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, env=without_jobs)
         try:
@@ -60,14 +60,14 @@ def execute(arguments: argparse.Namespace) -> int:
             _end(server)
         if not requests.count:
             log.seek(0)
-            last = (log.read().strip().splitlines() or ["without a word"])[-1]
-            how = f"did not answer within {_READY_S:g} s" if silent else "ended by itself"
+            last = (log.read().strip().splitlines() or ["no output"])[-1]
+            how = f"did not answer within {_READY_S:g} s" if silent else "exited"
             raise HeadwayError(f"MLflow's server {how}: {last}")
     return 0
 
 
 def _pages(root: Path, address: str) -> list[str]:
-    """Where the runs of each study are, the newest study first."""
+    """Return the lines that list the addresses of the studies, newest first."""
     from headway.store.index import RunIndex
     from headway.store.tracking.sync import local_experiment
 
@@ -76,10 +76,10 @@ def _pages(root: Path, address: str) -> list[str]:
         if row.study not in experiments and (found := local_experiment(Path(row.directory))):
             experiments[row.study] = f"{address}/#/experiments/{found}/runs?workflowType=machine_learning"
     if not experiments:
-        return [f"{address}/#/experiments (Ctrl-C ends); no run of this store is in its own MLflow database"]
+        return [f"{address}/#/experiments (Ctrl-C stops); no run of this store is in its own MLflow database"]
     shown = dict(list(experiments.items())[:_MOST_STUDIES])
     width = max(map(len, shown))
-    lines = ["studies in MLflow's pages, the newest first (Ctrl-C ends):"]
+    lines = ["studies in the MLflow UI, newest first (Ctrl-C stops):"]
     lines += [f"  {study:<{width}}  {page}" for study, page in shown.items()]
     if len(experiments) > len(shown):
         lines.append(f"  and {len(experiments) - len(shown)} more: {address}/#/experiments")
@@ -88,7 +88,7 @@ def _pages(root: Path, address: str) -> list[str]:
 
 def _require_free(port: int) -> None:
     if not 1 <= port < 2**16:
-        raise HeadwayError(f"port {port} is none; give one from 1 to 65535, such as --port 5000")
+        raise HeadwayError(f"{port} is not a valid port; give one from 1 to 65535, such as --port 5000")
     with contextlib.closing(socket.socket()) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -98,7 +98,7 @@ def _require_free(port: int) -> None:
 
 
 def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: StopRequests) -> bool:
-    """Whether it answers."""
+    """Return whether the server accepts connections before it exits, a stop request or the time limit."""
     deadline = time.monotonic() + _READY_S
     while server.poll() is None and not requests.count and time.monotonic() < deadline:
         with contextlib.suppress(OSError), socket.create_connection((_HOST, port), timeout=1):
@@ -108,7 +108,7 @@ def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: St
 
 
 def _end(server: "subprocess.Popen[bytes]") -> None:
-    """End the server and its workers, which form a group of their own."""
+    """End the server and its workers, which form their own process group."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(server.pid, number)

@@ -1,5 +1,4 @@
-"""`headway compare`: all cells of a study and the classical rules on the same days, with intervals; or rules
-alone."""
+"""`headway compare`: compare a study's cells and the classical rules on the same episodes."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -23,38 +22,41 @@ examples:
   headway compare bus --episodes 200
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
   headway compare bus --rules always_move,headway_holding_0.9
-  headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, nothing trained
+  headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, without training
   headway compare experiment=intersection_study --against human --metrics outflow_vph,collisions
 
-Every finished seed's newest policy plays the same days, and so does every rule. The differences are
-controller minus reference, paired day by day, with 95% intervals by Student's t: over days for a rule and
-for a cell of one seed, over training seeds and days for a cell of more. Without --against the reference is
-the rule with the highest mean return on these days. What metrics there are, and what they mean: `headway list
-metrics ENVIRONMENT`.
+The newest policy of every finished seed and every rule are evaluated on the same episodes. Differences are
+controller minus reference, paired by episode, with 95% intervals by Student's t: over episodes for a rule or
+a cell with one seed, over training seeds and episodes for a cell with several. The default reference is the
+rule with the highest mean return. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The study or the environment, the days and the reference."""
+    """Add the study or environment, the episodes and the reference."""
     parser.add_argument(
         "study",
         metavar="STUDY|KEY=VALUE",
-        help="a study, as `headway runs` shows it; or, for rules alone, env=, env.KEY= or experiment=",
+        help="a study, as in `headway runs`; or, for rules alone, env=, env.KEY= or experiment=",
     )
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", default=[], help="more of them")
-    parser.add_argument("--episodes", type=int, default=100, help="days (default: 100)")
-    parser.add_argument("--seed", type=int, default=2_000_003, help="root of the days' seeds")
-    parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
-    parser.add_argument("--rules", help="rules to play, with commas (default: all that can)")
-    parser.add_argument("--against", help="a rule: the reference (default: the best one)")
     parser.add_argument(
-        "--metrics", default="return", help="columns to compare, with commas (default: return)"
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="further overrides, for rules alone"
+    )
+    parser.add_argument("--episodes", type=int, default=100, help="evaluation episodes (default: 100)")
+    parser.add_argument(
+        "--seed", type=int, default=2_000_003, help="root of the episode seeds (default: 2000003)"
+    )
+    parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy", help="how policies act")
+    parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
+    parser.add_argument("--against", help="reference rule (default: the best one)")
+    parser.add_argument(
+        "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
     )
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Play and print the table."""
+    """Evaluate and print the table."""
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
@@ -75,7 +77,9 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.runner.warm_up import compile_kernels
 
     if arguments.episodes < 2:
-        raise HeadwayError(f"--episodes {arguments.episodes}: must be at least 2, as days are paired")
+        raise HeadwayError(
+            f"--episodes {arguments.episodes}: must be at least 2, because episodes are paired"
+        )
     if arguments.seed < 0:
         raise HeadwayError(f"--seed {arguments.seed}: must not be negative")
     subject = _subject(arguments)
@@ -83,15 +87,15 @@ def execute(arguments: argparse.Namespace) -> int:
     found = experiment.prepare()
     names = rules_to_play(found, arguments.rules)
     if not names:
-        raise HeadwayError("--rules names none; give one at least, such as --rules random")
+        raise HeadwayError("--rules is empty; give at least one, such as --rules random")
     if arguments.against is not None and arguments.against not in names:
         names = (*rules_to_play(found, arguments.against, "--against"), *names)
     metrics = _metrics(arguments.metrics, ("length", "return", *found.spec.metrics))
     compile_kernels(experiment.env)
     policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
-    controllers = len(names) + sum(map(len, policies.values()))
-    with CountedProgress("episodes played", controllers * episodes) as counted:
+    players = len(names) + sum(map(len, policies.values()))
+    with CountedProgress("episodes played", players * episodes) as counted:
         rules = rule_episodes(experiment, found.prepared, names, root, episodes, counted)
         reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
         played = {
@@ -126,7 +130,7 @@ def execute(arguments: argparse.Namespace) -> int:
         "interval",
     )
     mode = f", {arguments.mode}" if cells else ""
-    print_table(columns, rows, title=f"{subject.name}: {episodes} days of {found.spec.name}{mode}")
+    print_table(columns, rows, title=f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}")
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(fewest))
@@ -137,12 +141,12 @@ def execute(arguments: argparse.Namespace) -> int:
 
 @dataclass(frozen=True)
 class _Subject:
-    """Who is compared, and on what."""
+    """Learners to compare, and their environment."""
 
     name: str
     experiment: "Experiment"
     cells: Mapping[str, list["StoredRun"]]
-    """Learners by label; none where rules are compared alone."""
+    """Runs of each learner by label; empty if rules are compared alone."""
 
 
 def _subject(arguments: argparse.Namespace) -> _Subject:
@@ -154,8 +158,8 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
         return _Subject(" ".join(words), compose(words), {})
     if arguments.overrides:
         raise HeadwayError(
-            f"{arguments.overrides[0]!r}: a study is compared as it was trained; leave this out, or "
-            f"{arguments.study!r}, if rules are to be compared alone"
+            f"{arguments.overrides[0]!r}: a study is compared with its own configuration; omit this, "
+            f"or omit {arguments.study!r} to compare rules alone"
         )
     try:
         cells = _cells(existing_store(arguments.store), arguments.study)
@@ -170,21 +174,23 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
 
 
 def _require_for_rules(words: Sequence[str]) -> None:
-    """Refuse what rules alone do not heed, and overrides that do not say what they are played on."""
+    """Refuse overrides that have no effect on rules, and overrides that do not name an environment."""
     keys = [word.partition("=")[0].lstrip("+~") for word in words]
     for word, key in zip(words, keys, strict=True):
         if key.split(".")[0] not in ("env", "experiment") or key.startswith("env.training_args"):
             raise HeadwayError(
-                f"{word!r} changes nothing where rules are compared alone; give env=, env.KEY= or "
-                "experiment=, and options such as --episodes, --rules and --seed"
+                f"{word!r} has no effect if rules are compared alone; give env=, env.KEY= or experiment=, "
+                "and options such as --episodes, --rules and --seed"
             )
     if not {"env", "experiment"} & set(keys):
-        raise HeadwayError("which environment? Give env=ENV or experiment=EXPERIMENT, too")
+        raise HeadwayError("no environment given; add env=ENV or experiment=EXPERIMENT")
 
 
 def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
-    """The finished runs of a study by label. Raises HeadwayError if there are none or if what they are
-    reported on differs."""
+    """Return the finished runs of a study by label.
+
+    Raises HeadwayError if there are none or if their evaluation environments differ.
+    """
     from headway.store.cell_names import labelled_cells
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.runs import finished_runs
@@ -203,9 +209,11 @@ def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
     wanted = tuple(name.strip() for name in names.split(",") if name.strip())
     for name in wanted:
         if name not in known:
-            raise HeadwayError(f"--metrics: {name!r} is no metric here; {suggestion(name, known)}")
+            raise HeadwayError(
+                f"--metrics: {name!r} is no metric of this environment; {suggestion(name, known)}"
+            )
     if not wanted:
-        raise HeadwayError("--metrics names none; give one at least, such as --metrics return")
+        raise HeadwayError("--metrics is empty; give at least one, such as --metrics return")
     return wanted
 
 

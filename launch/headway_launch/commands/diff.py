@@ -1,4 +1,4 @@
-"""`headway diff`: two runs beside each other: what was set otherwise, and what came of it."""
+"""`headway diff`: compare the settings and results of two runs."""
 
 import argparse
 from collections.abc import Mapping
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 examples:
-  headway diff ippo-108c7d-s0 mappo-437ec5-s0      any part of a name that only one run has
+  headway diff ippo-108c7d-s0 mappo-437ec5-s0      any unique part of a run's name
 
-First what differs in their configurations, versions and hardware; then status and figures of both, and B
-minus A: the summary, and the means of the last evaluation's episodes.
+Prints the settings, versions and hardware that differ; then status and results of both runs and B minus A:
+the summary, and means over the episodes of the last evaluation.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Two runs and the store."""
-    parser.add_argument("first", metavar="A", help="identity as `headway runs` shows it")
-    parser.add_argument("second", metavar="B", help="the one to compare with it")
+    """Add the two runs and the store."""
+    parser.add_argument("first", metavar="A", help="name of a run, as in `headway runs`")
+    parser.add_argument("second", metavar="B", help="name of the other run")
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print both tables."""
+    """Print the table of settings and the table of results."""
     from headway_launch.console.tables import print_table
     from headway_launch.runner.stored_run import StoredRun
 
@@ -43,36 +43,36 @@ def execute(arguments: argparse.Namespace) -> int:
     ]
     print_table(("setting", "A", "B"), rows, f"A {names[0]}\nB {names[1]}")
     if not rows:
-        print("their settings are the same")
+        print("no settings differ")
     print()
-    figures: list[tuple[Cell, ...]] = [("status", *(run.record.settled_status for run in pair), None)]
-    known = [_figures(run) for run in pair]
+    results: list[tuple[Cell, ...]] = [("status", *(run.record.settled_status for run in pair), None)]
+    known = [_results(run) for run in pair]
     for name in dict.fromkeys((*known[0], *known[1])):
         a, b = known[0].get(name), known[1].get(name)
-        figures.append((name, a, b, None if a is None or b is None else b - a))
-    print_table(("figure", "A", "B", "B minus A"), figures)
+        results.append((name, a, b, None if a is None or b is None else b - a))
+    print_table(("result", "A", "B", "B minus A"), results)
     return 0
 
 
 def _settings(run: "StoredRun") -> Mapping[str, str]:
-    """Flat, dotted names; where it is kept is no setting."""
+    """Return settings and tags by dotted name, without the store."""
     from headway_launch.experiments.parameters import flat
 
     mapping = {name: value for name, value in run.mapping.items() if name != "store"}
     return {**{name: str(value) for name, value in flat(mapping)}, **run.record.tags}
 
 
-def _figures(run: "StoredRun") -> Mapping[str, float]:
+def _results(run: "StoredRun") -> Mapping[str, float]:
     from headway.store.run_folder import read_summary
 
-    figures: dict[str, Any] = {"iterations": run.record.durable_iteration, **read_summary(run.directory)}
-    figures["duration_s"] = run.record.duration_s
-    numbers = {name: value for name, value in figures.items() if isinstance(value, int | float)}
+    results: dict[str, Any] = {"iterations": run.record.durable_iteration, **read_summary(run.directory)}
+    results["duration_s"] = run.record.duration_s
+    numbers = {name: value for name, value in results.items() if isinstance(value, int | float)}
     return {**numbers, **_last_evaluation(run.directory)}
 
 
 def _last_evaluation(directory: Path) -> dict[str, float]:
-    """Means over the episodes of each mode's last evaluation, by `last evaluation, greedy: return`."""
+    """Return means over each mode's last evaluation, by names such as `last evaluation, greedy: return`."""
     from headway.events import LABELS
     from headway.store.parquet_log import read_rows
 

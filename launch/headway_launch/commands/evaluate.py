@@ -1,4 +1,4 @@
-"""`headway evaluate`: a trained policy beside the classical rules, on the same days."""
+"""`headway evaluate`: evaluate a trained policy and the classical rules on the same episodes."""
 
 import argparse
 
@@ -7,29 +7,31 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
 examples:
-  headway evaluate s0-20260101-1200                any part of the name that only one run has
-  headway evaluate RUN --episodes 100 --seed 5     other days
+  headway evaluate s0-20260101-1200                any unique part of a run's name
+  headway evaluate RUN --episodes 100 --seed 5     other episodes
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
-The differences are those of the return, policy minus rule, day by day, with 95% intervals over the days.
-What the other figures mean: `headway list metrics ENVIRONMENT`.
+Differences are of the return, policy minus rule, paired by episode, with 95% intervals over episodes.
+`headway list metrics ENVIRONMENT` describes the other metrics.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The run and the days."""
-    parser.add_argument("run", metavar="RUN", help="identity as `headway runs` shows it")
-    parser.add_argument("--episodes", type=int, help="days (default: those of the run's last evaluation)")
-    parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy")
+    """Add the run and the episodes."""
+    parser.add_argument("run", metavar="RUN", help="name of the run, as in `headway runs`")
     parser.add_argument(
-        "--seed", type=int, help="root of the days' seeds (default: the run's evaluation.seed)"
+        "--episodes", type=int, help="evaluation episodes (default: as in the run's last evaluation)"
     )
-    parser.add_argument("--rules", help="rules to play beside it, with commas (default: all that can)")
+    parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy", help="how the policy acts")
+    parser.add_argument(
+        "--seed", type=int, help="root of the episode seeds (default: the run's evaluation.seed)"
+    )
+    parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Play and print the table."""
+    """Evaluate and print the table."""
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
@@ -52,8 +54,8 @@ def execute(arguments: argparse.Namespace) -> int:
     policy = newest_policy(run, found)
     name = f"{experiment.algo_name} {arguments.mode}"
     with CountedProgress("episodes played", (1 + len(rules)) * episodes) as counted:
-        greedy, told = arguments.mode == "greedy", counting(counted, name)
-        learned = policy_episodes(policy, root, episodes, greedy, told)
+        greedy, count = arguments.mode == "greedy", counting(counted, name)
+        learned = policy_episodes(policy, root, episodes, greedy, count)
         played = rule_episodes(experiment, found.prepared, rules, root, episodes, counted)
     print_comparison(name, [learned], played)
     return 0

@@ -1,4 +1,4 @@
-"""`headway list`: what names there are, and what keys they take."""
+"""`headway list`: list names of environments, algorithms and so on, and their keys."""
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping
@@ -22,26 +22,26 @@ from headway_launch.experiments.compose import configs_folder, groups, summary_o
 EXAMPLES = """\
 examples:
   headway list envs            all environments
-  headway list envs bus        the arguments of one (env.args.KEY=VALUE)
-  headway list envs mpe2.simple_spread_v3      those of a PettingZoo environment, by its module
+  headway list envs bus        arguments of one environment (env.args.KEY=VALUE)
+  headway list envs mpe2.simple_spread_v3      arguments of a PettingZoo environment, by its module
   headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
-  headway list algos mappo     its hyper-parameters (algo.KEY=VALUE)
-  headway list rules bus       what its classical rules do
-  headway list metrics bus     what the figures of its episodes mean, with their units
-  headway list experiments     what `headway run experiment=NAME` takes
-  headway list searches        what `headway search NAME` takes
-  headway list keys            every other key of an experiment
+  headway list algos mappo     hyper-parameters of one algorithm (algo.KEY=VALUE)
+  headway list rules bus       classical rules of one environment
+  headway list metrics bus     episode metrics of one environment, with units
+  headway list experiments     names for `headway run experiment=NAME`
+  headway list searches        names for `headway search NAME`
+  headway list keys            all other keys of an experiment
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """KIND and NAME."""
+    """Add KIND and NAME."""
     parser.add_argument("kind", metavar="KIND", help=", ".join(_KINDS))
-    parser.add_argument("name", metavar="NAME", nargs="?", help="show one of them in full")
+    parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the list, or one item of it."""
+    """Print the list, or one item in full."""
     if arguments.kind not in _KINDS:
         raise HeadwayError(
             f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, _KINDS, 'headway list ')}"
@@ -53,19 +53,19 @@ def execute(arguments: argparse.Namespace) -> int:
 def _list_envs(name: str | None) -> None:
     if name is None:
         summaries = {key: entry.summary for key, entry in env_entries().items()}
-        summaries |= {option: summary_of("env", option) for option in _by_file()}
+        summaries |= {option: summary_of("env", option) for option in _file_only_envs()}
         rows = [(key, summary, ", ".join(_rules(key))) for key, summary in summaries.items()]
-        print_table(("environment", "what it is", "rules"), rows)
-    elif name in _by_file():
+        print_table(("environment", "description", "rules"), rows)
+    elif name in _file_only_envs():
         _list_group("env")(name)
     else:
-        _print_keys(env_entry(_known(name)).config, "env.args")
+        _print_keys(env_entry(_require_env(name)).config, "env.args")
 
 
 def _list_algos(name: str | None) -> None:
     if name is None:
         rows = [(key, entry.summary, entry.source) for key, entry in algo_entries().items()]
-        print_table(("algorithm", "what it is", "source"), rows)
+        print_table(("algorithm", "description", "source"), rows)
         return
     _print_keys(algo_entry(name).config, "algo")
 
@@ -79,65 +79,65 @@ def _list_wrappers(name: str | None) -> None:
         keys = describe(entry.config)
         arguments = [row.key if row.default == "required" else f"{row.key}={row.default}" for row in keys]
         rows.append((key, ", ".join(arguments), "yes" if entry.batched else "no", entry.summary))
-    print_table(("wrapper", "arguments", "batched", "what it does"), rows)
+    print_table(("wrapper", "arguments", "batched", "description"), rows)
 
 
-def _known(name: str) -> str:
-    """It, if there may be such an environment: one with a dot is a module's. Raises HeadwayError if not, with
-    the nearest of all there are, those that are a file's alone among them."""
+def _require_env(name: str) -> str:
+    """Return `name`. Raises HeadwayError if it is neither an environment nor a module path."""
     if "." in name or name in _names(None):
         return name
     raise HeadwayError(f"{name!r} is no environment; {suggestion(name, _names(None))}")
 
 
-def _by_file() -> list[str]:
-    """Names of environments that are those of a file of `configs/env` alone."""
+def _file_only_envs() -> list[str]:
+    """Return the environments that are defined only by a file of `configs/env`."""
     return [option for option in groups()["env"] if option not in env_entries()]
 
 
-def _configured(name: str) -> str | None:
-    """The registered environment that a file of this name configures, else `name`; None where the file leaves
-    it to a PettingZoo environment's module."""
-    if name not in _by_file():
-        return _known(name)
+def _registered_id(name: str) -> str | None:
+    """Return the registered environment that the file `name` configures, or `name` if there is no such file.
+
+    None if the file configures a PettingZoo module.
+    """
+    if name not in _file_only_envs():
+        return _require_env(name)
     configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
     own = configured.get("id")
     return own if own in env_entries() else None
 
 
 def _rules(name: str) -> Mapping[str, RuleEntry]:
-    """Of an environment, or of one that has a configuration of this name; of a file that leaves it to a
-    module, what all have."""
-    own = _configured(name)
+    """Return the rules of an environment or configuration file; only `random` for a PettingZoo module."""
+    own = _registered_id(name)
     return {"random": RANDOM} if own is None else env_entry(own).rules
 
 
 def _metrics(name: str) -> Mapping[str, str]:
-    """Likewise; of a file that leaves it to a module, none."""
-    own = _configured(name)
+    """Return the metrics of an environment or configuration file; none for a PettingZoo module."""
+    own = _registered_id(name)
     return {} if own is None else env_entry(own).metrics
 
 
 def _names(name: str | None) -> list[str]:
-    """The one that is asked for, or all environments, those that are a file's alone among them."""
-    return [*env_entries(), *_by_file()] if name is None else [name]
+    """Return `name` alone or, if it is None, all environments and those defined only by a file."""
+    return [*env_entries(), *_file_only_envs()] if name is None else [name]
 
 
 def _list_rules(name: str | None) -> None:
     rows = [(env, rule, entry.summary) for env in _names(name) for rule, entry in _rules(env).items()]
-    print_table(("environment", "rule", "what it does"), rows, whole=("rule",))
+    print_table(("environment", "rule", "description"), rows, whole=("rule",))
 
 
 def _list_metrics(name: str | None) -> None:
-    described = {key: {**_OF_ALL, **metrics} for key in _names(name) if (metrics := _metrics(key))}
+    described = {key: {**_COMMON_METRICS, **metrics} for key in _names(name) if (metrics := _metrics(key))}
     if not described:
         describing = ", ".join(key for key in _names(None) if _metrics(key))
         raise HeadwayError(
-            f"{name} does not say what its metrics mean: its EnvEntry needs `metrics`; "
-            f"those that do: {describing}"
+            f"{name} does not describe its metrics: its EnvEntry needs `metrics`; "
+            f"environments that do: {describing}"
         )
-    rows = [(key, metric, what) for key, of_env in described.items() for metric, what in of_env.items()]
-    print_table(("environment", "metric", "what it is"), rows, whole=("metric",), spare=("environment",))
+    rows = [(key, metric, text) for key, of_env in described.items() for metric, text in of_env.items()]
+    print_table(("environment", "metric", "description"), rows, whole=("metric",), spare=("environment",))
 
 
 def _list_keys(name: str | None) -> None:
@@ -157,7 +157,7 @@ def _list_group(group: str) -> Callable[[str | None], None]:
     def show(name: str | None) -> None:
         options = groups()[group]
         if name is None:
-            print_table((group, "what it is"), [(option, summary_of(group, option)) for option in options])
+            print_table((group, "description"), [(option, summary_of(group, option)) for option in options])
         elif name in options:
             print((configs_folder() / group / f"{name}.yaml").read_text(encoding="utf-8"), end="")
         else:
@@ -172,14 +172,14 @@ def _print_keys(record: type, path: str) -> None:
 
 def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
     rows = [(key.key, key.type, key.default, key.doc) for key in keys]
-    print_table(("key", "type", "default", "meaning"), rows, whole=("key",))
+    print_table(("key", "type", "default", "description"), rows, whole=("key",))
 
 
-_OF_ALL = {
-    "length": "steps of the episode",
-    "return": "rewards of the episode, summed over its steps, mean over the agents",
+_COMMON_METRICS = {
+    "length": "steps per episode",
+    "return": "sum of rewards over the episode, mean over agents",
 }
-"""Of the episodes of every environment."""
+"""Metrics of every environment."""
 _KINDS: Mapping[str, Callable[[str | None], None]] = {
     "envs": _list_envs,
     "algos": _list_algos,

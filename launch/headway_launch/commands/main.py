@@ -1,4 +1,4 @@
-"""The `headway` command. Nothing heavy is imported before a command needs it."""
+"""The `headway` command. Heavy modules are imported only by the commands that use them."""
 
 import argparse
 import sys
@@ -18,7 +18,7 @@ examples:
   headway runs
   headway browse
 
-headway COMMAND --help shows more. Errors are one line; --debug adds the traceback.
+`headway COMMAND --help` shows details. An error is one line; --debug adds the traceback.
 """
 
 
@@ -27,52 +27,54 @@ class _Command:
     summary: str
     module: str
     only_prints: bool = True
-    """Nothing is left to do once its reader has gone; False for what trains."""
+    """Whether a closed output pipe ends the command; False for commands that train."""
     parts: "Mapping[str, _Command]" = field(default_factory=dict)
-    """Commands of a second word; then `module` is a package with EXAMPLES."""
+    """Subcommands by name; `module` is then a package with EXAMPLES."""
 
 
 class _CommandModule(Protocol):
-    """What a module of `headway_launch.commands` defines."""
+    """Interface of a module of `headway_launch.commands`."""
 
     EXAMPLES: str
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None: ...
 
     def execute(self, arguments: argparse.Namespace) -> int:
-        """Do it; returns the exit code."""
+        """Run the command; return the exit code."""
         ...
 
 
 _COMMANDS = {
-    "run": _Command("train an experiment, all its seeds", "run", only_prints=False),
-    "sweep": _Command("train many cells and seeds, as far as the store has not", "sweep", only_prints=False),
-    "search": _Command(
-        "search for hyper-parameters by a committed configuration", "search", only_prints=False
+    "run": _Command("train all seeds of an experiment", "run", only_prints=False),
+    "sweep": _Command(
+        "train the runs of many cells and seeds that the store lacks", "sweep", only_prints=False
     ),
-    "resume": _Command("go on with runs that were stopped, killed or failed", "resume", only_prints=False),
-    "runs": _Command("table of the runs in the store", "runs"),
-    "diff": _Command("two runs beside each other: settings and figures that differ", "diff"),
-    "evaluate": _Command("play a trained policy beside the classical rules", "evaluate"),
-    "compare": _Command("all of a study and the rules on the same days, with intervals", "compare"),
-    "plot": _Command("picture of a study's learning curves", "plot"),
-    "render": _Command("picture or moving picture of an episode, by a policy or a rule", "render"),
-    "report": _Command("a whole study as one page, with tables and pictures", "report"),
-    "browse": _Command("browse the store in MLflow's pages", "browse"),
-    "sync": _Command("bring MLflow up to date with the run folders", "sync"),
+    "search": _Command(
+        "search hyper-parameters as a file of configs/search defines", "search", only_prints=False
+    ),
+    "resume": _Command("continue runs that were stopped, killed or failed", "resume", only_prints=False),
+    "runs": _Command("list the runs in the store", "runs"),
+    "diff": _Command("compare the settings and results of two runs", "diff"),
+    "evaluate": _Command("evaluate a trained policy and the classical rules", "evaluate"),
+    "compare": _Command("compare a study's cells and the rules on the same episodes", "compare"),
+    "plot": _Command("plot a study's learning curves", "plot"),
+    "render": _Command("render an episode of a policy or a rule as GIF or PNG", "render"),
+    "report": _Command("write a study's report: one page with tables and plots", "report"),
+    "browse": _Command("browse the store in the MLflow UI", "browse"),
+    "sync": _Command("send run data that MLflow lacks", "sync"),
     "data": _Command(
-        "scenarios of the bus environment: made, described, drawn and held to what was measured",
+        "create, describe, plot and validate scenarios of the bus environment",
         "data",
         parts={
-            "synthetic": _Command("write a scenario of a seed and fitted numbers", "data.synthetic"),
-            "gtfs": _Command("write a scenario of any GTFS feed", "data.gtfs"),
-            "sunt": _Command("write a scenario of raw files of SUNT", "data.sunt"),
-            "describe": _Command("lines, fleet, headways and demand of a scenario", "data.describe"),
-            "plot": _Command("map of a scenario with load and headways", "data.plot"),
-            "realism": _Command("the simulator's days beside what was measured", "data.realism"),
+            "synthetic": _Command("write a synthetic scenario", "data.synthetic"),
+            "gtfs": _Command("write a scenario from a GTFS feed", "data.gtfs"),
+            "sunt": _Command("write a scenario from SUNT's raw files", "data.sunt"),
+            "describe": _Command("show lines, fleet, headways and demand of a scenario", "data.describe"),
+            "plot": _Command("plot a map of a scenario with loads and headways", "data.plot"),
+            "realism": _Command("compare simulated days with measured data", "data.realism"),
         },
     ),
-    "list": _Command("environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
+    "list": _Command("list environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
 
 
@@ -82,17 +84,17 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main() -> None:
-    """Entry point of the `headway` script: runs the command line and exits with its code."""
+    """Entry point of the `headway` script: run the command line and exit with its code."""
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line; returns its exit code: 0 done, 2 an error (one line on stderr), 130 stopped."""
+    """Run one command line; return the exit code: 0 done, 2 error (one line on stderr), 130 interrupted."""
     words = [word for word in arguments if word != "--debug"]
     debug = len(words) < len(arguments)
     try:
         code = _dispatch(words, debug)
-        sys.stdout.flush()  # here, where a reader that has gone, or a full disk, can still be answered
+        sys.stdout.flush()  # a closed pipe or full disk raises here, inside the try block
         return code
     except HeadwayError as error:
         if debug:
@@ -175,7 +177,7 @@ def _parser_of_parts(name: str, command: _Command) -> argparse.ArgumentParser:
 
 
 def _listed(commands: Mapping[str, _Command]) -> str:
-    return "commands:\n" + "".join(f"  {name:<10}{command.summary}\n" for name, command in commands.items())
+    return "commands:\n" + "".join(f"  {name:<11}{command.summary}\n" for name, command in commands.items())
 
 
 def _top_parser() -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""`headway plot`: learning curves of a study, as a picture."""
+"""`headway plot`: plot a study's learning curves."""
 
 import argparse
 from pathlib import Path
@@ -16,42 +16,44 @@ EXAMPLES = """\
 examples:
   headway plot bus
   headway plot bus --output curves.png --metric evaluation_sampled/return
-  headway plot bus --low 0                         cut the vertical axis below 0
+  headway plot bus --low 0                         start the vertical axis at 0
   headway plot bus --metric mean_wait_min --lower-is-better
   headway plot bus --where 'policies=shared and algo.lr<1e-3' --no-rules
 
-One line a cell (algorithm and, where that tells cells apart, preset, candidate of a search and settings), one
-panel an environment: the mean over its finished seeds with the 95% interval of that mean (Student's t);
-dashed lines beside a metric of evaluation are the rules on the same days, but for one so far away that
-nothing else could be seen, and the axis is not stretched for a cell far worse than most. Of training, where
-seeds have their points at different steps, each is followed along straight lines between its own.
+One line per cell (algorithm and, if needed to distinguish cells, preset, search candidate and settings) and
+one panel per environment: mean over finished seeds with the 95% interval of the mean (Student's t). Dashed
+lines show the rules on the same episodes, for evaluation metrics. Rules so far off that they would flatten
+the curves are omitted, and the axis is not extended for cells far worse than most. Training curves whose
+seeds have points at different steps are interpolated linearly.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The study, the metric and the file."""
-    parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
+    """Add the study, the metric and the file."""
+    parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
     parser.add_argument("--output", default=None, help="picture to write (default: STUDY.png)")
     parser.add_argument(
         "--metric",
         default="evaluation_greedy/return",
-        help="column of the curve; a bare name is one of evaluation_greedy (default: return)",
+        help="column of the curve; a name without group is of evaluation_greedy (default: return)",
     )
     parser.add_argument(
         "--where",
         action="append",
         default=[],
         metavar="CONDITION",
-        help="only runs that are so, as in `headway runs`; repeatable",
+        help="only runs for which this holds, as in `headway runs`; repeatable",
     )
-    parser.add_argument("--no-rules", action="store_true", help="leave out the rules")
-    parser.add_argument("--lower-is-better", action="store_true", help="the metric is a cost, such as a wait")
+    parser.add_argument("--no-rules", action="store_true", help="omit the rules")
+    parser.add_argument(
+        "--lower-is-better", action="store_true", help="the metric is a cost, such as a waiting time"
+    )
     parser.add_argument("--low", type=float, default=None, help="lower end of the vertical axis")
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Draw the picture and say where it is."""
+    """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
     from headway.store import RunSelection
     from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
@@ -64,7 +66,7 @@ def execute(arguments: argparse.Namespace) -> int:
     require_known(finished, conditions, "")
     chosen = tuple(row for row in finished if all(condition.holds(row) for condition in conditions))
     if not chosen:
-        raise HeadwayError(f"--where: no finished run of {arguments.study} is so; see headway runs --where")
+        raise HeadwayError(f"--where: no finished run of {arguments.study} matches; see headway runs --where")
     runs = RunSelection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
@@ -74,7 +76,7 @@ def execute(arguments: argparse.Namespace) -> int:
         _axis(metric, arguments.lower_is_better),
         plots.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
-        title=f"{arguments.study}: {_what_is_drawn(means)}",
+        title=f"{arguments.study}: {_statistic(means)}",
         sign=-1 if arguments.lower_is_better else 1,
     )
     write_figure(figure, output)
@@ -83,13 +85,13 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _axis(metric: str, lower_is_better: bool) -> str:
-    """What the vertical axis shows."""
+    """Return the label of the vertical axis."""
     return metric.replace("_", " ").replace("/", ": ") + (" (lower is better)" if lower_is_better else "")
 
 
-def _what_is_drawn(means: "pd.DataFrame") -> str:
-    """Of one run there is no mean and no interval."""
+def _statistic(means: "pd.DataFrame") -> str:
+    """Name the plotted statistic: cells with one run have no interval."""
     runs = means["runs"]
     if (runs == 1).all():
         return "one seed"
-    return f"mean over seeds with 95% interval{' where there are several' if (runs == 1).any() else ''}"
+    return f"mean over seeds with 95% interval{' if there are several' if (runs == 1).any() else ''}"

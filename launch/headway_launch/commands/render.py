@@ -1,4 +1,4 @@
-"""`headway render`: an episode as a picture of a moment or as a moving one."""
+"""`headway render`: render an episode as an animated GIF, or one of its steps as a PNG."""
 
 import argparse
 import tempfile
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.console.output_files import unwritten
+from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -27,44 +27,44 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 examples:
-  headway render s0-20260101-1200                  the newest policy of a run, acting greedily
+  headway render s0-20260101-1200                  newest policy of a run, greedy actions
   headway render merge --rule idm_mobil            a rule on an environment
   headway render merge --rule always_left env.args.density=3 --episode 4 --output crash.gif
   headway render merge --rule idle --step 60 --output moment.png
-  headway render bus --rule even_headway --output day.png      the map, and the day as a time-space diagram
-  headway render bus --rule even_headway --fps 25              the same, hour by hour
-  headway render s0-20260101-1200 --keep                       kept with the run, in its folder
+  headway render bus --rule even_headway --output day.png      map and time-space diagram of the day
+  headway render bus --rule even_headway --fps 25              animated over the hours of the day
+  headway render s0-20260101-1200 --keep                       written into the run's folder
 
-A .gif moves; a .png is one step of the episode (its last, unless --step says which). Beneath it stand the
-rule or the run, and the seed and number of the episode.
+A .gif shows the whole episode; a .png shows one step (the last, or that of --step). The caption names the
+rule or run, the seed and the number of the episode.
 """
 _SUFFIXES = (".gif", ".png")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who plays, what and where to."""
+    """Add the run or environment, the episode and the output."""
     parser.add_argument("name", metavar="RUN|ENV", help="a run, or with --rule an environment of configs/env")
     parser.add_argument(
         "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="with --rule: env.args.density=3"
     )
-    parser.add_argument("--rule", help="the rule that plays (default: the run's policy)")
+    parser.add_argument("--rule", help="rule to render (default: the run's policy)")
     parser.add_argument(
-        "--episode", type=int, default=0, help="which of the evaluation episodes (default: 0)"
+        "--episode", type=int, default=0, help="number of the evaluation episode (default: 0)"
     )
-    parser.add_argument("--seed", type=int, help="root of the episodes' seeds (default: evaluation.seed)")
-    parser.add_argument("--step", type=int, help="of a .png: after so many steps")
+    parser.add_argument("--seed", type=int, help="root of the episode seeds (default: evaluation.seed)")
+    parser.add_argument("--step", type=int, help="step that a .png shows (default: the last)")
     parser.add_argument("--output", help="file to write (default: NAME.gif)")
-    parser.add_argument("--fps", type=float, default=5.0, help="steps a second of a .gif (default: 5)")
+    parser.add_argument("--fps", type=float, default=5.0, help="steps per second of a .gif (default: 5)")
     parser.add_argument(
         "--keep",
         action="store_true",
-        help="write into the run's folder, under pictures, where the run is kept",
+        help="write into pictures/ of the run's folder",
     )
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Play, draw and say where the file is."""
+    """Render the episode and print the path of the file."""
     output = Path(arguments.output or f"{Path(arguments.name).name}.gif")
     _check(arguments, output)
     if arguments.keep:
@@ -81,14 +81,16 @@ def execute(arguments: argparse.Namespace) -> int:
     if found.entry.renderer is None:
         from headway.registry import env_entries
 
-        drawn = sorted(name for name, entry in env_entries().items() if entry.renderer is not None)
-        raise HeadwayError(f"{found.spec.name} cannot be drawn; those that can are: {', '.join(drawn)}")
+        renderable = sorted(name for name, entry in env_entries().items() if entry.renderer is not None)
+        raise HeadwayError(
+            f"{found.spec.name} cannot be rendered; environments that can: {', '.join(renderable)}"
+        )
     compile_kernels(found.entry)
     root = player.root if arguments.seed is None else arguments.seed
     caption = f"{player.name}: evaluation episode {arguments.episode} of seed {root}"
     with closing(_frames(player, root, arguments.episode, caption)) as frames:
         if output.suffix == ".png":
-            moment = _moment(frames, arguments.step)
+            moment = _picture_at(frames, arguments.step)
             _make_folder(arguments, output)
             write_picture(moment, output, caption)
         else:
@@ -103,21 +105,23 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
     if output.suffix not in _SUFFIXES:
         raise HeadwayError(f"--output: {output} must end in {' or '.join(_SUFFIXES)}")
     if arguments.step is not None and output.suffix != ".png":
-        raise HeadwayError("--step picks the moment of a picture: give it with --output NAME.png")
+        raise HeadwayError("--step needs a single picture: give --output NAME.png")
     if arguments.episode < 0 or (arguments.seed or 0) < 0 or (arguments.step or 0) < 0:
         raise HeadwayError("--episode, --seed and --step must be at least 0")
     if not 0.1 <= arguments.fps <= 50.0:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
     if arguments.keep and arguments.rule is not None:
-        raise HeadwayError("--keep is for the pictures of a run; leave it or --rule out")
+        raise HeadwayError("--keep stores pictures of runs; omit it or --rule")
     if arguments.keep and output.name != str(output):
         raise HeadwayError(f"--output: with --keep give a name without a folder, {output.name}, not {output}")
     if arguments.overrides and arguments.rule is None:
-        raise HeadwayError(f"{arguments.overrides[0]}: a run is played as it was trained; leave it out")
+        raise HeadwayError(
+            f"{arguments.overrides[0]}: a run is rendered with its own configuration; omit this"
+        )
 
 
 def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
-    """Where a picture is kept with its run."""
+    """Return the path of a picture in its run's folder."""
     from headway_launch.runner.stored_run import StoredRun
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
@@ -125,7 +129,7 @@ def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
 
 
 def _require_writable(output: Path, keep: bool) -> None:
-    """Before any work, so that none is lost. Raises HeadwayError if the file cannot be written."""
+    """Raise HeadwayError if the file cannot be written. Called before any work, so that none is lost."""
     folder = output.parent.parent if keep and not output.parent.exists() else output.parent
     try:
         with tempfile.TemporaryFile(dir=folder):
@@ -134,30 +138,30 @@ def _require_writable(output: Path, keep: bool) -> None:
             with output.open("ab"):
                 pass
     except OSError as error:
-        raise unwritten("--output", output, error) from error
+        raise write_error("--output", output, error) from error
 
 
 def _make_folder(arguments: argparse.Namespace, output: Path) -> None:
-    """The run's folder of pictures, when there is one to keep; any other folder has to be there."""
+    """Create the run's folder of pictures for --keep; any other folder must exist."""
     if not arguments.keep:
         return
     try:
         output.parent.mkdir(exist_ok=True)
     except OSError as error:
-        raise unwritten("--output", output, error) from error
+        raise write_error("--output", output, error) from error
 
 
 @dataclass(frozen=True)
 class _Player:
-    """Who plays, and what."""
+    """A policy or rule with its environment."""
 
     name: str
     environment: "PreparedEnv"
     root: int
-    """Of its evaluation seeds."""
+    """Root of the evaluation seeds."""
     act: "Act"
     heed: "Heed"
-    """Is told what came of it."""
+    """Processes the result of each step, to update hidden states."""
 
 
 def _player(arguments: argparse.Namespace) -> _Player:
@@ -196,7 +200,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
 
 
 def _run(arguments: argparse.Namespace) -> "StoredRun":
-    """The run that is named. Raises HeadwayError if there is none, or an environment was meant."""
+    """Return the named run. Raises HeadwayError, with a hint, if the name is not a run's."""
     from headway.registry import env_entries
     from headway.store.run_folder import run_folders
     from headway_launch.experiments.compose import groups
@@ -220,8 +224,7 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
 
 
 def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generator[Frame]":
-    """Pictures of one evaluation episode over its caption, from its beginning to its end, or until it is
-    closed."""
+    """Yield pictures of one evaluation episode above its caption, until the episode ends."""
     import numpy as np
 
     from headway.rollout.episodes import evaluation_seeds
@@ -245,9 +248,12 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
             yield np.concatenate((renderer.render(behind_wrappers(env), at_end=ended), strip))
 
 
-def _moment(frames: "Iterator[Frame]", step: int | None) -> "Frame":
-    """The picture after `step` steps, or the last one. All before it are rendered, too: a renderer may show
-    what happened lately."""
+def _picture_at(frames: "Iterator[Frame]", step: int | None) -> "Frame":
+    """Return the picture after `step` steps, or the last one.
+
+    Earlier ones are rendered too, because a renderer may show recent events. Raises HeadwayError if the
+    episode ends before.
+    """
     last, played = next(frames), 0
     while played != step:
         following = next(frames, None)

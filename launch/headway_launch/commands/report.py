@@ -1,4 +1,4 @@
-"""`headway report`: a study as one page, with its tables and pictures as files."""
+"""`headway report`: write a study's report as one page, with its tables and plots as files."""
 
 import argparse
 from pathlib import Path
@@ -8,24 +8,26 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
 examples:
-  headway report bus                                          makes report-bus/report.html
+  headway report bus                                          writes report-bus/report.html
   headway report bus --output supplement
   headway report bus --metric evaluation_sampled/return
   headway report bus --metric evaluation_greedy/mean_wait_min --lower-is-better
 
-One page that needs no network (report.html), and beside it tables/ (Markdown, and CSV with all digits),
-pictures/ (PNG), configs/ and commands.txt. It reads the store only: nothing is played or trained.
+Writes one self-contained page, report.html, and beside it tables/ (Markdown, and CSV with all digits),
+pictures/ (PNG), configs/ and commands.txt. Only reads the store; nothing is trained or evaluated.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The study, the metric and the folder."""
-    parser.add_argument("study", metavar="STUDY", help="as `headway runs` shows it")
+    """Add the study, the metric and the folder."""
+    parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
     parser.add_argument("--output", metavar="DIR", help="folder to write (default: report-STUDY)")
     parser.add_argument(
-        "--metric", help="figure of evaluation that runs are judged by (default: evaluation_greedy/return)"
+        "--metric", help="evaluation metric of final rewards (default: evaluation_greedy/return)"
     )
-    parser.add_argument("--lower-is-better", action="store_true", help="the metric is a cost, such as a wait")
+    parser.add_argument(
+        "--lower-is-better", action="store_true", help="the metric is a cost, such as a waiting time"
+    )
     parser.add_argument(
         "--low", type=float, default=None, help="lower end of the vertical axis of the learning curves"
     )
@@ -33,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Write the report and say where it is."""
+    """Write the report and print its path."""
     root = existing_store(arguments.store)
     folder = Path(arguments.output or f"report-{arguments.study}")
     if folder.exists() and not folder.is_dir():

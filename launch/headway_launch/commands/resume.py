@@ -1,4 +1,4 @@
-"""`headway resume`: go on with runs, or a whole study, that were stopped, killed or failed."""
+"""`headway resume`: continue runs, or a whole study, that were stopped, killed or failed."""
 
 import argparse
 from collections.abc import Sequence
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 examples:
   headway resume bus-mappo-1f2e3d-s0-20260101-120000-ab12
-  headway resume s0-20260101-1200          any part of the name that only one run has
-  headway resume --study bus               all of a study: what was killed or failed, and what a sweep
-                                           had not begun
+  headway resume s0-20260101-1200          any unique part of a run's name
+  headway resume --study bus               a whole study: killed and failed runs, and runs
+                                           that a sweep had not started
 
-A run goes on from its last checkpoint. Where the environment keeps snapshots (bus does), its curves are
-those of a run never stopped, to the last bit; elsewhere episodes start anew, and the run is tagged
-`episodes_restarted` with the iterations.
+A run continues from its last checkpoint. If the environment supports snapshots (bus does), its curves equal
+those of an uninterrupted run bit for bit; otherwise episodes are restarted, and the tag
+`episodes_restarted` of the run holds the iterations at which they were.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Runs or a study, and the store."""
-    parser.add_argument("runs", metavar="RUN", nargs="*", help="identities as `headway runs` shows them")
-    parser.add_argument("--study", help="all of this study that has not finished")
+    """Add the runs or the study, and the store."""
+    parser.add_argument("runs", metavar="RUN", nargs="*", help="names of runs, as in `headway runs`")
+    parser.add_argument("--study", help="all unfinished runs of this study")
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Go on; returns the worst exit code of the sessions."""
+    """Continue training; return the worst exit code of the sessions."""
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
@@ -47,13 +47,13 @@ def execute(arguments: argparse.Namespace) -> int:
     for word in arguments.runs:
         if "=" in word:
             raise HeadwayError(
-                f"{word}: a run goes on as it was configured; leave it out, or train another run with it by "
-                "`headway run`"
+                f"{word}: a run continues with its own configuration; omit this, or train a new run with "
+                "it by `headway run`"
             )
     root = existing_store(arguments.store)
     if not arguments.runs and not arguments.study:
         raise HeadwayError(
-            "name a run or --study; `headway runs` shows what is KILLED or FAILED and can go on"
+            "name a run or --study; `headway runs` shows which runs are KILLED or FAILED and can be resumed"
         )
     found = [StoredRun.find(root, name) for name in arguments.runs]
     runs = list({run.directory: run for run in found}.values())
@@ -89,8 +89,10 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
 def _cells_of_study(
     root: Path, study: str, named: Sequence["StoredRun"]
 ) -> tuple[list["CellPlan"], list[Path]]:
-    """What is left of a study's sweeps, and its runs that are of no sweep, with those named beside it; and
-    the folders of runs that other sessions hold."""
+    """Return the cells left to train, and the folders of runs that other sessions hold.
+
+    The cells are those of the study's sweeps, of its unfinished runs outside sweeps, and of the `named` runs.
+    """
     from headway.store.index import RunIndex
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.plan import StudyProgress, cell_labels, kept_plans, plan_cells

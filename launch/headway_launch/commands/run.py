@@ -10,31 +10,31 @@ examples:
   headway run env=trivial algo=ippo backend=serial energy=off env_steps=50_000
   headway run experiment=bus_mappo seed=0..9 --dry-run
 
-KEY=VALUE sets any key of the experiment: `headway list keys`, `headway list algos mappo`,
-`headway list envs bus`. GROUP=OPTION takes a file of configs/: env, algo, rollout, backend,
+KEY=VALUE sets a key of the experiment: see `headway list keys`, `headway list algos mappo`,
+`headway list envs bus`. GROUP=OPTION selects a file of configs/GROUP: env, algo, rollout, backend,
 store, energy, preset, experiment. Seeds: 7, 0,1,2, [0,1], 0..49 or range(0,50).
-Ctrl-C stops with a checkpoint (exit code 130); `headway resume` goes on. Every `headway run` makes
-runs of its own; `headway sweep` trains only what the store does not have.
+Ctrl-C stops with a checkpoint (exit code 130); `headway resume` continues. Each `headway run` creates
+new runs; `headway sweep` trains only runs that the store lacks.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Overrides, and what to do with them."""
+    """Add the overrides and --dry-run."""
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
     add_dry_run_argument(parser)
 
 
 def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
-    """The option of all commands that train what they are told to."""
+    """Add --dry-run, shared by the commands that train."""
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="list the runs, then estimate time and energy by some iterations of each cell; keeps nothing",
+        help="list the runs and estimate time and energy from a few iterations of each cell; stores nothing",
     )
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Train; returns the exit code."""
+    """Train; return the exit code."""
     from headway_launch.console.threads import limit_threads
 
     limit_threads()

@@ -1,4 +1,4 @@
-"""`headway runs`: the runs in the store, at a glance."""
+"""`headway runs`: list the runs in the store."""
 
 import argparse
 import sys
@@ -25,13 +25,13 @@ examples:
   headway runs --seed 0..4 --format csv > runs.csv
   headway runs --format json | jq '.[].final_reward'
   headway runs --where 'final_reward>300 and algo.lr<1e-3' --sort 'final_reward desc'
-  headway diff RUN RUN                             two runs: what was set otherwise, what came of it
+  headway diff RUN RUN                             settings and results of two runs side by side
 
-Fields are those of --format csv; parameters have dots, as algo.lr. On a narrow terminal columns are left
-out, and a line says which; for the name of a run any part will do that only one has. The table is for
-reading, and numbers in it are rounded; csv and json have the fields' names and all digits.
-AUC is normalised by the range of each run's own curve: it says how early a run learns, not how well. A run
-that was evaluated fewer than three times has none, and 0.5 is that of a curve without a slope.
+Conditions and --sort use the field names of --format csv and dotted parameters such as algo.lr. A narrow
+terminal omits columns and names them below the table. A run can be named by any unique part of its name.
+The table rounds numbers; csv and json have field names and all digits.
+AUC is normalised by the range of each run's own curve: it shows how early a run learns, not how well. A run
+evaluated fewer than three times has none; a flat curve has 0.5.
 """
 
 _FIELDS = (
@@ -53,7 +53,7 @@ _FIELDS = (
     "run_id",
 )
 _ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
-# The identity names environment and seed already, and the algorithm too, which is looked for most.
+# The run's name already has environment, algorithm and seed; the algorithm is dropped last.
 _SPARE_ON_TERMINAL = (
     "duration_s",
     "iterations",
@@ -79,11 +79,11 @@ _HEADINGS = {
     "duration_s": "seconds",
     "run_id": "run",
 }
-"""What columns are called for a reader, where that is not the field's name; as at the end of a run."""
+"""Table heads that differ from the field's name, the same as in the closing table of a run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Filters and the format."""
+    """Add the filters and the format."""
     parser.add_argument("--study", help="only runs of this study")
     parser.add_argument("--env", help="only runs on this environment")
     parser.add_argument("--algo", help="only runs of this algorithm")
@@ -94,10 +94,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="CONDITION",
-        help="such as 'final_reward>300'; repeatable",
+        help="only runs for which this holds, such as 'final_reward>300'; repeatable",
     )
-    parser.add_argument("--sort", default="", metavar="FIELDS", help="such as 'final_reward desc, seed'")
-    parser.add_argument("--format", choices=("table", "json", "csv"), default="table")
+    parser.add_argument(
+        "--sort", default="", metavar="FIELDS", help="fields to sort by, such as 'final_reward desc, seed'"
+    )
+    parser.add_argument(
+        "--format", choices=("table", "json", "csv"), default="table", help="output format (default: table)"
+    )
     add_store_argument(parser)
 
 
@@ -116,7 +120,7 @@ def execute(arguments: argparse.Namespace) -> int:
     _require_known("status", status, set(STATUSES))
     seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
     if seeds is not None and everything and not {row.seed for row in everything} & set(seeds):
-        raise HeadwayError(f"--seed {arguments.seed}: no run has that")
+        raise HeadwayError(f"--seed {arguments.seed}: no run has such a seed")
     conditions = parse_conditions(arguments.where)
     require_known(everything, conditions, arguments.sort)
     rows = [
@@ -134,21 +138,23 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def add_store_argument(parser: argparse.ArgumentParser) -> None:
-    """`--store`, of every command that reads the store."""
+    """Add --store, shared by the commands that read the store."""
     root = StoreConfig.root
     parser.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
 
 
 def existing_store(folder: str) -> Path:
-    """The folder of a store. Raises HeadwayError if there is none."""
+    """Return the folder of a store. Raises HeadwayError if it does not exist."""
     if not Path(folder).is_dir():
-        raise HeadwayError(f"there is no store in {folder!r}; `headway run` makes one, --store names another")
+        raise HeadwayError(
+            f"there is no store in {folder!r}; `headway run` creates one, --store selects another"
+        )
     return Path(folder)
 
 
 def _require_known(option: str, value: str | None, known: set[str]) -> None:
     if value is not None and value not in known:
-        raise HeadwayError(f"--{option} {value}: no run has that; {suggestion(value, known)}")
+        raise HeadwayError(f"--{option} {value}: no run has this value; {suggestion(value, known)}")
 
 
 def _print(rows: Sequence["RunRow"], style: str) -> None:

@@ -1,4 +1,4 @@
-"""`headway search`: a small search for hyper-parameters, itself a committed configuration."""
+"""`headway search`: search hyper-parameters as a file of configs/search defines."""
 
 import argparse
 import sys
@@ -17,30 +17,30 @@ examples:
   headway search bus_line env_steps=100_000 study=bus_line_quick
   headway search bus_line --dry-run
 
-A search is a file of configs/search: an experiment, cells (what each gets its own winner for) and
-candidates (overrides tried in every cell). Every cell has the same candidates, seeds and budget; the
-winner has the highest mean final reward. All train side by side; the same search given again goes on
-where it stopped. Give it seeds that no study reports: on the seeds it was chosen by, a winner looks better
-than it is. `headway list searches` names them.
+A search is a file of configs/search: an experiment, cells (each gets its own winner) and candidates
+(overrides tried in every cell). All cells have the same candidates, seeds and budget; the winner has the
+highest mean final reward. All runs train in parallel; repeating the command continues an interrupted search.
+Use seeds that no study reports: on the seeds that selected it, a winner looks better than it is.
+`headway list searches` lists the searches.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The search and overrides of its base."""
+    """Add the search and overrides of its base configuration."""
     parser.add_argument("search", metavar="SEARCH", help="a file of configs/search, without .yaml")
     parser.add_argument(
         "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="overrides of every run"
     )
     add_dry_run_argument(parser)
-    parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
+    parser.add_argument("--fresh", action="store_true", help="train all runs, including those in the store")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run every candidate in every cell and print which won; returns the exit code."""
+    """Train every candidate in every cell and print the winners; return the exit code."""
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
-    from headway_launch.console.output import to_a_reader
+    from headway_launch.console.output import ignore_closed_pipe
     from headway_launch.console.tables import print_table
     from headway_launch.experiments.search import read_search
     from headway_launch.runner.runner import EXIT_DONE
@@ -63,8 +63,8 @@ def execute(arguments: argparse.Namespace) -> int:
     for (point, experiment), rewards in zip(points.items(), runner.final_rewards(), strict=True):
         if len(rewards) < len(experiment.config.seed):
             raise HeadwayError(
-                f"{': '.join(point)} has {len(rewards)} of {len(experiment.config.seed)} seeds, as another "
-                "session trains the others; give the search again when that has ended"
+                f"{': '.join(point)} has {len(rewards)} of {len(experiment.config.seed)} seeds, because "
+                "another session trains the others; repeat the search when that session has ended"
             )
         results[point] = mean(rewards)
     best = {cell: max(results[cell, candidate] for candidate in search.candidates) for cell in search.cells}
@@ -74,7 +74,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for (cell, candidate), found in results.items()
     ]
     config = next(iter(points.values())).config
-    with to_a_reader(sys.stdout):
+    with ignore_closed_pipe(sys.stdout):
         print_table(("cell", "candidate", "mean final reward", ""), rows, title=_title(config))
     return EXIT_DONE
 

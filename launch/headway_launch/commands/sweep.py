@@ -1,4 +1,4 @@
-"""`headway sweep`: train every combination of values and seeds, as far as the store does not have them."""
+"""`headway sweep`: train every combination of values and seeds that the store lacks."""
 
 import argparse
 import shlex
@@ -6,7 +6,7 @@ import shlex
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.run import add_dry_run_argument
 
-_OF_ALLOCATION = ("nodes", "cpus", "time", "partition")
+_ALLOCATION = ("nodes", "cpus", "time", "partition")
 
 EXAMPLES = """\
 examples:
@@ -17,49 +17,49 @@ examples:
   headway sweep experiment=bus_mappo seed=0..49 --slurm --nodes 4 --cpus 32 --time 12:00:00
   headway sweep experiment=bus_mappo seed=0..49 --slurm --array --cpus 8 --time 12:00:00
 
-KEY=VALUE as for `headway run`; several values, in Hydra's grammar, make a cell each: a,b, choice(a,b),
-range(0,5), for an option of a group glob(*). All cells and seeds train side by side, as many at once as
-there are cores. The same sweep given again goes on where it stopped: runs that have finished are left
-alone, those that stopped go on from their checkpoints. A changed configuration is a new cell of the study.
-With --slurm it trains nothing, but writes a script for sbatch and says where.
-Exit code: 0 all have finished, 2 some failed (the others have gone on) or are left to another session that
-holds them, 130 stopped.
+KEY=VALUE as for `headway run`; several values in Hydra's grammar make one cell each: a,b, choice(a,b),
+range(0,5), or glob(*) for options of a group. All cells and seeds train in parallel, as many at a time as
+there are cores. Repeating a sweep continues it: finished runs are kept, stopped runs continue from their
+checkpoints. A changed configuration is a new cell of the study.
+With --slurm, nothing is trained; a script for sbatch is written and its path printed.
+Exit code: 0 all runs have finished; 2 some failed (the others were completed) or belong to another session;
+130 interrupted.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Overrides, and what to do with them."""
+    """Add the overrides and the options of Slurm."""
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
     add_dry_run_argument(parser)
-    parser.add_argument("--fresh", action="store_true", help="train anew what the store has, too")
+    parser.add_argument("--fresh", action="store_true", help="train all runs, including those in the store")
     slurm = parser.add_argument_group("for Slurm")
     slurm.add_argument(
         "--slurm",
         action="store_true",
-        help="write the script of a job that starts a Ray cluster in its allocation and sweeps on it",
+        help="write the script of a job that starts a Ray cluster in its allocation and runs the sweep on it",
     )
     slurm.add_argument(
-        "--array", action="store_true", help="of an array of jobs instead, a seed each, without Ray"
+        "--array", action="store_true", help="write a job array instead: one job per seed, without Ray"
     )
-    slurm.add_argument("--nodes", type=int, help="nodes of the allocation (1)")
-    slurm.add_argument("--cpus", type=int, help="CPUs of each node (1)")
-    slurm.add_argument("--time", help="such as 12:00:00; as the partition has it, if left out")
-    slurm.add_argument("--partition", help="where jobs go by themselves, if left out")
+    slurm.add_argument("--nodes", type=int, help="nodes of the allocation (default: 1)")
+    slurm.add_argument("--cpus", type=int, help="CPUs per node (default: 1)")
+    slurm.add_argument("--time", help="time limit, such as 12:00:00 (default: the partition's)")
+    slurm.add_argument("--partition", help="partition (default: Slurm's default)")
     slurm.add_argument(
         "--sbatch",
         metavar="OPTION",
         action="append",
-        help="a further option, such as --sbatch=--mem=8G; may be repeated",
+        help="further option of sbatch, such as --sbatch=--mem=8G; repeatable",
     )
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Train, or write a script for Slurm; returns the exit code."""
+    """Train, or write a script for Slurm; return the exit code."""
     if arguments.slurm:
         return _write_script(arguments)
-    for name in ("array", *_OF_ALLOCATION, "sbatch"):
+    for name in ("array", *_ALLOCATION, "sbatch"):
         if getattr(arguments, name) not in (None, False):
-            raise HeadwayError(f"--{name} is for Slurm: give --slurm with it")
+            raise HeadwayError(f"--{name} needs --slurm")
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
@@ -84,11 +84,11 @@ def _write_script(arguments: argparse.Namespace) -> int:
     from headway_launch.runner.cluster.slurm import Allocation, write_array_script, write_cluster_script
 
     if arguments.dry_run or arguments.fresh:
-        raise HeadwayError("--slurm goes on where the store stops: leave --dry-run and --fresh out")
-    asked = {name: getattr(arguments, name) for name in _OF_ALLOCATION}
+        raise HeadwayError("--slurm cannot be combined with --dry-run or --fresh")
+    asked = {name: getattr(arguments, name) for name in _ALLOCATION}
     given = {name: value for name, value in asked.items() if value is not None}
     write = write_array_script if arguments.array else write_cluster_script
     path = write(arguments.overrides, Allocation(**given, further=tuple(arguments.sbatch or ())))
     print(path)
-    print_line(f"submit it, and again to go on where it stopped, with: sbatch {shlex.quote(str(path))}")
+    print_line(f"submit it, and resubmit it to continue, with: sbatch {shlex.quote(str(path))}")
     return 0

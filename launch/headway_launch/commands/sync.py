@@ -1,4 +1,4 @@
-"""`headway sync`: bring MLflow up to date with the run folders."""
+"""`headway sync`: send run data that MLflow lacks."""
 
 import argparse
 
@@ -6,22 +6,22 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
 examples:
-  headway sync                                     each run to where its store.tracking_uri was
+  headway sync                                     each run to its own store.tracking_uri
   headway sync --to http://127.0.0.1:5000          all runs to this MLflow server
 
-The run folders are the truth, and nothing is sent twice: after a server was away, or a session was killed,
-this sends what MLflow does not have. Runs that a living session trains are left to it.
+The run folders hold the complete data, and nothing is sent twice: after a server was unreachable or a session
+was killed, this sends the data that MLflow lacks. Runs of live sessions are skipped.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where to, and the store."""
-    parser.add_argument("--to", metavar="URI", help="a tracking URI for all runs (default: each run's own)")
+    """Add the tracking URI and the store."""
+    parser.add_argument("--to", metavar="URI", help="tracking URI for all runs (default: each run's own)")
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Send what is missing."""
+    """Send the missing data."""
     from headway.store.tracking.client import require_answer
     from headway.store.tracking.sync import sync, sync_each
 
@@ -29,6 +29,6 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.to:
         require_answer(arguments.to)
     lines = sync(root, arguments.to) if arguments.to else sync_each(root)
-    for line in lines or ("MLflow is up to date with every run that has ended",):
+    for line in lines or ("MLflow has the data of all ended runs",):
         print(line)
     return 0

@@ -1,1 +1,1 @@
-"""What the terminal shows: tables, progress, errors, videos."""
+"""Terminal output: tables, progress and errors; rendered videos."""

@@ -1,4 +1,4 @@
-"""Words for a reader who may have gone: `headway run 2>&1 | head`."""
+"""Terminal output that survives a closed pipe, as in `headway run 2>&1 | head`."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from typing import TextIO
 
 
 def print_line(line: str) -> None:
-    """Print a line on stderr; nothing happens, now or later, if it cannot be written."""
+    """Print a line on stderr; write errors are ignored, now and later."""
     try:
         print(line, file=sys.stderr, flush=True)
     except OSError:
@@ -18,7 +18,7 @@ def print_line(line: str) -> None:
 
 
 def own_name() -> str:
-    """What to type for this command here: `headway` where the shell finds it, else its path."""
+    """Return the command to type: `headway` if it is on the PATH, else its path."""
     if shutil.which("headway"):
         return "headway"
     script = Path(sys.executable).with_name("headway")
@@ -26,8 +26,8 @@ def own_name() -> str:
 
 
 @contextmanager
-def to_a_reader(stream: TextIO) -> Iterator[None]:
-    """Print to a stream of which the reader may go: then the rest is left out."""
+def ignore_closed_pipe(stream: TextIO) -> Iterator[None]:
+    """Discard the rest of the output if the stream's pipe is closed."""
     try:
         yield
         stream.flush()
@@ -36,7 +36,7 @@ def to_a_reader(stream: TextIO) -> Iterator[None]:
 
 
 def silence(stream: TextIO) -> None:
-    """Let whatever is, or waits to be, written to a stream vanish."""
+    """Redirect a stream to the null device, including buffered output."""
     # Python's manual advises this; a stream left broken fails again when the interpreter flushes it.
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,4 +1,4 @@
-"""Files that a command was asked to write."""
+"""Output files of commands."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,25 +10,27 @@ if TYPE_CHECKING:
 
 
 def write_figure(figure: "Figure", output: Path) -> None:
-    """Write the file that `--output` names. Raises HeadwayError where its name does not end in a kind of
-    picture, or it cannot be written."""
+    """Write a figure to the file of `--output`.
+
+    Raises HeadwayError if its suffix is no picture format or it cannot be written.
+    """
     if not output.suffix:
         raise HeadwayError(
-            f"--output: {output} does not say which kind of picture; give a name that ends so, as "
+            f"--output: {output} has no suffix for the picture's format; give a name such as "
             f"{output.name or 'picture'}.png or .svg"
         )
     try:
         figure.savefig(output)
     except (OSError, ValueError) as error:
-        raise unwritten("--output", output, error) from error
+        raise write_error("--output", output, error) from error
 
 
-def unwritten(option: str, path: Path, error: Exception) -> HeadwayError:
+def write_error(option: str, path: Path, error: Exception) -> HeadwayError:
     """Return the error line for a file or folder, given by `option`, that cannot be written.
 
     `error` is what writing it raised.
     """
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
     if isinstance(error, FileNotFoundError) and not path.parent.exists():
-        reason = f"there is no folder {path.parent}; make it first"
+        reason = f"there is no folder {path.parent}; create it first"
     return HeadwayError(f"{option}: {path} cannot be written ({reason})")

@@ -1,4 +1,4 @@
-"""How far the jobs of a session are, each alone and all together."""
+"""Progress of a session's jobs, individually and in total."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -10,38 +10,38 @@ from headway.events import EvaluationFinished, Event, Failed, IterationFinished,
 Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed"]
 ACTIVE: tuple[Status, ...] = ("starting", "training")
 ENDED: tuple[Status, ...] = ("finished", "failed")
-"""What was stopped has not: `headway resume` goes on with it."""
+"""Statuses of ended jobs; a stopped job has not ended, since `headway resume` continues it."""
 OVER: tuple[Status, ...] = (*ENDED, "stopped")
-"""For this session."""
+"""Statuses of jobs that are over for this session."""
 
 
 @dataclass
 class JobProgress:
-    """How far one job is; `take` brings it up to date with what its process reports."""
+    """Progress of one job, updated by `take` with the events of its process."""
 
     seeds: tuple[int, ...]
     iterations: int
     mode: str
-    """The evaluation mode whose return is shown."""
+    """Evaluation mode of the return shown."""
     iteration_steps: int
-    """Environment steps of each seed in an iteration."""
+    """Environment steps per seed and iteration."""
     status: Status = "waiting"
     iteration: int = 0
     evaluation_return: float | None = None
     label: str = ""
-    """Its cell, where a session has several."""
+    """Name of its cell if the session has several."""
     failure: str = ""
-    """Why it failed, in one line."""
+    """Reason of the failure, in one line."""
     _marks: deque[tuple[float, int, int]] = field(default_factory=lambda: deque(maxlen=20))
-    """(training process's clock in s, iteration, environment steps) of the last iterations."""
+    """(clock of the training process in s, iteration, environment steps) of recent iterations."""
 
     def take(self, event: Event) -> None:
-        """Bring up to date with an event."""
+        """Update with an event."""
         match event:
             case Started(iteration=iteration):
                 self.status, self.iteration = "training", iteration
             case IterationFinished(iteration=iteration, env_steps=env_steps, curve=curve):
-                # Speed counts from the end of the first iteration, which holds the start and compilation.
+                # Measured from the end of the first iteration, which includes start-up and compilation.
                 self.iteration = iteration
                 self._marks.append((float(curve[0]["wall_s"]), iteration, env_steps))
             case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
@@ -52,19 +52,19 @@ class JobProgress:
 
     @property
     def name(self) -> str:
-        """`seed 3`, `ippo, seeds 0..4`."""
+        """Name of the job, such as `seed 3` or `ippo, seeds 0..4`."""
         last = f"..{self.seeds[-1]}" if len(self.seeds) > 1 else ""
         seeds = f"seed{'s' if last else ''} {self.seeds[0]}{last}"
         return f"{self.label}, {seeds}" if self.label else seeds
 
     @property
     def env_steps(self) -> int:
-        """Environment steps of each seed so far, those before a resume included."""
+        """Environment steps per seed so far, including those before a resume."""
         return self.iteration * self.iteration_steps
 
     @property
     def steps_per_second(self) -> float | None:
-        """Environment steps a second over the last iterations, all seeds of the job together."""
+        """Environment steps per second over recent iterations, all seeds of the job together."""
         if len(self._marks) < 2:
             return None
         (begin, _, first), (end, _, last) = self._marks[0], self._marks[-1]
@@ -72,23 +72,22 @@ class JobProgress:
 
     @property
     def seconds_per_step(self) -> float | None:
-        """Seconds an environment step of any of its seeds takes, over the last iterations: their evaluations
-        count as well."""
+        """Seconds per environment step over recent iterations, evaluations included."""
         return None if (speed := self.steps_per_second) is None else 1 / max(speed, 1e-9)
 
     @property
     def steps_left(self) -> int:
-        """Environment steps, all seeds of the job together."""
+        """Environment steps left, all seeds of the job together."""
         return (self.iterations - self.iteration) * self.iteration_steps * len(self.seeds)
 
     @property
     def seconds_left(self) -> float | None:
-        """Expected time to the last iteration."""
+        """Expected time to the last iteration, s; None before the speed is known."""
         each = self.seconds_per_step
         return None if each is None else each * self.steps_left
 
     def cells(self) -> tuple[str, ...]:
-        """Name, iteration, steps, speed, last evaluation, time left."""
+        """Return name, iteration, steps, speed, last evaluation, and time left or status."""
         speed, left = self.steps_per_second, self.seconds_left
         training = self.status == "training"
         return (
@@ -102,19 +101,19 @@ class JobProgress:
 
 
 def duration(seconds: float) -> str:
-    """`0:04:09`."""
+    """Format a duration as `0:04:09`."""
     minutes, whole = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{whole:02d}"
 
 
 def seeds_with(jobs: Sequence[JobProgress], *statuses: Status) -> int:
-    """How many seeds have one of these statuses."""
+    """Return the number of seeds with one of these statuses."""
     return sum(len(job.seeds) for job in jobs if job.status in statuses)
 
 
 def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
-    """`12 of 30 runs ended (1 failed), 2 training, 3,210 steps/s, about 0:04:09 left`."""
+    """Format the total: `12 of 30 runs ended (1 failed), 2 training, 3,210 steps/s, about 0:04:09 left`."""
     failed, stopped = seeds_with(jobs, "failed"), seeds_with(jobs, "stopped")
     active = [job for job in jobs if job.status in ACTIVE]
     parts = [f"{seeds_with(jobs, *ENDED)} of {sum(len(job.seeds) for job in jobs)} runs ended"]
@@ -131,8 +130,10 @@ def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
 
 
 def seconds_left(jobs: Sequence[JobProgress], parallel: int) -> float | None:
-    """Expected time to the end of all jobs, `parallel` at a time: those that have not begun take as long an
-    environment step as others of their cell, or as all. None before any speed is known."""
+    """Return the expected time to the end of all jobs, `parallel` at a time, s; None without any speed.
+
+    Jobs without a speed are assumed to be as fast as the others of their cell, or as all jobs.
+    """
     paces: dict[str, list[float]] = {}
     for job in jobs:
         if (pace := job.seconds_per_step) is not None:

@@ -1,4 +1,4 @@
-"""What long work shows on stderr: a screen that stays in place, or a line now and then."""
+"""Progress on stderr: a display updated in place on a terminal, occasional lines elsewhere."""
 
 import os
 import shutil
@@ -16,19 +16,21 @@ if TYPE_CHECKING:
     from rich.live import Live
     from rich.table import Table
 
-_FEW = 4
-"""So many jobs have a plain line each now and then; more have one together."""
+_MOST_JOB_LINES = 4
+"""Most jobs that get a plain line each; more jobs get one line in total."""
 _PLAIN_EVERY_S, _PLAIN_AT_MOST_EVERY_S = 30.0, 600.0
 _PLAIN_SHARE = 0.1
-"""Of the time passed: plain lines come more and more rarely."""
+"""Pause between plain lines as a share of the elapsed time, so that they become rarer."""
 _DRAWN_EVERY_S = 0.25
-_TO_THE_END = "\x1b[K"
-"""Clears what an earlier, longer line left (ECMA-48)."""
+_CLEAR_TO_END = "\x1b[K"
+"""Clears the rest of an earlier, longer line (ECMA-48)."""
 
 
 class Progress:
-    """Lines that stay in place on a terminal, never more than it has rows; elsewhere a plain line for each
-    job that begins or ends, and now and then one on how far things are."""
+    """Progress of a session's jobs: lines updated in place on a terminal, at most as many as it has rows.
+
+    Elsewhere a plain line for each job that starts or ends, and occasional lines on the overall progress.
+    """
 
     def __init__(self, jobs: Sequence[JobProgress], parallel: int = 1) -> None:
         self._jobs, self._parallel = jobs, parallel
@@ -44,10 +46,12 @@ class Progress:
 
             console = Console(stderr=True)
 
-            def drawn() -> "Table":
+            def renderable() -> "Table":
                 return self.screen(console.width, console.height)
 
-            self._live = Live(console=console, get_renderable=drawn, refresh_per_second=4, transient=True)
+            self._live = Live(
+                console=console, get_renderable=renderable, refresh_per_second=4, transient=True
+            )
             self._live.__enter__()
         return self
 
@@ -58,11 +62,11 @@ class Progress:
         trace: TracebackType | None,
     ) -> None:
         if self._live:
-            with suppress(OSError):  # a terminal that is gone
+            with suppress(OSError):  # closed terminal
                 self._live.__exit__(kind, error, trace)
 
     def note(self, line: str) -> None:
-        """A line for the user that stays."""
+        """Print a line that stays above the display."""
         if self._live is None:
             print_line(line)
             return
@@ -72,7 +76,7 @@ class Progress:
             silence(sys.stderr)
 
     def show(self) -> None:
-        """Print what is new where lines cannot stay in place."""
+        """Print new statuses, and progress from time to time; does nothing on a terminal."""
         if self._live:
             return
         for index, job in enumerate(self._jobs):
@@ -84,14 +88,16 @@ class Progress:
             return
         self._printed = now
         training = [job for job in self._jobs if job.status == "training"]
-        for job in training if len(training) <= _FEW else ():
+        for job in training if len(training) <= _MOST_JOB_LINES else ():
             self._print(job)
         if len(self._jobs) > 1:
             self.note(overall(self._jobs, self._parallel))
 
     def screen(self, width: int, height: int) -> "Table":
-        """All there is to see, for a terminal of so many columns and rows: everything together, each cell,
-        each job that runs; what has no room is counted."""
+        """Return the display for a terminal of `width` columns and `height` rows: total, cells, running jobs.
+
+        Lines that do not fit are replaced by their number.
+        """
         from rich.table import Table
 
         rows = max(height - 1, 3)
@@ -122,11 +128,14 @@ class Progress:
 
 
 class CountedProgress:
-    """How far work of known or unknown length is: on a terminal one line on stderr, cut to its width, that
-    stays in place and goes at the end; elsewhere a line now and then. To be entered."""
+    """Progress of counted work of known or unknown length, as a context manager.
+
+    On a terminal, one line on stderr that is updated in place and cleared at the end; elsewhere occasional
+    lines.
+    """
 
     def __init__(self, what: str, total: int | None = None) -> None:
-        """`what` is counted: `days simulated`."""
+        """`what`: the counted work, such as `days simulated`."""
         self._what, self._total, self._done, self._remark = what, total, 0, ""
         self._began = self._printed = time.monotonic()
         self._on_terminal = sys.stderr.isatty()
@@ -147,7 +156,7 @@ class CountedProgress:
             self._draw("")
 
     def add(self, count: int = 1, remark: str = "") -> None:
-        """So many more are done; `remark`: what is at work, where a single one takes long."""
+        """Count `count` more; `remark` names the current work if a single unit takes long."""
         self._done, self._remark = self._done + count, f" ({remark})" if remark else ""
         now = time.monotonic()
         if self._on_terminal:
@@ -159,7 +168,7 @@ class CountedProgress:
             print_line(self.line)
 
     def note(self, line: str) -> None:
-        """A line for the user that stays."""
+        """Print a line that stays above the progress line."""
         if self._on_terminal:
             self._draw("")
         print_line(line)
@@ -168,7 +177,7 @@ class CountedProgress:
 
     @property
     def line(self) -> str:
-        """`days simulated: 3 of 20, about 0:01:20 left (remark)`; of unknown length, `steps played: 412`."""
+        """`days simulated: 3 of 20, about 0:01:20 left (remark)`, or `steps played: 412` without a total."""
         if self._total is None:
             return f"{self._what}: {self._done:,}{self._remark}"
         counted = f"{self._what}: {self._done:,} of {self._total:,}"
@@ -179,14 +188,14 @@ class CountedProgress:
 
     def _draw(self, line: str) -> None:
         try:
-            # A line that wraps could not be gone back to; one that fills the row has its last letter cleared.
-            print(f"\r{line[: _width() - 1]}{_TO_THE_END}", end="", file=sys.stderr, flush=True)
+            # A wrapped line cannot be overwritten, and clearing after a full row deletes its last letter.
+            print(f"\r{line[: _width() - 1]}{_CLEAR_TO_END}", end="", file=sys.stderr, flush=True)
         except OSError:
             silence(sys.stderr)
 
 
 def _width() -> int:
-    """Columns of the terminal that stderr is now; where that does not say, of the one there is, or 80."""
+    """Return the columns of stderr's terminal or, if unknown, of the default terminal, or 80."""
     columns = 0
     with suppress(OSError, ValueError):
         columns = os.get_terminal_size(sys.stderr.fileno()).columns
@@ -194,18 +203,18 @@ def _width() -> int:
 
 
 def _pause(passed: float) -> float:
-    """Between plain lines, s, so many seconds after the beginning."""
+    """Return the pause between plain lines, s, `passed` seconds after the start."""
     return min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * passed), _PLAIN_AT_MOST_EVERY_S)
 
 
 def _cells(job: JobProgress, width: int) -> tuple[str, ...]:
-    """Of a narrow line the total of steps goes, which the iterations tell already."""
+    """Return the cells of a job; narrow lines omit the steps, which follow from the iterations."""
     name, iteration, steps, *others = job.cells()
     return (name, iteration, *((steps,) if width >= 100 else ()), *others)
 
 
 def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Names to the left, figures to the right, one column below the other."""
+    """Align columns: names to the left, numbers to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(

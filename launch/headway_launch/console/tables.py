@@ -1,4 +1,4 @@
-"""Tables on stdout: drawn on a terminal, as wide as it is; tab-separated when piped."""
+"""Tables on stdout: fitted to the width of a terminal, tab-separated when piped."""
 
 import sys
 from collections.abc import Collection, Sequence
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 Cell = str | int | float | None
 
 _PADDING = 3
-"""Characters that a column takes beside its contents: two spaces and a line."""
+"""Characters per column in addition to its contents: two spaces and a line."""
 _UNBROKEN_TEXT, _UNBROKEN_HEADING = 12, 8
-"""Longer words of text, and of the headings of numbers, may be broken where the terminal is narrow."""
+"""Longest words of text, and of headings of numbers, that are never broken on a narrow terminal."""
 
 
 def print_table(
@@ -23,13 +23,12 @@ def print_table(
     whole: Collection[str] = (),
     spare: Sequence[str] = (),
 ) -> None:
-    """Print rows under a line of column names; a None is an empty cell.
+    """Print rows under a line of column names; None is an empty cell.
 
-    Numbers never break, nor do the columns in `whole` where that can be helped. Where they do not fit on the
-    terminal, the columns in `spare` are left out, the first one first, and a line says so; where that is not
-    enough, those in `whole` break, too, or else each row is printed as a list of all its cells. When stdout
-    is no terminal: no title, one row a line, all columns, cells separated by tabs, numbers of six significant
-    digits.
+    On a terminal too narrow for the table, columns in `spare` are omitted in that order, with a note below;
+    if that is not enough, columns in `whole` are wrapped too; if that is not enough either, each row is
+    printed as a list of its cells. Numbers are never wrapped. If stdout is not a terminal: no title, one row
+    per line, all columns, cells separated by tabs, numbers with six significant digits.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
@@ -46,10 +45,10 @@ def print_table(
     if layout.least_width > console.width:
         _print_as_lists(console, _Layout(columns, rows, whole), title)
         return
-    console.print(layout.drawn(console.width, title))
+    console.print(layout.fitted(console.width, title))
     if left_out:
         console.print(
-            f"left out, the terminal is narrow: {', '.join(left_out)}", highlight=False, soft_wrap=True
+            f"columns omitted on this narrow terminal: {', '.join(left_out)}", highlight=False, soft_wrap=True
         )
 
 
@@ -66,7 +65,7 @@ def without_empty(
 
 
 def shown(cell: Cell) -> str:
-    """A cell for reading: four significant digits, thousands separated, `-` for nothing."""
+    """Format a cell for display: four significant digits, thousands separated, `-` if empty."""
     if cell is None:
         return "-"
     if isinstance(cell, int):
@@ -77,7 +76,7 @@ def shown(cell: Cell) -> str:
 
 
 class _Layout:
-    """Columns of a table as they are read, and the room that they need."""
+    """Formatted columns of a table, and the width they need."""
 
     def __init__(
         self, columns: Sequence[str], rows: Sequence[Sequence[Cell]], whole: Collection[str]
@@ -87,7 +86,7 @@ class _Layout:
         ]
 
     def leave_out(self, spare: Sequence[str], width: int) -> list[str]:
-        """Leave out spare columns until the others fit; returns those left out."""
+        """Omit spare columns until the others fit; return the omitted ones."""
         left_out: list[str] = []
         for name in spare:
             if self.least_width <= width:
@@ -97,17 +96,17 @@ class _Layout:
         return left_out
 
     def break_whole(self) -> None:
-        """Let text break in all columns."""
+        """Let text wrap in all columns."""
         for column in self.columns:
             column.may_break()
 
     @property
     def least_width(self) -> int:
-        """Of the drawn table, with headings and text broken as far as they may be."""
+        """Width of the table with headings and text wrapped as far as allowed."""
         return 1 + sum(_PADDING + column.least for column in self.columns)
 
-    def drawn(self, width: int, title: str) -> "Table":
-        """The table, at most `width` wide: the widest columns give first."""
+    def fitted(self, width: int, title: str) -> "Table":
+        """Return the table, at most `width` wide; the widest columns are narrowed first."""
         from rich.table import Table
         from rich.text import Text
 
@@ -132,17 +131,17 @@ class _Column:
         self._firm = self.numeric or whole
 
     def may_break(self) -> None:
-        """Let its text break."""
+        """Let its text wrap."""
         self._firm = self.numeric
 
     @property
     def longest(self) -> int:
-        """Room without a break."""
+        """Width without wrapping."""
         return max([1, len(self.name), *map(len, self.texts)])
 
     @property
     def least(self) -> int:
-        """Room with all breaks that are allowed."""
+        """Width with all allowed wrapping."""
         heading = max([1, *map(len, self.name.split())])
         if self._firm:
             return max([min(heading, _UNBROKEN_HEADING), *map(len, self.texts)])

@@ -1,13 +1,13 @@
-"""Processes fill the machine, so each keeps to one thread."""
+"""Thread limits: parallel processes fill the machine, so each uses one thread."""
 
 import os
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-"""Environment variables of a process whose numerical libraries keep to one thread."""
+"""Environment variables that limit numerical libraries to one thread."""
 
 
 def limit_threads() -> None:
-    """One thread a process for numerical libraries, before any of them is imported."""
+    """Limit this process's numerical libraries to one thread. Must run before any of them is imported."""
     os.environ.update(ONE_THREAD)

@@ -1,4 +1,4 @@
-"""Frames of an episode, the line beneath that says whose they are, and the files that they are put into."""
+"""Frames of an episode with a caption, and the files they are written to."""
 
 import zlib
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_launch.console.output_files import unwritten
+from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ Frame = NDArray[np.uint8]
 """(height, width, 3), RGB."""
 
 _SIZE, _LINE, _EDGE = 13, 18, 5
-"""Of letters, lines and the room around them, pixels."""
+"""Font size, line height and margin, pixels."""
 
 
 def caption_strip(caption: str, width: int) -> Frame:
-    """The caption as a picture of that width, in as many lines as it needs."""
+    """Return the caption as a picture `width` pixels wide, in as many lines as it needs."""
     from PIL import Image, ImageDraw, ImageFont
 
     font, letters = ImageFont.load_default(_SIZE), len(caption)
@@ -41,23 +41,23 @@ def caption_strip(caption: str, width: int) -> Frame:
 
 @dataclass(frozen=True)
 class PackedFrame:
-    """A frame in little memory: an episode may have thousands, of a megabyte each."""
+    """A compressed frame, because an episode may have thousands of a megabyte each."""
 
     content: bytes
     shape: tuple[int, ...]
 
     @classmethod
     def of(cls, frame: Frame) -> "PackedFrame":
-        """It, compressed."""
+        """Compress a frame."""
         return cls(zlib.compress(frame.tobytes(), 1), frame.shape)
 
     def unpacked(self) -> Frame:
-        """It, as it was."""
+        """Return the original frame."""
         return np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
 
 
 def write_picture(frame: Frame, output: Path, caption: str) -> None:
-    """One frame as a PNG, with the caption in its text, too. Raises HeadwayError if it cannot be written."""
+    """Write a frame as PNG, with the caption as its title. Raises HeadwayError if it cannot be written."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
@@ -66,12 +66,14 @@ def write_picture(frame: Frame, output: Path, caption: str) -> None:
     try:
         Image.fromarray(frame).save(output, pnginfo=words)
     except OSError as error:
-        raise unwritten("--output", output, error) from error
+        raise write_error("--output", output, error) from error
 
 
 def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption: str) -> None:
-    """Frames as a GIF, `fps` a second, with the caption as its comment, too. Raises HeadwayError if it cannot
-    be written."""
+    """Write frames as a GIF, `fps` per second, with the caption as its comment.
+
+    Raises HeadwayError if it cannot be written.
+    """
     from PIL import Image
 
     palette = _palette(frames)
@@ -94,11 +96,11 @@ def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption:
                 comment=caption.encode(),
             )
     except OSError as error:
-        raise unwritten("--output", output, error) from error
+        raise write_error("--output", output, error) from error
 
 
 def _palette(frames: Sequence[PackedFrame]) -> "Image.Image":
-    """One for all frames, so that what stands still is stored once; with rare colours, as that of a crash."""
+    """Return one palette for all frames, so that unchanged pixels are stored once; it keeps rare colours."""
     from PIL import Image
 
     some = [frame.unpacked() for frame in (*frames[:: max(len(frames) // 8, 1)], frames[-1])]

@@ -1,4 +1,4 @@
-"""Sections on what it cost: energy, CO2, CPU seconds, and what was reached for them."""
+"""Sections on cost: energy, CO2 and CPU seconds, and rewards against them."""
 
 from headway.stats import frames, plots
 from headway.stats.plots import counted
@@ -13,16 +13,16 @@ from headway_launch.report.parts import (
 )
 from headway_launch.report.study_data import StudyData
 
-_MODES = {"energy.cpu": "CPU", "energy.gpu": "GPU", "energy.ram": "RAM"}
+_POWER_MODES = {"energy.cpu": "CPU", "energy.gpu": "GPU", "energy.ram": "RAM"}
 _PARTS = ("cpu_kwh", "gpu_kwh", "ram_kwh")
 NOT_MEASURED = (
-    "Energy was not measured for these runs (`energy=off`, or CodeCarbon gave no reading), so there is none "
-    "to report. CPU seconds, which the system counts, are in the table of runs."
+    "Energy was not measured for these runs (`energy=off`, or CodeCarbon gave no reading). CPU seconds, "
+    "which the operating system counts, are in the table of runs."
 )
 
 
 def energy_section(data: StudyData) -> Section:
-    """kWh, CPU seconds and, where the country is known, CO2 per controller, and the picture of them."""
+    """Return the section with energy, CPU seconds and, if the country is known, CO2 per controller."""
     used = data.summaries
     known = used["kwh"].notna()
     if not known.any():
@@ -36,7 +36,7 @@ def energy_section(data: StudyData) -> Section:
     sums = used[known].groupby(["task", "controller"])[["kwh", "cpu_seconds"]].sum()
     rows, labels = [], []
     for task, controller in costs.index:
-        of_cell, whole = costs.loc[(task, controller)], sums.loc[(task, controller)]
+        of_cell, total = costs.loc[(task, controller)], sums.loc[(task, controller)]
         co2 = with_deviation(of_cell["kg_co2"] * co2_factor, of_cell["kg_co2_std"] * co2_factor)
         labels.append(f"{controller}{data.where(task).replace(' on ', ', ')}")
         rows.append(
@@ -48,36 +48,37 @@ def energy_section(data: StudyData) -> Section:
                 *([co2] if emitted else []),
                 with_deviation(of_cell["cpu_seconds"], of_cell["cpu_seconds_std"]),
                 *(figure(of_cell[part] * kwh_factor) for part in _PARTS),
-                figure(whole["kwh"] * kwh_factor),
-                figure(whole["cpu_seconds"]),
+                figure(total["kwh"] * kwh_factor),
+                figure(total["cpu_seconds"]),
             ]
         )
     body: list[Part] = [
-        _how_known(data),
-        "The session's energy is shared out to runs by what they used; what the machine used idle, and for "
-        "the session itself, is no run's. A seed of a stack has an equal share of it. Only finished runs "
-        "are counted here: tuning and failed runs used energy beside it.",
+        _power_sources(data),
+        "The session's energy is divided among its runs by their use; idle energy and that of the session "
+        "itself are assigned to no run. Seeds trained together in a stack get equal shares. Only finished "
+        "runs are included; tuning and failed runs used additional energy.",
     ]
     without_country = int(used["kg_co2"][known].isna().sum())
     if 0 < without_country < int(known.sum()):
         body.append(
-            f"{counted(without_country, 'run')} had no `energy.country`: CO2 is given where all runs of a "
-            "controller had one."
+            f"{counted(without_country, 'run')} had no `energy.country`: CO2 is given only for controllers "
+            "with a country in all runs."
         )
     if not known.all():
         without = int((~known).sum())
-        body.append(f"{counted(without, 'run')} had no measurement and are left out of the means here.")
+        body.append(f"{counted(without, 'run')} had no measurement and are excluded from these means.")
     body.append(
         Table(
             "energy",
-            f"{title} and CPU seconds of a run, mean ± standard deviation over seeds, and sums over them.",
+            f"{title} and CPU seconds per run, mean ± standard deviation over seeds, and totals over all "
+            "seeds.",
             [
                 *(["environment"] if len(data.tasks) > 1 else []),
                 "controller",
                 "seeds",
-                f"{kwh_unit} a run",
-                *([f"{co2_unit} CO2eq a run"] if emitted else []),
-                "CPU s a run",
+                f"{kwh_unit} per run",
+                *([f"{co2_unit} CO2eq per run"] if emitted else []),
+                "CPU s per run",
                 f"CPU, {kwh_unit}",
                 f"GPU, {kwh_unit}",
                 f"RAM, {kwh_unit}",
@@ -89,12 +90,12 @@ def energy_section(data: StudyData) -> Section:
             words=frozenset(range(2 if len(data.tasks) > 1 else 1)),
         )
     )
-    panels = (["CO2"] if emitted else []) + ["energy by part of the machine", "CPU seconds"]
+    panels = (["CO2"] if emitted else []) + ["energy by component", "CPU seconds"]
     named = ", ".join(f"({letter}) {panel}" for letter, panel in zip("abc", panels, strict=False))
     body.append(
         Picture(
             "footprint",
-            f"What a run cost: {named}; means over seeds, whiskers one standard deviation.",
+            f"Cost per run: {named}; means over seeds, whiskers show one standard deviation.",
             plots.footprint(costs.set_axis(labels, axis="index"), units),
         )
     )
@@ -102,40 +103,42 @@ def energy_section(data: StudyData) -> Section:
 
 
 def tradeoff_section(data: StudyData) -> Section:
-    """Reward against energy, a point a run; against CPU seconds where energy was not measured."""
+    """Return the picture of reward against energy, one point per run; CPU seconds if energy is unknown."""
     runs = data.scores.join(data.summaries[["kwh", "cpu_seconds"]])
     known = runs[runs["kwh"].notna()]
     body: list[Part] = []
     if len(known):
         unit, factor = scale_of(float(known["kwh"].max()), "kWh")
-        drawn, cost, label = known, "kwh", f"{unit} a run"
+        points, cost, label = known, "kwh", f"{unit} per run"
     else:
-        body.append("Energy was not measured: CPU seconds stand in for it here.")
-        drawn, cost, factor, label = runs[runs["cpu_seconds"].notna()], "cpu_seconds", 1.0, "CPU s a run"
-    if not len(drawn):
+        body.append("Energy was not measured, so CPU seconds are shown instead.")
+        points, cost, factor, label = runs[runs["cpu_seconds"].notna()], "cpu_seconds", 1.0, "CPU s per run"
+    if not len(points):
         return Section("tradeoff", "Reward against energy", ["Neither energy nor CPU seconds are known."])
     picture = plots.reward_against_cost(
-        drawn, cost, factor, (label, f"final {data.what}"), data.styles, data.sign
+        points, cost, factor, (label, f"final {data.metric_label}"), data.styles, data.sign
     )
-    caption = f"Final {data.what} over what the run cost: a dot a seed, a ring at each controller's mean."
+    caption = (
+        f"Final {data.metric_label} against cost per run: one dot per seed, a ring at each controller's mean."
+    )
     body.append(Picture("reward_against_energy", caption, picture))
-    return Section("tradeoff", f"{data.what[0].upper()}{data.what[1:]} against energy", body)
+    return Section("tradeoff", f"{data.metric_label[0].upper()}{data.metric_label[1:]} against energy", body)
 
 
-def _how_known(data: StudyData) -> str:
-    """How the power of each part is known, and of which country the mix is."""
+def _power_sources(data: StudyData) -> str:
+    """Describe how the power of each component was obtained, and whose country's energy mix is used."""
     from headway_launch.studies.runs import configuration
 
     used = data.summaries[data.summaries["kwh"].notna()]
-    told = []
-    for column, part in _MODES.items():
+    sources = []
+    for column, part in _POWER_MODES.items():
         modes = [str(mode) for mode in used[column].dropna().unique()] if column in used else []
-        told.append(f"{part} {' or '.join(modes) or 'unknown'}")
+        sources.append(f"{part} {' or '.join(modes) or 'unknown'}")
     countries = {configuration(row.directory)["energy"]["country"] for row in data.runs.rows}
     named = ", ".join(sorted(country for country in countries if country is not None))
     mix = f"CO2 with the energy mix of {named}" if named else "no CO2, as no energy.country is set"
     return (
-        f"By CodeCarbon, offline; {mix}. How the power is known: "
-        f"{'; '.join(told)}. An estimate from the processor's name or load may be far from what a meter "
-        "shows; CPU seconds are counted by the system and stand beside it."
+        f"Measured by CodeCarbon, offline; {mix}. Source of the power values: {'; '.join(sources)}. An "
+        "estimate from the processor's name or load may be far from a metered value; CPU seconds are "
+        "counted by the operating system and shown beside it."
     )

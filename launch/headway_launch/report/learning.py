@@ -1,4 +1,4 @@
-"""Sections on the way there and what came of it: curves, all environments together, figures of the days."""
+"""Sections on learning curves, on all environments together, and on the metrics of the last evaluation."""
 
 import pandas as pd
 
@@ -10,14 +10,14 @@ _COMPONENT = "reward_"
 
 
 def curves_section(data: StudyData) -> Section:
-    """Learning curves, and sample efficiency on the common scale."""
+    """Return the section with learning curves and sample efficiency."""
     means = frames.mean_curves(data.curves)
     label = f"{data.mode}: {data.column.replace('_', ' ')}"
     body: list[Part] = [
         Picture(
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
-            "mean by Student's t; dashed, the rules on the same days.",
+            "mean by Student's t; dashed lines: the rules on the same episodes.",
             plots.learning_curves(
                 means, data.rules_beside_curves, label, data.styles, low=data.low, sign=data.sign
             ),
@@ -27,46 +27,44 @@ def curves_section(data: StudyData) -> Section:
     if set(data.tasks) <= set(data.scale):
         curves = frames.normalised_by_rules(curves, "value", data.scale)
         label = "normalised score"
-        scale = "scores on the scale on which random play is 0 and the best rule 1"
+        scale = "normalised: the random rule scores 0, the best rule 1"
     elif len(data.tasks) == 1:
-        curves, sign, scale = data.curves, data.sign, f"{data.what} as it is"
+        curves, sign, scale = data.curves, data.sign, f"{data.metric_label}, not normalised"
     else:
-        body.append(f"Sample efficiency over all environments is left out: {_why_no_scale(data)}.")
+        body.append(f"Sample efficiency over all environments is omitted: {_missing_scale(data)}.")
         return Section("curves", "Learning curves", body)
-    found = frames.efficiency(curves[curves["controller"].isin(data.everywhere)])
-    left_out = [name for name in data.everywhere if name not in set(found["controller"])]
+    found = frames.efficiency(curves[curves["controller"].isin(data.trained_on_all_tasks)])
+    left_out = [name for name in data.trained_on_all_tasks if name not in set(found["controller"])]
     if len(found):
         body.append(
             Picture(
                 "sample_efficiency",
                 "Sample efficiency: interquartile mean over "
                 f"seeds{' and environments' if len(data.tasks) > 1 else ''} at each number of steps "
-                f"({scale}), with 95% intervals by the stratified bootstrap. {data.narrow}".strip(),
+                f"({scale}), with 95% intervals by the stratified bootstrap. {data.few_seeds_note}".strip(),
                 plots.learning_curves(found, {}, f"IQM of {label}", data.styles, sign=sign),
             )
         )
     if left_out:
-        body.append(
-            f"Without a sample-efficiency curve, as their runs share no steps: {', '.join(left_out)}."
-        )
+        body.append(f"No sample-efficiency curve, because the runs share no steps: {', '.join(left_out)}.")
     return Section("curves", "Learning curves", body)
 
 
 def across_environments(data: StudyData) -> Section | None:
-    """Scores of all environments put together; None where there is only one."""
+    """Return the section that aggregates scores over environments; None if there is only one."""
     if len(data.tasks) == 1:
         return None
-    title = "Across environments"
-    missing = _why_no_scale(data)
+    title = "Aggregate over environments"
+    missing = _missing_scale(data)
     if missing:
-        return Section("across", title, [f"Scores cannot be put together: {missing}."])
-    elsewhere = [name for name in data.controllers if name not in data.everywhere]
+        return Section("across", title, [f"Scores cannot be aggregated: {missing}."])
+    elsewhere = [name for name in data.controllers if name not in data.trained_on_all_tasks]
     body: list[Part] = []
     if elsewhere:
-        body.append(f"Not trained on every environment, and so left out here: {', '.join(elsewhere)}.")
-    if not data.everywhere:
+        body.append(f"Excluded, because they were not trained on every environment: {', '.join(elsewhere)}.")
+    if not data.trained_on_all_tasks:
         return Section("across", title, body)
-    scores = data.scores[data.scores["controller"].isin(data.everywhere)]
+    scores = data.scores[data.scores["controller"].isin(data.trained_on_all_tasks)]
     scaled = frames.normalised_by_rules(scores.assign(score=data.sign * scores["score"]), "score", data.scale)
     found = frames.summary(scaled)
     rows = [
@@ -82,8 +80,8 @@ def across_environments(data: StudyData) -> Section | None:
     body += [
         Table(
             "across_environments",
-            f"Normalised final scores over {len(data.tasks)} environments: 0 is random play, 1 the best "
-            "rule.",
+            f"Normalised final scores over {len(data.tasks)} environments: the random rule scores 0, the "
+            "best rule 1.",
             ["controller", "runs", "mean ± std", "IQM [95%]"],
             rows,
             found.reset_index(),
@@ -93,30 +91,30 @@ def across_environments(data: StudyData) -> Section | None:
     return Section("across", title, body)
 
 
-def figures_section(data: StudyData) -> Section:
-    """All figures of the last evaluation's days, and the parts of the reward."""
+def episode_metrics_section(data: StudyData) -> Section:
+    """Return the section with all metrics of the last evaluation, and the components of the reward."""
     body: list[Part] = [
-        f"Means over the days of the last {data.mode} evaluation, of learners over their seeds too."
+        f"Means over the episodes of the last {data.mode} evaluation; for learners also over seeds."
     ]
-    parted = False
+    has_components = False
     for place, task in enumerate(data.tasks):
         names = list(data.on(task))
         rules = data.ranked_rules(task)
-        columns = {name: data.days[_is(data, task, name)] for name in names}
-        played = data.rules[data.rules["task"] == task]
-        columns |= {f"rule {rule}": played[played["rule"] == rule] for rule in rules}
+        columns = {name: data.episodes[_is(data, task, name)] for name in names}
+        of_rules = data.rules[data.rules["task"] == task]
+        columns |= {f"rule {rule}": of_rules[of_rules["rule"] == rule] for rule in rules}
         means = pd.DataFrame(
             {
-                label: {metric: _mean(days, metric) for metric in data.metrics}
-                for label, days in columns.items()
+                label: {metric: _mean(episodes, metric) for metric in data.metrics}
+                for label, episodes in columns.items()
             }
         ).dropna(how="all")
         where = data.where(task)
         body.append(
             Table(
-                f"figures{data.numbered(place)}",
-                f"Figures of a day{where}.",
-                ["figure of a day", *columns],
+                f"figures{data.file_suffix(place)}",
+                f"Episode metrics{where}.",
+                ["metric", *columns],
                 [
                     [str(metric), *map(figure, row)]
                     for metric, row in zip(means.index, means.to_numpy(), strict=True)
@@ -126,39 +124,39 @@ def figures_section(data: StudyData) -> Section:
         )
         components = means[[str(name).startswith(_COMPONENT) for name in means.index]]
         if len(components):
-            parted = True
+            has_components = True
             picture = plots.reward_components(components.T)
             body.append(
                 Picture(
-                    f"components{data.numbered(place)}",
-                    f"The parts of the reward{where} as the episodes' figures `{_COMPONENT}...` give them, "
-                    "each on its own scale (`headway list metrics` says whether weighted): paid to the right "
-                    "of 0, charged to the left. Parts that are 0 for all are left out.",
+                    f"components{data.file_suffix(place)}",
+                    f"Components of the reward{where}, from the episode metrics `{_COMPONENT}...`, each on "
+                    "its own scale (`headway list metrics` states whether they are weighted): rewards to "
+                    "the right of 0, penalties to the left. Components that are 0 throughout are omitted.",
                     picture,
                 )
             )
-    if not parted:
+    if not has_components:
         body.append(
-            "The reward is not shown by component: the episodes have no figures named `reward_...` that "
-            "would part it."
+            "The reward is not shown by component, because the environment reports no metrics with names "
+            "that begin with `reward_`."
         )
-    return Section("figures", "Figures of the evaluation days", body)
+    return Section("figures", "Episode metrics of the last evaluation", body)
 
 
 def _is(data: StudyData, task: str, controller: str) -> "pd.Series[bool]":
-    return (data.days["task"] == task) & (data.days["controller"] == controller)
+    return (data.episodes["task"] == task) & (data.episodes["controller"] == controller)
 
 
-def _mean(days: pd.DataFrame, metric: str) -> float:
-    return float(days[metric].mean()) if metric in days else float("nan")
+def _mean(episodes: pd.DataFrame, metric: str) -> float:
+    return float(episodes[metric].mean()) if metric in episodes else float("nan")
 
 
-def _why_no_scale(data: StudyData) -> str:
-    """Why scores of different environments cannot be normalised; empty where they can."""
+def _missing_scale(data: StudyData) -> str:
+    """Return why scores of different environments cannot be normalised, or an empty string if they can."""
     missing = [task for task in data.tasks if task not in data.scale]
     if not missing:
         return ""
     return (
-        f"{', '.join(missing)} {'has' if len(missing) == 1 else 'have'} not both random play (0) and a rule "
-        "better than it (1) on the days of the curves; add `random` to `evaluation.rules`"
+        f"{', '.join(missing)} {'lacks' if len(missing) == 1 else 'lack'} the random rule (score 0) or a "
+        "rule better than it (score 1) on the episodes of the curves; add `random` to `evaluation.rules`"
     )

@@ -1,4 +1,4 @@
-"""A report written down: one HTML page that needs nothing else, and its parts as files."""
+"""Writing a report: one self-contained HTML page, and its parts as files."""
 
 import base64
 import io
@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from headway_launch.console.output import print_line
-from headway_launch.console.output_files import unwritten
+from headway_launch.console.output_files import write_error
 from headway_launch.report.parts import Listing, Part, Picture, Section, Table
 
 PAGE = "report.html"
@@ -17,19 +17,22 @@ _PARTS = ("tables", "pictures", "configs")
 
 @dataclass(frozen=True)
 class Report:
-    """All that is on the page."""
+    """Contents of the page."""
 
     title: str
     subtitle: str
     summary: Sequence[str]
-    """Sentences of the box at the top."""
+    """Sentences of the summary box at the top."""
     sections: Sequence[Section]
     footer: str
 
 
 def write_report(report: Report, folder: Path) -> Path:
-    """Write the page and its parts into `folder`, which is made if need be; returns the page. Files of an
-    earlier report that this one has not are told, and left. Raises HeadwayError if it cannot be written."""
+    """Write the page and its parts into `folder`, created if needed; return the path of the page.
+
+    Files of an earlier report that this one does not write are kept and listed. Raises HeadwayError if the
+    folder cannot be written.
+    """
     try:
         for name in _PARTS:
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -39,7 +42,7 @@ def write_report(report: Report, folder: Path) -> Path:
         page = folder / PAGE
         page.write_text(html(report), encoding="utf-8")
     except OSError as error:
-        raise unwritten("--output", folder, error) from error
+        raise write_error("--output", folder, error) from error
     others = sorted(
         str(path.relative_to(folder))
         for name in _PARTS
@@ -47,12 +50,12 @@ def write_report(report: Report, folder: Path) -> Path:
         if path not in written
     )
     if others:
-        print_line(f"not of this report, but still in {folder}: {', '.join(others)}")
+        print_line(f"files of an earlier report kept in {folder}: {', '.join(others)}")
     return page
 
 
 def html(report: Report) -> str:
-    """The page. Whatever comes from names and figures is escaped."""
+    """Render the page; all names and texts are escaped."""
     from jinja2 import Environment
 
     source = files("headway_launch.report").joinpath("page.html").read_text(encoding="utf-8")
@@ -66,7 +69,7 @@ def html(report: Report) -> str:
 
 
 def markdown(table: Table) -> str:
-    """A table as Markdown, under its caption."""
+    """Format a table as Markdown, below its caption."""
 
     def row(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
@@ -77,7 +80,7 @@ def markdown(table: Table) -> str:
 
 
 def _write_part(part: Part, folder: Path) -> list[Path]:
-    """The files that it is now."""
+    """Write a part to its files; return their paths."""
     match part:
         case Table(name=name, data=data):
             table, figures = (folder / "tables" / f"{name}.{kind}" for kind in ("md", "csv"))
@@ -97,25 +100,25 @@ def _write_part(part: Part, folder: Path) -> list[Path]:
 
 
 def _inline(picture: Picture) -> str:
-    """A picture as an address that holds it: SVG, sharp at any size."""
+    """Return a picture as a data URL of an SVG."""
     import matplotlib as mpl
 
     content = io.BytesIO()
-    # Without the date and with a salt of its own, the same report is the same page.
+    # Without date and random salt, the same data gives the same page byte for byte.
     with mpl.rc_context({"svg.hashsalt": picture.name}):
         picture.figure.savefig(content, format="svg", metadata={"Date": None})
     return "data:image/svg+xml;base64," + base64.b64encode(content.getvalue()).decode()
 
 
 def _breakable(heading: str) -> object:
-    """A heading that may break after an underscore, as names of rules are long."""
+    """Let a heading break after underscores, because names of rules are long."""
     from markupsafe import Markup
 
     return Markup("_<wbr>").join(heading.split("_"))
 
 
 def _with_code(text: str) -> object:
-    """A paragraph in which `this` is code."""
+    """Set text between backquotes as code."""
     from markupsafe import Markup, escape
 
     pieces = [

@@ -1,4 +1,4 @@
-"""What a report is made of: sections of paragraphs, tables, pictures, listings. How figures are written."""
+"""Parts of a report: sections of paragraphs, tables, pictures and listings; formatting of numbers."""
 
 import math
 from collections.abc import Sequence
@@ -15,50 +15,50 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class Table:
-    """A table as it is read, and the same figures whole."""
+    """A table: formatted text for display, and the same values with all digits."""
 
     name: str
-    """Of its files."""
+    """Name of its files, without suffix."""
     caption: str
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
-    """Text as it is read; the first column names the row."""
+    """Formatted cells; the first column names the row."""
     data: "pd.DataFrame"
-    """All digits, for the CSV."""
+    """Exact values, for the CSV."""
     words: frozenset[int] = frozenset({0})
-    """Columns that are text; the others are figures."""
+    """Columns of text; the others hold numbers."""
     emphasised: frozenset[int] = frozenset()
-    """Rows that are no learner's: the classical rules."""
+    """Rows of classical rules, set apart from learners."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with what it shows."""
+    """A picture with its caption."""
 
     name: str
-    """Of its file."""
+    """Name of its file, without suffix."""
     caption: str
     figure: "Figure"
 
 
 @dataclass(frozen=True)
 class Listing:
-    """Text that is long or exact, under its title; the reader may fold it."""
+    """Preformatted text under a title, which can be folded."""
 
     title: str
     text: str
     file: str = ""
-    """Where it is kept as a file of its own, if it is."""
+    """File that the text is also written to; empty: none."""
     unfolded: bool = False
 
 
 Part = str | Table | Picture | Listing
-"""A string is a paragraph, in which `this` is code."""
+"""A string is a paragraph; text between backquotes is code."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page with a heading."""
+    """A section of the page with a heading."""
 
     anchor: str
     title: str
@@ -66,7 +66,7 @@ class Section:
 
 
 def figure(value: float | None, digits: int = _DIGITS) -> str:
-    """Four significant digits, thousands separated; a dash for what is not known."""
+    """Format a number to four significant digits with thousands separators; a dash if it is unknown."""
     if value is None or not math.isfinite(value):
         return MISSING
     if value == int(value) and abs(value) < 1e15:
@@ -77,7 +77,7 @@ def figure(value: float | None, digits: int = _DIGITS) -> str:
 
 
 def with_deviation(mean: float, deviation: float, decimals: int | None = None) -> str:
-    """`71.28 ± 0.15`, as the papers write it; without the deviation where that is not known."""
+    """Format as `71.28 ± 0.15`, or without the deviation if it is unknown."""
     if not math.isfinite(mean):
         return MISSING
     if decimals is None:
@@ -88,7 +88,7 @@ def with_deviation(mean: float, deviation: float, decimals: int | None = None) -
 
 
 def with_interval(estimate: float, low: float, high: float, sign: bool = False) -> str:
-    """`20.5 [15.4, 25.7]`; without the interval where that is not known. `sign` writes a plus."""
+    """Format as `20.5 [15.4, 25.7]`, or without the interval if it is unknown; `sign` writes a plus."""
     if not math.isfinite(estimate):
         return MISSING
     plus = "+" if sign else ""
@@ -99,8 +99,10 @@ def with_interval(estimate: float, low: float, high: float, sign: bool = False) 
 
 
 def scale_of(largest: float, unit: str) -> tuple[str, float]:
-    """The unit in which a figure up to `largest` reads well, and the factor to it: (`mWh`, 1e6) for 3e-5 kWh.
-    `unit` begins with k."""
+    """Return a readable unit for values up to `largest` and the factor to it: (`mWh`, 1e6) for 3e-5 kWh.
+
+    `unit` must begin with k.
+    """
     base = unit.removeprefix("k")
     for prefix, factor in (("k", 1.0), ("", 1e3), ("m", 1e6)):
         if largest * factor >= 1:
@@ -109,7 +111,7 @@ def scale_of(largest: float, unit: str) -> tuple[str, float]:
 
 
 def _decimals(spread: float, value: float) -> int:
-    """Two digits of the spread, at most four of the whole, and one decimal for values below 1,000."""
+    """Return decimals that show two digits of the spread, at most four in all, one or more below 1,000."""
     largest = max(abs(value), spread)
     four_digits = 3 - math.floor(math.log10(largest)) if largest else 0
     decimals = min(1 - math.floor(math.log10(spread)), four_digits) if spread > 0 else four_digits

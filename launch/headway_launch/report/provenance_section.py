@@ -1,4 +1,4 @@
-"""Sections on how it was made: the runs, their command lines, configurations and versions."""
+"""Sections on provenance: the runs, their command lines, configurations and versions."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,14 +17,14 @@ from headway_launch.studies.runs import configuration
 
 _SHOWN = ("final_reward", "auc", "env_steps", "kwh", "cpu_seconds", "steps_per_second", "duration_s")
 _FIGURES = (*_SHOWN, "kg_co2")
-_FEW = 3
-"""Values of one tag that are listed; of more, their number."""
+_MOST_VALUES = 3
+"""Values of one tag that are listed; of more, only the number is given."""
 
 
 def runs_section(data: StudyData) -> Section:
-    """Every run of the study, those that do not count too."""
+    """Return the section with every run of the study, including excluded ones."""
     counted = {row.run_id for row in data.runs.rows}
-    every = data.every.summaries().set_index("run_id")
+    every = data.all_runs.summaries().set_index("run_id")
     for name in _FIGURES:
         every[name] = pd.to_numeric(every[name]) if name in every else float("nan")
     largest = every["kwh"].max()
@@ -33,23 +33,23 @@ def runs_section(data: StudyData) -> Section:
     rows = [
         [
             run.run_id,
-            run.status if run.status != "FINISHED" or run.run_id in counted else "FINISHED, trained again",
+            run.status if run.status != "FINISHED" or run.run_id in counted else "FINISHED, superseded",
             *(figure(float(value)) for value in shown[run.run_id].values()),
         ]
-        for run in data.every.rows
+        for run in data.all_runs.rows
     ]
-    lines = [_line(run) for run in data.every.rows]
+    lines = [_line(run) for run in data.all_runs.rows]
     exact = every[["label", "seed", "status", "started", *_FIGURES]]
     exact = exact.assign(counted=[run in counted for run in exact.index], reproduce=lines)
     body: list[Part] = []
     if data.left_out:
-        body.append(f"Left out of all figures on this page: {'; '.join(data.left_out)}.")
-    body += [f"{row.run_id} failed: {_reason(row)}" for row in data.every.rows if row.status == "FAILED"]
+        body.append(f"Excluded from all results on this page: {'; '.join(data.left_out)}.")
+    body += [f"{row.run_id} failed: {_reason(row)}" for row in data.all_runs.rows if row.status == "FAILED"]
     body.append(
         Table(
             "runs",
-            "Every run of the study. The AUC is by the run's own range; a run evaluated fewer than "
-            f"{FEWEST_POINTS} times has none.",
+            "Every run of the study. The AUC is normalised by the run's own range; a run evaluated fewer "
+            f"than {FEWEST_POINTS} times has none.",
             ["run", "status", "final reward", "AUC", "env steps", unit, "CPU s", "steps/s", "wall s"],
             rows,
             exact.reset_index(),
@@ -60,26 +60,26 @@ def runs_section(data: StudyData) -> Section:
     return Section("runs", "Runs", body)
 
 
-def _but_for_arrival(data: StudyData) -> str:
-    """How the sentence ends that says what repeats exactly."""
+def _determinism_exception(data: StudyData) -> str:
+    """Return the end of the sentence on bitwise reproduction."""
     cells = [configuration(members[0].directory) for members in data.cells.values()]
     if any(cell["algo"].get("application") == "arrival" for cell in cells):
-        return ", but for algorithms whose gradients are applied as they arrive (`algo.application`)."
+        return ", except for algorithms that apply gradients in order of arrival (`algo.application`)."
     return "."
 
 
-def making_section(data: StudyData) -> Section:
-    """Configurations, a command line a cell, versions, hardware."""
+def provenance_section(data: StudyData) -> Section:
+    """Return the section with configurations, one command line per cell, versions and hardware."""
     import yaml
 
     body: list[Part] = [
-        "Each line below trains the seeds of one cell again. It sets every key that differs from the "
-        "defaults of this version, but for those that change no result: where runs are kept (`store`) and "
-        "how machines are filled (`backend`, but for `backend.stack`). "
-        "`evaluation.rules` stands there only where not all rules of the environment were played. The whole "
-        "configuration, in which every default is spelt out, is folded below it. On a CPU the same "
-        "configuration and seed give the same curve bit for bit with the versions named here"
-        + _but_for_arrival(data)
+        "Each command line below repeats the training of one cell's seeds. It sets every key that differs "
+        "from this version's defaults, except keys that do not affect results: where runs are stored "
+        "(`store`) and how they are distributed over processes (`backend`, apart from `backend.stack`). "
+        "`evaluation.rules` appears only if some rules of the environment were not run. The full "
+        "configuration, with every default spelt out, is folded below it. On a CPU, the same "
+        "configuration and seed reproduce the curve bit for bit with the versions listed here"
+        + _determinism_exception(data)
     ]
     for (task, controller), members in data.cells.items():
         first = configuration(members[0].directory)
@@ -95,8 +95,8 @@ def making_section(data: StudyData) -> Section:
     body.append(
         Table(
             "versions",
-            "What the runs were made with.",
-            ["", "of the runs on this page"],
+            "Versions and hardware of the runs.",
+            ["item", "values over the runs on this page"],
             rows,
             made[["run_id", *tags]],
             words=frozenset({0, 1}),
@@ -104,14 +104,14 @@ def making_section(data: StudyData) -> Section:
     )
     dirty = "git.dirty" in made and (made["git.dirty"] == "true").any()
     if dirty:
-        body.append("Some runs were made with changes that no revision holds (`git.dirty`).")
-    return Section("making", "How it was made", body)
+        body.append("Some runs used uncommitted changes to the code (`git.dirty`).")
+    return Section("making", "Provenance", body)
 
 
 def _line(run: RunRow) -> str:
     try:
         return _line_of(configuration(run.directory), str(run.seed))
-    except HeadwayError as error:  # its folder is not whole
+    except HeadwayError as error:  # incomplete run folder
         return f"# {run.run_id}: {error}"
 
 
@@ -119,21 +119,21 @@ def _line_of(mapping: Mapping[str, Any], seeds: str) -> str:
     try:
         return reproducing_line(mapping, seeds)
     except HeadwayError as error:
-        return f"# not with this version and what is installed here: {error}"
+        return f"# cannot be repeated with this version and the installed packages: {error}"
 
 
 def _reason(run: RunRow) -> str:
-    """The last line of a failed run's traceback."""
+    """Return the last line of a failed run's traceback."""
     try:
         lines = (Path(run.directory) / TRACEBACK).read_text(encoding="utf-8").strip().splitlines()
     except OSError:
-        return "why was not kept"
-    return lines[-1] if lines else "why was not kept"
+        return "no traceback stored"
+    return lines[-1] if lines else "no traceback stored"
 
 
 def _values(column: "pd.Series[Any]") -> str:
     values = [str(value) for value in column.dropna().unique()]
-    absent = ", and some without" if column.isna().any() and values else ""
-    if len(values) > _FEW:
-        return f"{len(values)} different ones{absent}"
+    absent = ", missing in some" if column.isna().any() and values else ""
+    if len(values) > _MOST_VALUES:
+        return f"{len(values)} different values{absent}"
     return (", ".join(values) or MISSING) + absent

@@ -1,4 +1,4 @@
-"""The command line that trains a stored run again."""
+"""Command line that repeats the training of a stored run."""
 
 import json
 import re
@@ -15,17 +15,17 @@ from headway_launch.experiments.compose import compose, groups
 from headway_launch.experiments.parameters import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
-"""Text that needs no quotes."""
+"""Pattern of text that needs no quotes."""
 _BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
-_ELSEWHERE = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for key in _BACKEND))
-"""Keys that change no result: where runs are kept, how machines are filled, and where settings came from."""
+_NO_EFFECT = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for key in _BACKEND))
+"""Keys without effect on results: storage, distribution over processes, and origin of settings."""
 
 
 def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
-    """`headway run ...` with the preset of a stored configuration, if that is known, and every key in which
-    it differs from today's values of that and from today's defaults. `seeds` as on the command line.
+    """Return `headway run ...` with every key that differs from today's defaults and preset.
 
-    Raises HeadwayError if this version cannot compose it: an environment that is not installed, say.
+    `seeds`: as on the command line. Raises HeadwayError if this version cannot compose the configuration, for
+    instance because an environment is not installed.
     """
     preset = mapping.get("preset") or NO_PRESET
     return f"{_line_without_seeds(json.dumps(_changing_results(mapping)), preset)} seed={seeds}"
@@ -33,11 +33,13 @@ def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _line_without_seeds(keys: str, preset: str) -> str:
-    """Composing costs a third of a second, and the seeds of a cell share it. `keys`: pairs of key and value,
-    as JSON."""
+    """Return the line for configuration `keys`, JSON pairs of key and value.
+
+    Cached, because composing takes a third of a second and the seeds of a cell share the configuration.
+    """
     values = dict(json.loads(keys))
     if preset != NO_PRESET:
-        # Not if it is gone, or has values now that cannot be taken back key by key.
+        # The preset may have been removed, or may now set values that overrides cannot undo.
         with suppress(HeadwayError):
             words = _words(values, preset)
             if _composed(words) == values:
@@ -62,7 +64,7 @@ def _words(values: Mapping[str, Any], preset: str) -> list[str]:
 
 @lru_cache(maxsize=128)
 def _chosen(*words: str) -> Mapping[str, Any]:
-    """As `_composed`, for the cells that share an environment, an algorithm and a preset."""
+    """Return `_composed` of words that many cells share: environment, algorithm and preset."""
     return MappingProxyType(_composed(words))
 
 
@@ -71,11 +73,11 @@ def _composed(words: Sequence[str]) -> dict[str, Any]:
 
 
 def _changing_results(mapping: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return [(key, value) for key, value in flat(mapping, with_empty=True) if not key.startswith(_ELSEWHERE)]
+    return [(key, value) for key, value in flat(mapping, with_empty=True) if not key.startswith(_NO_EFFECT)]
 
 
 def _written(value: object) -> str:
-    """A value in Hydra's grammar."""
+    """Format a value in Hydra's override grammar."""
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Sections on what was reached: the papers' form, the sound form, curves, profiles, other figures."""
+"""Sections on final rewards: means and AUC, interquartile means, differences to rules, and comparisons."""
 
 from typing import Any
 
@@ -15,224 +15,227 @@ from headway_launch.report.parts import (
     with_deviation,
     with_interval,
 )
-from headway_launch.report.study_data import DifferenceToBest, StudyData, over_known
+from headway_launch.report.study_data import DifferenceToBest, StudyData, mean_of_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
-def published_form(data: StudyData) -> Section:
-    """Mean and standard deviation of the final reward, and the AUC, as the papers' Table 3 has them."""
+def final_reward_section(data: StudyData) -> Section:
+    """Return the section with mean and standard deviation of final reward and AUC, as papers report them."""
     rows: list[list[str]] = []
     exact: list[dict[str, object]] = []
     rules: set[int] = set()
     for task in data.tasks:
         for controller, members in data.on(task).items():
-            cells, figures = _published(data, [row.run_id for row in members])
-            rows.append([*_place(data, task), controller, str(len(members)), *cells])
-            exact.append({"environment": task, "controller": controller, "seeds": len(members), **figures})
-        values = data.rules_beside_curves.get(task, {})
-        for rule, value in sorted(values.items(), key=lambda item: -data.sign * item[1]):
+            cells, values = _curve_results(data, [row.run_id for row in members])
+            rows.append([*_environment_cell(data, task), controller, str(len(members)), *cells])
+            exact.append({"environment": task, "controller": controller, "seeds": len(members), **values})
+        of_rules = data.rules_beside_curves.get(task, {})
+        for rule, value in sorted(of_rules.items(), key=lambda item: -data.sign * item[1]):
             rules.add(len(rows))
             before, after = [MISSING] * 3 * (len(_curves(data)) - 1), [MISSING] * 2
-            rows.append([*_place(data, task), f"rule {rule}", MISSING, *before, figure(value), *after])
+            rows.append(
+                [*_environment_cell(data, task), f"rule {rule}", MISSING, *before, figure(value), *after]
+            )
             name = f"{data.mode}_final_reward_mean"
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
-    headings = [*_environment(data), "controller", "seeds"]
+    headings = [*_environment_heading(data), "controller", "seeds"]
     for name in _curves(data):
-        what = "reward" if name == "training" else data.what
-        headings += [f"{name}: final {what}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
+        label = "reward" if name == "training" else data.metric_label
+        headings += [f"{name}: final {label}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
     table = Table(
         "published_form",
-        f"Final {data.what} and AUC over seeds, mean ± standard deviation (ddof = 1), in the form of the "
+        f"Final {data.metric_label} and AUC: mean ± standard deviation over seeds (ddof = 1), as in most "
         "papers' tables.",
         headings,
         rows,
         pd.DataFrame(exact),
-        words=_words(data),
+        words=_text_columns(data),
         emphasised=frozenset(rules),
     )
     body: list[Part] = [
-        f"The final {data.what} is the mean over the last 20% of a curve's steps. The AUC is the area under "
-        "the curve after min-max normalisation: by the range of the run's own curve, as published, which "
-        "tells how early a run learns but not how well; and by the range of all curves of the study, which "
-        "ranks.",
-        f"The papers report the curve of training episodes. Beside it stands the {data.mode} evaluation on "
-        "days kept apart, which all other parts of this page use.",
-        *_of_training(data),
+        f"The final {data.metric_label} is the mean over the last 20% of a curve's steps. The AUC is the "
+        "area under the min-max-normalised curve. Normalised by the range of the run's own curve, as in "
+        "the literature, it shows how early a run learns but not how well; normalised by the range of all "
+        "curves of the study, it can be used to rank controllers.",
+        f"Papers usually report the curve of training episodes. The {data.mode} evaluation on held-out "
+        "episodes is shown beside it and is used in all other parts of this page.",
+        *_training_notes(data),
     ]
-    body += [table, *_unequal_budgets(data), *_too_short(data), *_one_seed(data)]
-    return Section("published", "The form of the papers", body)
+    body += [table, *_unequal_budgets(data), *_too_short(data), *_single_seeds(data)]
+    return Section("published", f"Final {data.metric_label} and AUC", body)
 
 
-def _of_training(data: StudyData) -> list[str]:
-    """What is to be known of the training columns, or why there are none."""
-    figures = data.training_figures
-    if figures is None:
-        return ["There are no training columns: no episode ended in training."]
-    said = []
+def _training_notes(data: StudyData) -> list[str]:
+    """Return notes on the training columns, or the reason why there are none."""
+    metrics = data.training_metrics
+    if metrics is None:
+        return ["There are no training columns because no episode ended during training."]
+    notes = []
     if data.column != "return":
-        said.append("The training columns are of the reward, the others of the metric chosen.")
+        notes.append("The training columns show the reward, the others the chosen metric.")
     if data.learned_from_another_reward:
-        said.append(
-            "Here learners are paid by other rules while training than what is reported "
-            "(`env.training_args`, or wrappers of the reward): the training columns are of that reward and "
-            "do not compare with the others."
+        notes.append(
+            "Training used another reward or other dynamics than evaluation (`env.training_args` or reward "
+            "wrappers): the training columns show the training reward and cannot be compared with the others."
         )
-    said += _paid_by_several_rules(data)
-    if without := int(figures["final_reward"].isna().sum()):
-        said.append(
-            f"In {plots.counted(without, 'run')} no episode ended in training: the training columns are "
-            "over the others."
+    notes += _differing_training_rewards(data)
+    if without := int(metrics["final_reward"].isna().sum()):
+        notes.append(
+            f"No episode ended during training in {plots.counted(without, 'run')}: the training columns "
+            "cover the remaining runs."
         )
-    return said
+    return notes
 
 
 def _too_short(data: StudyData) -> list[str]:
-    """A line where runs have a curve, but none that has an area by its own range."""
-    said = []
-    for name, figures in _curves(data).items():
-        if short := int((figures["auc_own"].isna() & figures["final_reward"].notna()).sum()):
-            each = "iterations in which episodes ended" if name == "training" else "set by `evaluation.every`"
-            said.append(f"the {name} curve of {plots.counted(short, 'run')} (its points are {each})")
-    if not said:
+    """Return a note on curves that are too short for an AUC by their own range."""
+    causes = []
+    for name, metrics in _curves(data).items():
+        if short := int((metrics["auc_own"].isna() & metrics["final_reward"].notna()).sum()):
+            points = (
+                "iterations in which episodes ended" if name == "training" else "set by `evaluation.every`"
+            )
+            causes.append(f"the {name} curve of {plots.counted(short, 'run')} (points: {points})")
+    if not causes:
         return []
     return [
-        f"A curve of fewer than {FEWEST_POINTS} points has no AUC by its own range, which would be 0.5 "
-        f"whatever was learnt: the mean is over the others. Such is {' and '.join(said)}."
+        f"A curve with fewer than {FEWEST_POINTS} points gets no AUC by its own range, because it would be "
+        "0.5 whatever the run learned; means are over the remaining runs. This applies to "
+        f"{' and '.join(causes)}."
     ]
 
 
-def _paid_by_several_rules(data: StudyData) -> list[str]:
-    """A line for each task on which training curves are of different rewards."""
-    alike = {task: data.paid_alike(task) for task in data.tasks}
+def _differing_training_rewards(data: StudyData) -> list[str]:
+    """Return one note for each task whose controllers were trained with different rewards."""
+    alike = {task: data.reward_groups(task) for task in data.tasks}
     return [
-        f"Nor do the rows of the training columns{data.where(task)} compare with each other but where "
-        f"controllers are paid by the same rules: {'; '.join(', '.join(group) for group in groups)}."
+        f"In the training columns{data.where(task)}, compare only controllers that were trained with the "
+        f"same reward: {'; '.join(', '.join(group) for group in groups)}."
         for task, groups in alike.items()
         if len(groups) > 1
     ]
 
 
 def _curves(data: StudyData) -> dict[str, pd.DataFrame]:
-    """By what a curve is called, `curve_metrics` of those that the runs have."""
-    training = {} if data.training_figures is None else {"training": data.training_figures}
-    return {**training, data.mode: data.figures}
+    """Return `curve_metrics` of the training curve, if there is one, and of the evaluation, by name."""
+    training = {} if data.training_metrics is None else {"training": data.training_metrics}
+    return {**training, data.mode: data.curve_metrics}
 
 
-def _published(data: StudyData, runs: list[str]) -> tuple[list[str], dict[str, object]]:
-    """Of some runs, the figures of the training curve and of the evaluation: as read, and whole."""
+def _curve_results(data: StudyData, runs: list[str]) -> tuple[list[str], dict[str, object]]:
+    """Return final rewards and AUCs of runs, over all curves: formatted cells, and exact values by column."""
     cells: list[str] = []
-    whole: dict[str, object] = {}
+    exact: dict[str, object] = {}
     for name, source in _curves(data).items():
         for column in ("final_reward", "auc_own", "auc_study"):
-            found = over_known(source.loc[runs, column])
+            found = mean_of_known(source.loc[runs, column])
             cells.append(with_deviation(found.mean, found.std, None if column == "final_reward" else 3))
-            whole |= {f"{name}_{column}_mean": found.mean, f"{name}_{column}_std": found.std}
-    return cells, whole
+            exact |= {f"{name}_{column}_mean": found.mean, f"{name}_{column}_std": found.std}
+    return cells, exact
 
 
-def sound_form(data: StudyData) -> Section:
-    """Interquartile means with intervals, and differences to the best rule."""
+def interquartile_section(data: StudyData) -> Section:
+    """Return the section with interquartile means, their intervals, and differences to the best rule."""
     body: list[Part] = [
-        "The interquartile mean leaves out the best and the worst quarter of the seeds, so that one lucky "
-        "or failed seed does not decide. A controller is called better or worse than the best rule only "
-        f"where the interval excludes 0 over at least {SEEDS_FOR_A_CLAIM} training seeds; with fewer there "
-        "is no claim.",
-        _sound_table(data),
+        "The interquartile mean discards the best and the worst quarter of the seeds, so that a single "
+        "lucky or failed seed does not decide the result. A controller is called better or worse than the "
+        f"best rule only if the interval excludes 0 with at least {SEEDS_FOR_A_CLAIM} training seeds; with "
+        "fewer seeds no claim is made.",
+        _interquartile_table(data),
         *_unequal_budgets(data),
-        *([data.narrow] if data.narrow else []),
+        *([data.few_seeds_note] if data.few_seeds_note else []),
     ]
     against = {(task, name): data.against_best_rule(task, name) for task, name in data.cells}
-    reasons = dict.fromkeys(
-        f"{task}: {found.why_not}" for (task, _), found in against.items() if found.why_not
-    )
+    reasons = dict.fromkeys(f"{task}: {found.reason}" for (task, _), found in against.items() if found.reason)
     if not data.best_rules:
         body.append(
-            "No classical rule was played beside these runs (`evaluation.rules`), so whether learning beats "
-            "a simple rule cannot be told here."
+            "No classical rule was run on these episodes (`evaluation.rules`), so the learners cannot be "
+            "compared with a simple rule."
         )
     elif reasons:
-        body.append(f"No difference to the best rule is given on {'; '.join(reasons)}.")
-    body += _one_seed(data)
+        body.append(f"No difference to the best rule is given for {'; '.join(reasons)}.")
+    body += _single_seeds(data)
     for place, task in enumerate(data.tasks):
         found = frames.summary(data.scores_on(task))
         if found["iqm_low"].notna().any():
             values = data.rules_beside_curves.get(task, {})
             body.append(
                 Picture(
-                    f"intervals{data.numbered(place)}",
-                    f"Interquartile means of the final {data.what}{data.where(task)} with their 95% "
-                    f"intervals, and the rules on the days of the curves. {data.narrow}".strip(),
-                    plots.intervals(found, values, f"IQM of final {data.what}", data.styles, data.sign),
+                    f"intervals{data.file_suffix(place)}",
+                    f"Interquartile means of the final {data.metric_label}{data.where(task)} with their 95% "
+                    f"intervals, and the rules on the same episodes. {data.few_seeds_note}".strip(),
+                    plots.intervals(
+                        found, values, f"IQM of final {data.metric_label}", data.styles, data.sign
+                    ),
                 )
             )
-    return Section("sound", "The sound form", body)
+    return Section("sound", "Interquartile means and comparison with the rules", body)
 
 
-def _sound_table(data: StudyData) -> Table:
+def _interquartile_table(data: StudyData) -> Table:
     rows: list[list[str]] = []
     exact: list[dict[str, Any]] = []
     rules: set[int] = set()
     for task in data.tasks:
         for name, found in frames.summary(data.scores_on(task)).to_dict("index").items():
             seeds, against = int(found["runs"]), data.against_best_rule(task, str(name))
-            days = data.by_seed(task, str(name), data.column)
-            last = float(days.to_numpy().mean()) if days.size else float("nan")
+            episodes = data.by_seed(task, str(name), data.column)
+            last = float(episodes.to_numpy().mean()) if episodes.size else float("nan")
             iqm = with_interval(found["iqm"], found["iqm_low"], found["iqm_high"])
-            place = [*_place(data, task), str(name), str(seeds)]
+            place = [*_environment_cell(data, task), str(name), str(seeds)]
             rows.append([*place, iqm, figure(last), *_against(data, against, seeds)])
             learner = {"environment": task, "controller": name, "last_evaluation": last}
             learner |= {str(column): value for column, value in found.items()}
             exact.append(learner | _exact(against))
         for rule in data.ranked_rules(task):
-            against, mean = data.rule_against_best(task, rule), float(data.by_day(task, rule).mean())
+            against, mean = data.rule_against_best(task, rule), float(data.by_episode(task, rule).mean())
             rules.add(len(rows))
-            place = [*_place(data, task), f"rule {rule}", MISSING, MISSING]
+            place = [*_environment_cell(data, task), f"rule {rule}", MISSING, MISSING]
             rows.append([*place, figure(mean), *_against(data, against, None)])
-            played = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
-            exact.append({**played, **_exact(against)})
-    names = ["controller", "seeds", f"IQM of final {data.what} [95%]", "last evaluation"]
+            of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
+            exact.append({**of_rule, **_exact(against)})
+    names = ["controller", "seeds", f"IQM of final {data.metric_label} [95%]", "last evaluation"]
     return Table(
         "sound_form",
-        f"Interquartile mean (IQM) of the final {data.what} with its 95% interval by the stratified "
-        f"bootstrap over seeds, on {_which_days(data)}; the mean of all days of the last evaluation; its "
-        "paired difference from the best rule on all of them, with the 95% interval by Student's t.",
-        [*_environment(data), *names, "minus the best rule [95%]", "interval over", "reading"],
+        f"Interquartile mean (IQM) of the final {data.metric_label} with its 95% interval by the "
+        f"stratified bootstrap over seeds, evaluated on {_evaluation_episodes(data)}; mean over all "
+        "episodes of the last evaluation; and its paired difference from the best rule on those episodes, "
+        "with the 95% interval by Student's t.",
+        [*_environment_heading(data), *names, "minus the best rule [95%]", "interval over", "conclusion"],
         rows,
         pd.DataFrame(exact),
-        words=_words(data) | {len(_environment(data)) + column for column in (5, 6)},
+        words=_text_columns(data) | {len(_environment_heading(data)) + column for column in (5, 6)},
         emphasised=frozenset(rules),
     )
 
 
 def improvement_section(data: StudyData) -> Section:
-    """How probably one controller is better than another, and how the seeds are spread."""
+    """Return the section with probabilities of improvement and performance profiles."""
     body: list[Part] = []
     signed = data.scores.assign(score=data.sign * data.scores["score"])
     if len(data.controllers) > 1:
         body += _improvements(data, signed)
     else:
-        body.append("There is one learner only, so there is none to compare it with.")
+        body.append("The study has only one learner, so there is no other to compare it with.")
     for place, task in enumerate(data.tasks):
         where = data.where(task)
         if all(len(members) == 1 for members in data.on(task).values()):
-            body.append(
-                f"There is no performance profile{where}: it is of many seeds, and there is one of each."
-            )
+            body.append(f"There is no performance profile{where}: it needs several seeds per controller.")
             continue
         caption = (
-            f"Performance profiles{where}: the share of seeds whose final {data.what} is above a value, with "
-            "95% intervals, point by point. "
-            + ("Lower is better." if data.lower_is_better else "A curve above another is better there.")
+            f"Performance profiles{where}: the share of seeds whose final {data.metric_label} is above a "
+            "value, with pointwise 95% intervals. "
+            + ("Lower is better." if data.lower_is_better else "A higher curve is better.")
         )
         scores = data.scores_on(task)
         by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
         if off := plots.outliers(by_name, data.sign):
-            caption += f" Beyond the axis: {', '.join(f'{name} (at {figure(off[name])})' for name in off)}."
+            caption += f" Outside the axis: {', '.join(f'{name} ({figure(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
         profiles = frames.profiles(scores, thresholds)
-        picture = plots.performance_profiles(profiles, f"final {data.what}", data.styles)
-        body.append(Picture(f"profiles{data.numbered(place)}", caption, picture))
-    return Section("improvement", "Which is better, and how surely", body)
+        picture = plots.performance_profiles(profiles, f"final {data.metric_label}", data.styles)
+        body.append(Picture(f"profiles{data.file_suffix(place)}", caption, picture))
+    return Section("improvement", "Probability of improvement and performance profiles", body)
 
 
 def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
@@ -244,8 +247,8 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
     names = data.controllers
     rows = [[a, *(shown.get((a, b), MISSING) for b in names)] for a in names]
     return [
-        "Probability that a seed of the controller at the left scores better than a seed of the one above, "
-        "ties counting half; 0.5 is no difference.",
+        "Probability that a random seed of the row's controller scores better than one of the column's, with "
+        "ties counted as one half; 0.5 means no difference.",
         Table(
             "probability_of_improvement",
             "Probability of improvement, row over column, with 95% intervals by the stratified bootstrap.",
@@ -253,23 +256,23 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
             rows,
             found,
         ),
-        *([data.narrow] if data.narrow else []),
+        *([data.few_seeds_note] if data.few_seeds_note else []),
     ]
 
 
 def _against(data: StudyData, against: DifferenceToBest, seeds: int | None) -> list[str]:
-    """The difference, over what its interval is, and in words; without words for a rule (`seeds` None)."""
+    """Return cells: difference, sample of its interval, conclusion. `seeds` is None for rules."""
     found = against.interval
     if found is None:
-        return [MISSING, MISSING, "the best rule" if seeds is None and not against.why_not else MISSING]
+        return [MISSING, MISSING, "the best rule" if seeds is None and not against.reason else MISSING]
     shown = with_interval(found.estimate, found.low, found.high, sign=True)
     if not found.excludes_zero:
-        reading = "not told apart"
+        conclusion = "no difference shown"
     else:
-        reading = "better" if data.sign * found.estimate > 0 else "worse"
+        conclusion = "better" if data.sign * found.estimate > 0 else "worse"
     if seeds is not None and seeds < SEEDS_FOR_A_CLAIM and found.excludes_zero:
-        reading = f"no claim ({reading})"
-    return [shown, found.method.removeprefix("t over "), reading]
+        conclusion = f"no claim ({conclusion})"
+    return [shown, found.method.removeprefix("t over "), conclusion]
 
 
 def _exact(against: DifferenceToBest) -> dict[str, float | str]:
@@ -284,51 +287,51 @@ def _exact(against: DifferenceToBest) -> dict[str, float | str]:
     }
 
 
-def _one_seed(data: StudyData) -> list[str]:
+def _single_seeds(data: StudyData) -> list[str]:
     alone = [name for (_, name), members in data.cells.items() if len(members) == 1]
     if not alone:
         return []
     return [
-        f"Of {', '.join(dict.fromkeys(alone))} there is one seed: how seeds differ is not known, and neither "
-        "a deviation nor an interval over seeds is given."
+        f"Only one seed was trained of {', '.join(dict.fromkeys(alone))}: the variation between seeds is "
+        "unknown, so no standard deviation and no interval over seeds is given."
     ]
 
 
 def _unequal_budgets(data: StudyData) -> list[str]:
-    """A line where controllers of a task were not trained for the same environment steps."""
-    said = []
+    """Return a note if controllers of a task were trained for different numbers of environment steps."""
+    differing = []
     for task in data.tasks:
         budgets = data.budgets(task)
         if len({steps for each in budgets.values() for steps in each}) > 1:
             steps = ", ".join(
-                f"{name} {' or '.join(f'{number:,}' for number in each)}" for name, each in budgets.items()
+                f"`{name}` {' or '.join(f'{number:,}' for number in each)}" for name, each in budgets.items()
             )
-            said.append(f"{task}: {steps}" if len(data.tasks) > 1 else steps)
-    if not said:
+            differing.append(f"{task}: {steps}" if len(data.tasks) > 1 else steps)
+    if not differing:
         return []
     return [
-        "Seeds were not all trained for the same environment steps (a budget is rounded up to whole "
-        f"iterations): {'; '.join(said)}."
+        "Not all seeds were trained for the same number of environment steps (a budget is rounded up to "
+        f"whole iterations): {'; '.join(differing)}."
     ]
 
 
-def _which_days(data: StudyData) -> str:
-    """Of which days the two kinds of figures are."""
-    kinds = {(data.days_of_curves(task), data.days_of_last(task)) for task in data.tasks}
+def _evaluation_episodes(data: StudyData) -> str:
+    """Describe the episodes of the curves and of the last evaluation."""
+    kinds = {(data.curve_episodes(task), data.last_episodes(task)) for task in data.tasks}
     if len(kinds) > 1:
-        return "the curves' days, which are the first of those of the last evaluation"
+        return "the episodes of the curves, the first of the last evaluation's episodes"
     [(curves, last)] = kinds
-    return f"the curves' {curves}, the first of the last evaluation's {last}"
+    return f"{curves} per point of the curves, the first of the last evaluation's {last}"
 
 
-def _environment(data: StudyData) -> list[str]:
+def _environment_heading(data: StudyData) -> list[str]:
     return ["environment"] if len(data.tasks) > 1 else []
 
 
-def _place(data: StudyData, task: str) -> list[str]:
+def _environment_cell(data: StudyData, task: str) -> list[str]:
     return [task] if len(data.tasks) > 1 else []
 
 
-def _words(data: StudyData) -> frozenset[int]:
-    """The columns that name a row."""
-    return frozenset(range(1 + len(_environment(data))))
+def _text_columns(data: StudyData) -> frozenset[int]:
+    """Return the columns that name a row."""
+    return frozenset(range(1 + len(_environment_heading(data))))

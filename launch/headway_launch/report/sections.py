@@ -1,34 +1,34 @@
-"""All sections of a study's report, and what stands at its top."""
+"""The complete report of a study: its sections, and the summary at its top."""
 
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 from headway.stats.plots import counted
 from headway_launch.report.costs import energy_section, tradeoff_section
-from headway_launch.report.learning import across_environments, curves_section, figures_section
+from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
 from headway_launch.report.page import Report
 from headway_launch.report.parts import Section, figure, scale_of, with_interval
-from headway_launch.report.provenance_section import making_section, runs_section
+from headway_launch.report.provenance_section import provenance_section, runs_section
 from headway_launch.report.published import published_sections
-from headway_launch.report.rewards import improvement_section, published_form, sound_form
+from headway_launch.report.rewards import final_reward_section, improvement_section, interquartile_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
 def report_of(data: StudyData) -> Report:
-    """The report of a study."""
+    """Return the report of a study."""
     sections = [
-        published_form(data),
+        final_reward_section(data),
         *published_sections(data),
-        sound_form(data),
+        interquartile_section(data),
         improvement_section(data),
         curves_section(data),
         across_environments(data),
-        figures_section(data),
+        episode_metrics_section(data),
         energy_section(data),
         tradeoff_section(data),
         runs_section(data),
-        making_section(data),
+        provenance_section(data),
         _definitions(),
     ]
     moment = datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC")
@@ -39,8 +39,8 @@ def report_of(data: StudyData) -> Report:
         f"{counted(data.rules['rule'].nunique(), 'classical rule')}",
         summary=_summary(data),
         sections=[section for section in sections if section is not None],
-        footer=f"Made by headway {version('headway')} on {moment} from the store's files alone. The tables "
-        "are beside this page as Markdown and CSV, with all digits, the pictures as PNG.",
+        footer=f"Written by headway {version('headway')} on {moment} from the store's files alone. Beside "
+        "this page are its tables as Markdown and CSV (with all digits) and its pictures as PNG.",
     )
 
 
@@ -51,12 +51,12 @@ def _summary(data: StudyData) -> list[str]:
     fewest = min(len(members) for members in data.cells.values())
     if fewest < SEEDS_FOR_A_CLAIM:
         sentences.append(
-            f"With {counted(fewest, 'seed')} in the smallest cell nothing here says surely which is better: "
-            f"that takes at least {SEEDS_FOR_A_CLAIM}."
+            f"The smallest cell has {counted(fewest, 'seed')}, too few to claim which controller is "
+            f"better: a claim needs at least {SEEDS_FOR_A_CLAIM}."
         )
     sentences.append(_cost(data))
     if data.left_out:
-        sentences.append(f"Runs left out: {'; '.join(data.left_out)}.")
+        sentences.append(f"Excluded runs: {'; '.join(data.left_out)}.")
     return sentences
 
 
@@ -67,49 +67,57 @@ def _best_learner(data: StudyData, task: str) -> str:
     seeds = counted(min(len(data.on(task)[name]) for name in names), "seed")
     where = f"On {task}, among" if len(data.tasks) > 1 else "Among"
     kind = "lowest" if data.lower_is_better else "highest"
-    days = f"the curves' {data.days_of_curves(task)}"
+    episodes = f"{data.curve_episodes(task)} per evaluation"
     if len(means) == 1:
         return (
-            f"{names[0]} has a mean final {data.what} of {figure(best * data.sign)} over {seeds} on {task}, "
-            f"on {days}."
+            f"`{names[0]}` has a mean final {data.metric_label} of {figure(best * data.sign)} over {seeds} "
+            f"on {task} ({episodes})."
         )
     return (
-        f"{where} the learners, {' and '.join(names)} {'has' if len(names) == 1 else 'have'} the {kind} mean "
-        f"final {data.what}: {figure(best * data.sign)} over {seeds}, on {days}."
+        f"{where} the learners, {' and '.join(f'`{name}`' for name in names)} "
+        f"{'has' if len(names) == 1 else 'have'} the {kind} mean final {data.metric_label}: "
+        f"{figure(best * data.sign)} over {seeds} ({episodes})."
     )
 
 
 def _against_rules(data: StudyData, task: str) -> list[str]:
     if task not in data.best_rules:
         return [
-            f"No rule was played on {task}: whether learning beats a simple rule is not known. A sweep plays "
-            "them when all of its runs have ended; `headway compare` plays them at any time."
+            f"No rule was run on {task}, so it is unknown whether learning beats a simple rule. A sweep "
+            "runs the rules once all of its runs have ended; `headway compare` runs them at any time."
         ]
     rule = data.best_rules[task]
-    better, worse, open_ = [], [], []
+    better, worse, undecided = [], [], []
     unknown: dict[str, None] = {}
     for controller in data.on(task):
         against = data.against_best_rule(task, controller)
         found = against.interval
         if found is None:
-            unknown[against.why_not] = None
+            unknown[against.reason] = None
             continue
-        shown = f"{controller} ({with_interval(found.estimate, found.low, found.high, sign=True)})"
+        shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign=True)})"
         if not found.excludes_zero:
-            open_.append(shown)
+            undecided.append(shown)
         elif data.sign * found.estimate > 0:
             better.append(shown)
         else:
             worse.append(shown)
-    kinds = (("above", better), ("below", worse), ("not told apart from it", open_))
+    kinds = (("above it", better), ("below it", worse), ("no difference shown", undecided))
     if data.lower_is_better:
-        kinds = (("better, below", better), ("worse, above", worse), ("not told apart from it", open_))
-    said = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
-    if not said:
+        kinds = (
+            ("better (below it)", better),
+            ("worse (above it)", worse),
+            ("no difference shown", undecided),
+        )
+    text = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
+    if not text:
         why = "; ".join(unknown)
-        return [f"The best rule on {task} is `{rule}`; how far learners are from it is not known: {why}."]
-    days = f"the last evaluation's {data.days_of_last(task)}"
-    return [f"Against the best rule there, `{rule}`, on {days} [95% intervals]: {said}."]
+        return [f"The best rule on {task} is `{rule}`; the learners' difference to it is unknown: {why}."]
+    episodes = data.last_episodes(task)
+    return [
+        f"Compared with the best rule on {task}, `{rule}`, in the last evaluation ({episodes}) [95% "
+        f"intervals]: {text}."
+    ]
 
 
 def _cost(data: StudyData) -> str:
@@ -120,18 +128,16 @@ def _cost(data: StudyData) -> str:
         return f"The finished runs used {cpu} CPU seconds; their energy was not measured."
     kwh = float(measured["kwh"].sum())
     kwh_unit, kwh_factor = scale_of(kwh, "kWh")
-    whose = "The finished runs"
+    runs = "The finished runs"
     if len(measured) < len(used):
-        whose = f"Of {counted(len(used), 'finished run')} the {len(measured)} whose energy was measured"
-    used_in_all = (
-        f"{figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU seconds)"
-    )
+        runs = f"The {len(measured)} of {counted(len(used), 'finished run')} with measured energy"
+    total = f"{figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU seconds)"
     if measured["kg_co2"].isna().any():
-        return f"{whose} used {used_in_all}."
+        return f"{runs} used {total}."
     co2 = float(measured["kg_co2"].sum())
     co2_unit, co2_factor = scale_of(co2, "kg")
-    emitted = f"{figure(co2 * co2_factor)} {co2_unit} of CO2 equivalent"
-    return f"{whose} used {used_in_all}, which is {emitted}."
+    emitted = f"{figure(co2 * co2_factor)} {co2_unit} of CO2eq"
+    return f"{runs} used {total}, equivalent to {emitted}."
 
 
 def _definitions() -> Section:
@@ -139,14 +145,14 @@ def _definitions() -> Section:
         "definitions",
         "Definitions",
         [
-            "Final reward: mean over the last 20% of the curve's steps. AUC: trapezoid area of the "
-            "min-max-normalised curve over its span of steps.",
+            "Final reward: mean over the last 20% of the curve's steps. AUC: area under the "
+            "min-max-normalised curve by the trapezoidal rule, divided by its span of steps.",
             "Interquartile mean, stratified bootstrap, probability of improvement, performance profile: "
             "Agarwal et al. 2021, Deep RL at the Edge of the Statistical Precipice, arXiv:2108.13264.",
-            "Intervals of differences: Student's t over days for one seed or a rule; over seeds and days "
-            "for more, the squared half widths over seeds and over days added (Banerjee 1961, Sankhya A "
-            "23).",
-            "Energy and CO2: CodeCarbon, codecarbon.io; the machine's energy shared out to runs by their CPU "
-            "seconds, memory and share of the GPU.",
+            "Intervals of differences: Student's t over episodes for one seed or a rule; for several "
+            "seeds, over seeds and episodes: the squared half widths over seeds and over episodes are "
+            "added (Banerjee 1961, Sankhya A 23).",
+            "Energy and CO2: CodeCarbon, codecarbon.io; the machine's energy is divided among the runs by "
+            "their CPU seconds, memory and share of the GPU.",
         ],
     )

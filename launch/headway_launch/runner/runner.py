@@ -14,7 +14,7 @@ from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
 from headway.store.session import SessionStore
 from headway.training.loop import TrainingJob
-from headway_launch.console.output import own_name, print_line, to_a_reader
+from headway_launch.console.output import ignore_closed_pipe, own_name, print_line
 from headway_launch.console.progress import JobProgress
 from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
@@ -107,7 +107,7 @@ class Runner:
                 print_line(f"headway: {line}")
             self._cluster.close()
         self._own_cpu_s += time.process_time()
-        with to_a_reader(sys.stdout):
+        with ignore_closed_pipe(sys.stdout):
             self._print()
         self._print_summary(time.monotonic() - began)
         return self._exit_code(stopped)

@@ -32,6 +32,7 @@ from headway.contracts.learner import (
     Learner,
     LearnerWithReplay,
 )
+from headway.contracts.published import PublishedResult, PublishedResults
 from headway.contracts.random_rule import RANDOM, RandomRule
 from headway.contracts.random_streams import child_seeds, generator
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
@@ -59,6 +60,8 @@ __all__ = [
     "MultiDiscrete",
     "ObservationBounds",
     "Observations",
+    "PublishedResult",
+    "PublishedResults",
     "RandomRule",
     "RecurrentPolicy",
     "Renderer",

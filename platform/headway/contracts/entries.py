@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observations
+from headway.contracts.lazy import Lazy
 from headway.contracts.learner import Contributor, Learner
 
 
@@ -114,6 +115,8 @@ class EnvEntry:
     If a module has a function `warm()`, it is called once before training starts, so that its kernels are
     compiled once and not by every worker.
     """
+    published: Lazy | None = None
+    """Name of the `PublishedResults` of a paper on this environment, read with `load()`; None: no paper."""
 
     def __post_init__(self) -> None:
         for name, rule in self.rules.items():

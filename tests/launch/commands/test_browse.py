@@ -26,7 +26,7 @@ def address(trained: Path) -> Iterator[str]:
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
         assert server.stdout is not None
-        assert "studies in MLflow's pages" in server.stdout.readline()
+        assert "studies in the MLflow UI" in server.stdout.readline()
         study, page = server.stdout.readline().split()
         assert (study, page.partition("/#/")[0]) == ("pair", f"http://127.0.0.1:{port}")
         yield page
@@ -43,9 +43,7 @@ def run(trained: Path) -> RunRow:
     return select(trained, study="pair").rows[0]
 
 
-def test_the_address_that_is_told_is_where_the_study_s_runs_are(
-    address: str, run: RunRow, browser_page: Page
-) -> None:
+def test_the_printed_address_shows_the_study_s_runs(address: str, run: RunRow, browser_page: Page) -> None:
     browser_page.open(address)
     browser_page.wait_for(run.cell)
     browser_page.wait_for("matching runs")

@@ -45,22 +45,25 @@ def test_rules_are_compared_on_the_days_of_an_environment(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["bus", "env.args.steps=3"], "a study is compared as it was trained"),
+        (["bus", "env.args.steps=3"], "a study is compared with its own configuration"),
         (["tracking"], "there is no store in 'runs'"),
         (["tracking"], "for rules alone: headway compare env=tracking"),
         (["toy_tracking"], "for rules alone: headway compare experiment=toy_tracking"),
         (
             [*GAME, "evaluation.episodes=2"],
-            "'evaluation.episodes=2' changes nothing where rules are compared",
+            "'evaluation.episodes=2' has no effect if rules are compared",
         ),
-        (["algo=ippo", "env=tracking"], "'algo=ippo' changes nothing where rules are compared"),
-        ([*GAME, "env.training_args.noise=0"], "changes nothing where rules are compared"),
-        (["env.args.steps=7"], "which environment? Give env=ENV or experiment=EXPERIMENT"),
+        (["algo=ippo", "env=tracking"], "'algo=ippo' has no effect if rules are compared"),
+        ([*GAME, "env.training_args.noise=0"], "has no effect if rules are compared"),
+        (["env.args.steps=7"], "no environment given; add env=ENV or experiment=EXPERIMENT"),
         (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
         (["env=trackin"], "tracking"),
         ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
         ([*GAME, "--against", "ippo"], "--against: there is no rule 'ippo'"),
-        ([*GAME, "--metrics", "distanse"], "'distanse' is no metric here; did you mean distance?"),
+        (
+            [*GAME, "--metrics", "distanse"],
+            "'distanse' is no metric of this environment; did you mean distance?",
+        ),
         ([*GAME, "--episodes", "1"], "must be at least 2"),
     ],
 )
@@ -88,7 +91,7 @@ def test_the_reference_is_played_too_and_no_rule_twice(capsys: pytest.CaptureFix
         (["--episodes", "3", "--rules", "random"], False),
     ],
 )
-def test_few_days_are_told_where_there_is_an_interval_over_them(
+def test_few_episodes_are_noted_if_an_interval_is_over_them(
     words: list[str], told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["compare", *GAME, *words]) == 0

@@ -26,7 +26,7 @@ from headway_launch.experiments.compose import compose
         (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
         (
             ["list", "metrics", "mpe2.simple_spread_v3"],
-            ["does not say what its metrics mean: its EnvEntry needs `metrics`", "those that do: bus, "],
+            ["does not describe its metrics: its EnvEntry needs `metrics`", "environments that do: bus, "],
         ),
         (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list"], ["KIND", "headway list --help"]),
@@ -35,7 +35,7 @@ from headway_launch.experiments.compose import compose
         (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
         (["evaluate", "x", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
         (["resume", "--store", "."], ["name a run or --study"]),
-        (["resume", "s0", "algo.lr=3"], ["algo.lr=3: a run goes on as it was configured; leave it out"]),
+        (["resume", "s0", "algo.lr=3"], ["algo.lr=3: a run continues with its own configuration; omit this"]),
         (["search"], ["required: SEARCH; see headway search --help"]),
         (["render"], ["required: RUN|ENV; see headway render --help"]),
         (["data", "realism"], ["required: SCENARIO; see headway data realism --help"]),
@@ -83,7 +83,7 @@ def test_help_imports_numpy_alone() -> None:
 def test_lists_are_tables_with_tabs_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["list", "algos", "mappo"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split("\t") == ["key", "type", "default", "meaning"]
+    assert lines[0].split("\t") == ["key", "type", "default", "description"]
     assert any(line.startswith("algo.lr\tnumber\t") for line in lines)
 
 
@@ -148,7 +148,7 @@ def test_what_metrics_are_is_listed_for_each_of_an_episode(
 ) -> None:
     assert run(["list", "metrics", name]) == 0
     header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert header == ["environment", "metric", "what it is"]
+    assert header == ["environment", "metric", "description"]
     entry = env_entry(name)
     with closing(entry.make(entry.prepare(entry.config()), 1)) as env:
         assert [row[1] for row in rows] == ["length", "return", *env.spec.metrics]
@@ -159,7 +159,7 @@ def test_what_every_rule_does_is_listed(capsys: pytest.CaptureFixture[str]) -> N
     """In a line that is no other rule's of the same environment."""
     assert run(["list", "rules"]) == 0
     header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert header == ["environment", "rule", "what it does"]
+    assert header == ["environment", "rule", "description"]
     listed = [(name, rule) for name, rule, _ in rows]
     registered = [(name, rule) for name, entry in env_entries().items() for rule in entry.rules]
     assert listed[: len(registered)] == registered
@@ -186,7 +186,7 @@ def test_an_environment_that_a_module_will_name_has_the_rule_random(
 
 
 @pytest.mark.parametrize("what", ["envs", "metrics", "rules"])
-def test_a_wrong_name_is_told_the_nearest_of_what_a_file_configures_too(
+def test_suggestions_for_a_wrong_name_include_environments_from_files(
     what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["list", what, "intersection_papr"]) == 2

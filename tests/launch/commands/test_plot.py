@@ -158,7 +158,7 @@ def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_ou
     assert drawn[1][2:4] == (f"{axis} (lower is better)", -1)
     capsys.readouterr()
     for condition, line in (
-        ("algorithm=coma", "--where: no finished run of study is so"),
+        ("algorithm=coma", "--where: no finished run of study matches"),
         ("algo.lrr=1", "--where: no run has the parameter 'algo.lrr'"),
         ("algoritm=mappo", "did you mean algorithm?"),
         ("mappo", "is not a condition"),

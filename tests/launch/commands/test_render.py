@@ -138,13 +138,16 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
         (["s0"], "there is no store in 'runs'"),
         (["buss"], "'buss' is no run and no environment; did you mean bus, with --rule RULE?"),
         (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
-        (["trivial", "--rule", "random"], "trivial cannot be drawn; those that can are: bus, intersection"),
+        (
+            ["trivial", "--rule", "random"],
+            "trivial cannot be rendered; environments that can: bus, intersection",
+        ),
         (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
-        (["merge", "--rule", "idle", "--step", "3"], "--step picks the moment of a picture"),
+        (["merge", "--rule", "idle", "--step", "3"], "--step needs a single picture"),
         (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
         (
             ["merge", "--rule", "idle", "--keep"],
-            "--keep is for the pictures of a run; leave it or --rule out",
+            "--keep stores pictures of runs; omit it or --rule",
         ),
         (
             ["s0", "--output", "a/b.png", "--keep"],
@@ -152,7 +155,7 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
         ),
         (["merge", "--rule", "idle", "--fps", "0"], "--fps must lie between 0.1 and 50, not 0"),
         (["merge", "--rule", "idle", "--output", "no/where.gif"], "--output: no/where.gif cannot be written"),
-        (["s0", "env.args.density=3"], "env.args.density=3: a run is played as it was trained"),
+        (["s0", "env.args.density=3"], "env.args.density=3: a run is rendered with its own configuration"),
         (
             ["merge", "--rule", "idle", "--output", "a.png", "--step", "9", "env.args.steps=4"],
             "--step: the episode ends after 4 steps, before 9",
@@ -187,7 +190,7 @@ def test_where_nothing_can_be_written_nothing_is_played(
     told = capsys.readouterr().err
     assert told.startswith(f"headway: --output: {output} cannot be written (")
     assert "Errno" not in told
-    assert ("there is no folder no; make it first" in told) == output.startswith("no/")
+    assert ("there is no folder no; create it first" in told) == output.startswith("no/")
     assert rendered == []
 
 

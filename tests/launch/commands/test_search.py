@@ -91,7 +91,7 @@ def test_no_winner_is_named_while_another_session_trains_a_seed(
     search.add_arguments(parser)
     arguments = parser.parse_args(list(small))
     arguments.debug = False
-    with pytest.raises(HeadwayError, match="ippo: lr 5e-3 has 0 of 1 seeds, as another session"):
+    with pytest.raises(HeadwayError, match="ippo: lr 5e-3 has 0 of 1 seeds, because another session"):
         search.execute(arguments)
 
 

@@ -38,7 +38,7 @@ def test_numbers_never_break_and_text_gives(
     lines = shown_lines(capsys)
     assert max(map(len, lines)) <= width
     assert any("123,456" in line and "0.0001234" in line for line in lines)
-    assert "left out" not in lines[-1]
+    assert "omitted" not in lines[-1]
 
 
 def test_spare_columns_go_first_and_that_is_said(
@@ -49,7 +49,7 @@ def test_spare_columns_go_first_and_that_is_said(
     lines = shown_lines(capsys)
     assert any("123,456" in line for line in lines)
     assert not any("0.0001234" in line for line in lines)
-    assert lines[-1] == "left out, the terminal is narrow: second figure"
+    assert lines[-1] == "columns omitted on this narrow terminal: second figure"
 
 
 def test_what_cannot_fit_is_printed_as_lists(
@@ -60,7 +60,7 @@ def test_what_cannot_fit_is_printed_as_lists(
     lines = shown_lines(capsys)
     assert lines[:2] == ["things", "name           alpha"]
     assert "second figure  0.0001234" in lines  # lists have room for all
-    assert not any("left out" in line for line in lines)
+    assert not any("omitted" in line for line in lines)
 
 
 def test_before_rows_become_lists_whole_columns_break(
@@ -108,7 +108,7 @@ def test_runs_keep_identity_status_and_result_whole(
     row = next(line for line in lines if "bus-mappo-1f2e3d-s0" in line)
     assert re.search(r"-[0-9a-f]{4} .*FINISHED .*0\.6667 ", row)
     for name, figure in (("env steps", "602,112"), ("AUC", "0.3333"), ("kWh", "1.235e-05")):
-        assert figure in row or ("left out" in lines[-1] and name in lines[-1])
+        assert figure in row or ("omitted" in lines[-1] and name in lines[-1])
     if width >= 80:
         assert re.search(r"│ mappo +│", row)
 

@@ -307,8 +307,8 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
     assert "optimal" not in shown
     for words, line in (
         (["--rules", "optimum"], "--rules: there is no rule 'optimum'; did you mean optimal?"),
-        (["--rules", ","], "--rules names none"),
-        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
+        (["--rules", ","], "--rules is empty"),
+        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, because episodes are paired\n"),
         (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
         (["--rules", "random", "--against", "optimum"], "--against: there is no rule 'optimum'"),
     ):
@@ -342,7 +342,7 @@ def test_a_checkpoint_with_other_observations_prints_one_line(
 def test_wrappers_are_listed_with_their_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["list", "wrappers"]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert rows[0] == ["wrapper", "arguments", "batched", "what it does"]
+    assert rows[0] == ["wrapper", "arguments", "batched", "description"]
     by_name = {row[0]: row[1:3] for row in rows}
     assert by_name["frame_stack_v1"] == ["stack_size=4, stack_dim=-1", "yes"]
     assert by_name["sticky_actions_v0"] == ["repeat_action_probability", "no"]

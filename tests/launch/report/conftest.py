@@ -1,4 +1,4 @@
-"""Studies written by hand into a store: configurations are real, figures are chosen."""
+"""Studies written into a store by hand: real configurations with chosen results."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from headway.store.run_folder import Process, create_run_folder, now, rules_file
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
-DAYS = 4
+EPISODES = 4
 
 
 @lru_cache
@@ -30,9 +30,9 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def keep_run(root: Path) -> Callable[..., Path]:
-    """Keep a run that climbs from 0 to `final` and plays days of `final` + day in its last evaluation; each
-    rule's days are its value + day. `metrics` are the same on all days, and for rules too unless
-    `rule_metrics` has others. Episodes end in training in the iterations `trained` (by default, in all)."""
+    """Store a run whose curve climbs from 0 to `final`; evaluation episode i returns `final` + i, a rule's
+    returns its value + i. `metrics` are the same in all episodes, for rules unless `rule_metrics` differs.
+    Episodes end during training in the iterations `trained` (default: in all)."""
 
     def keep(
         overrides: Sequence[str],
@@ -72,13 +72,13 @@ def keep_run(root: Path) -> Callable[..., Path]:
                 row["training/return"] = value / 2
             log.append("curve", [{**row, "evaluation_greedy/return": value, **_of_curve(metrics)}])
         label = {"iteration": 4, "env_steps": 40, "mode": "greedy", "final": 1, "length": 5}
-        days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(DAYS)]
+        days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(EPISODES)]
         log.append("evaluation", days)
         log.commit(4)
         played = {
             rule: [
                 {"episode_seed": day, "return": value + day, **metrics, **(rule_metrics or {})}
-                for day in range(DAYS)
+                for day in range(EPISODES)
             ]
             for rule, value in (rules or {}).items()
         }

@@ -1,4 +1,4 @@
-"""The page of a study of real runs, as a real browser shows it."""
+"""The report page of real runs in a real browser."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def address(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.parametrize("width", [1280, 800])
-def test_the_page_shows_everything_at_every_width_and_asks_for_nothing(
+def test_the_page_shows_everything_at_every_width_and_requests_nothing(
     width: int, address: str, browser_page: Page, tmp_path: Path
 ) -> None:
     browser_page.open(address, width)
@@ -41,7 +41,7 @@ def test_the_page_shows_everything_at_every_width_and_asks_for_nothing(
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_is_folded_away_opens(address: str, browser_page: Page) -> None:
+def test_folded_parts_open(address: str, browser_page: Page) -> None:
     browser_page.open(address)
     assert "checkpoint_every: 20" not in browser_page.text()
     browser_page.value("document.querySelectorAll('details').forEach(part => part.open = true)")

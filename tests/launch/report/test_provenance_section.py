@@ -1,4 +1,4 @@
-"""What a report says of how its runs were made."""
+"""Provenance of the runs in a report."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -14,15 +14,15 @@ from headway_launch.report import provenance_section
         ([{"name": "ippo"}, {"name": "a3c", "application": "in_turns"}], "."),
         (
             [{"name": "ippo"}, {"name": "a3c", "application": "arrival"}],
-            ", but for algorithms whose gradients",
+            ", except for algorithms that apply gradients",
         ),
     ],
 )
-def test_runs_whose_gradients_come_as_they_come_are_not_said_to_repeat(
+def test_algorithms_that_apply_gradients_on_arrival_are_excepted_from_reproduction(
     monkeypatch: pytest.MonkeyPatch, algos: list[dict[str, str]], ending: str
 ) -> None:
     data: Any = SimpleNamespace(
         cells={("task", algo["name"]): [SimpleNamespace(directory=algo)] for algo in algos}
     )
     monkeypatch.setattr(provenance_section, "configuration", lambda directory: {"algo": directory})
-    assert provenance_section._but_for_arrival(data).startswith(ending)
+    assert provenance_section._determinism_exception(data).startswith(ending)

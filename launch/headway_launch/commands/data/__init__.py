@@ -1,4 +1,4 @@
-"""`headway data`: scenarios of the bus environment, made, described, drawn and held to what was measured."""
+"""`headway data`: create, describe, plot and validate scenarios of the bus environment."""
 
 EXAMPLES = """\
 examples:
@@ -10,5 +10,5 @@ examples:
   headway data realism towns/mine
   headway run env=bus env.args.scenario=towns/mine algo=mappo
 
-headway data COMMAND --help shows more.
+`headway data COMMAND --help` shows details.
 """

@@ -1,4 +1,4 @@
-"""`headway data describe`: what a scenario holds."""
+"""`headway data describe`: show lines, fleet, headways and demand of a scenario."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -16,26 +16,28 @@ examples:
   headway data describe towns/city --lines 50 --day-type sunday
   headway data describe corridor                         a built-in one
 
-Buses at once are those on a trip in the scenario's own timetable. Agents are the slots that the environment
-makes of it: with the timetable smoothed, time for recovery, and each bus kept to its line. Headways are the
-mean minutes between departures of a pattern in those hours, the median over patterns.
+Buses at once are on a trip at the same time by the scenario's timetable. Agents are the slots that the
+environment creates from it, with a smoothed timetable, recovery times and every bus assigned to one line.
+Headways are mean minutes between departures of a pattern in the given hours, the median over patterns.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The scenario and how many of its lines."""
+    """Add the scenario and the number of lines to list."""
     parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
     parser.add_argument(
-        "--lines", type=int, default=10, help="lines to list, those of most trips (default: 10; 0: none)"
+        "--lines", type=int, default=10, help="lines to list, by number of trips (default: 10; 0: none)"
     )
     parser.add_argument(
-        "--day-type", choices=("weekday", "sunday"), help="of the lines listed (default: the first there is)"
+        "--day-type",
+        choices=("weekday", "sunday"),
+        help="day type of the listed lines (default: the first of the scenario)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of a built-in scenario (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of a built-in scenario (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Read and print."""
+    """Print the tables."""
     if arguments.lines < 0 or arguments.seed < 0:
         raise HeadwayError("--lines and --seed must be at least 0")
     from headway_envs.bus.scenario.description import by_day_type, by_line, meta_rows
@@ -47,17 +49,17 @@ def execute(arguments: argparse.Namespace) -> int:
     with CountedProgress("day types described", len(DAY_TYPES)) as counted:
         days = by_day_type(tables, counted.add)
     if not days:
-        raise HeadwayError(f"scenario '{arguments.scenario}' has trips of no weekday and no sunday")
-    print_table(("what", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)
+        raise HeadwayError(f"scenario '{arguments.scenario}' has no trips on weekdays or Sundays")
+    print_table(("quantity", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)
     print()
     rows: list[tuple[Cell, ...]] = [
         (label, *(getattr(day, field) for day in days)) for field, label in type(days[0]).LABELS.items()
     ]
-    print_table(("of a day", *(day.day_type for day in days)), rows)
+    print_table(("quantity per day", *(day.day_type for day in days)), rows)
     if arguments.lines:
         chosen = arguments.day_type or days[0].day_type
         if chosen not in {day.day_type for day in days}:
-            raise HeadwayError(f"--day-type: there is no trip on a {chosen}; leave it out")
+            raise HeadwayError(f"--day-type: there are no trips on a {chosen}; omit the option")
         lines = by_line(tables, chosen)
         print()
         print_table(

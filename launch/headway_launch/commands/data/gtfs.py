@@ -1,4 +1,4 @@
-"""`headway data gtfs`: a scenario of the timetable in a GTFS feed."""
+"""`headway data gtfs`: write a scenario from the timetable of a GTFS feed."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from headway_launch.commands.data.choices import date_of, names_of
 from headway_launch.commands.data.writing import (
     add_output_arguments,
     check_output,
-    tell_written,
+    print_written,
     write_scenario,
 )
 
@@ -19,37 +19,37 @@ examples:
   headway data gtfs feed_folder towns/two --lines 10,12 --boardings-per-trip 30
   headway run env=bus env.args.scenario=towns/mine algo=mappo
 
-Stops, patterns, links, trips and mean travel times are the feed's, on the weekday and the Sunday with most
-trips or on the given dates. A feed says nothing of passengers and of how travel times vary: these are made up
-by numbers fitted to Salvador's buses (SUNT), and meta.json says so, and counts what was odd in the feed.
-Vehicles are by block_id or, where trips lack it, chained where they end.
+Stops, patterns, links, trips and mean travel times are taken from the feed, on the weekday and the Sunday
+with most trips or on the given dates. A feed has no passengers and no variation of travel times: these are
+generated with parameters fitted to Salvador's buses (SUNT). meta.json records this, and counts irregular
+entries of the feed. Vehicles follow block_id; trips without it are chained at their last stops.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The feed, the folder, and what of the feed to take."""
-    parser.add_argument("feed", metavar="FEED", help="a GTFS feed: a zip, or a folder of .txt files")
+    """Add the feed, the folder and the selection."""
+    parser.add_argument("feed", metavar="FEED", help="GTFS feed: a zip file, or a folder of .txt files")
     add_output_arguments(parser)
-    parser.add_argument("--weekday", metavar="DATE", help="YYYY-MM-DD (default: the weekday of most trips)")
-    parser.add_argument("--sunday", metavar="DATE", help="YYYY-MM-DD (default: the Sunday of most trips)")
-    parser.add_argument("--lines", help="names of lines, with commas (default: all)")
-    parser.add_argument("--types", help="route types, with commas (default: those of buses)")
+    parser.add_argument("--weekday", metavar="DATE", help="YYYY-MM-DD (default: the weekday with most trips)")
+    parser.add_argument("--sunday", metavar="DATE", help="YYYY-MM-DD (default: the Sunday with most trips)")
+    parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
+    parser.add_argument("--types", help="route types, comma-separated (default: buses)")
     parser.add_argument(
         "--boardings-per-trip",
         type=float,
         default=47.0,
-        help="mean on a weekday, the scale of the made-up demand (default: 47, as in Salvador)",
+        help="mean on a weekday, which scales the generated demand (default: 47, as in Salvador)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the made-up demand (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the generated demand (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Read, write and say what."""
+    """Import the feed, write the scenario and print a summary."""
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
     if not 0.0 < arguments.boardings_per_trip <= 1000.0:
         raise HeadwayError(
-            f"--boardings-per-trip must lie above 0 and at most at 1000, not {arguments.boardings_per_trip:g}"
+            f"--boardings-per-trip must be above 0 and at most 1000, not {arguments.boardings_per_trip:g}"
         )
     weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
     out = check_output(arguments)
@@ -65,5 +65,5 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     tables = import_gtfs(Path(arguments.feed), options)
     write_scenario(tables, out)
-    tell_written(tables, out)
+    print_written(tables, out)
     return 0

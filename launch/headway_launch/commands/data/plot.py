@@ -1,4 +1,4 @@
-"""`headway data plot`: a scenario as a picture."""
+"""`headway data plot`: plot a map of a scenario with loads and headways."""
 
 import argparse
 from pathlib import Path
@@ -12,24 +12,24 @@ examples:
   headway data plot towns/city --output city.pdf --day-type sunday
   headway data plot corridor --output corridor.png       a built-in one
 
-The map shows links as wide as the passengers whom they carry, stops as large as their boardings; up to ten
-lines each have a colour, more are coloured by the minutes between buses on a link. Beside it, by hour: buses
-on the road, boardings, and headways.
+On the map, the width of a link shows its passengers and the size of a stop its boardings. Up to ten lines
+have one colour each; with more lines, colours show the minutes between buses on a link. Beside the map, by
+hour: buses in service, boardings and headways.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The scenario and the file."""
+    """Add the scenario and the file."""
     parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
     parser.add_argument("--output", metavar="PNG", help="picture to write (default: NAME.png)")
     parser.add_argument(
-        "--day-type", choices=("weekday", "sunday"), help="(default: the weekday, if it has trips)"
+        "--day-type", choices=("weekday", "sunday"), help="day type (default: weekday, if it has trips)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of a built-in scenario (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of a built-in scenario (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Draw the picture and say where it is."""
+    """Plot, and print the path of the picture."""
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
     from headway_envs.bus.scenario.plots import draw_scenario

@@ -1,4 +1,4 @@
-"""`headway data realism`: the simulator beside what was measured."""
+"""`headway data realism`: compare simulated days with measured data."""
 
 import argparse
 import csv
@@ -22,35 +22,46 @@ examples:
   headway data realism towns/salvador --days 5 --format csv > realism.csv
   headway data realism towns/salvador env.args.boarding_s=5.9
 
-The scenario's timetable is replayed from 4 to 26 h: each trip leaves when it did, nothing is added to
-departures, buses always move. Each figure is the mean over simulated days, beside the measured one; it holds
-if it is off by no more than the tolerance. Trips and boardings are measured by the scenario's own tables;
-headways along the route and loads by SUNT's trip records (--records) of its lines, or else, of a scenario
-made of SUNT, by those of the whole city, which an extract of few lines is not held to. Headways are relative
-to the mean of their two hours, of frequent service; CV is their coefficient of variation, and those under a
-quarter of the mean are bunched. Trips of the built-in scenarios are made up: these cannot be compared.
+The scenario's timetable is replayed from 4 to 26 h: every trip departs at its recorded time, without added
+noise, and buses always move. Each statistic is the mean over simulated days, beside the measured value; it
+holds if their difference is within the tolerance. Trips and boardings are measured in the scenario's own
+tables; headways along the route and loads in SUNT's trip records of its lines (--records) or, for scenarios
+imported from SUNT, in those of the whole city, which are not binding for an extract of few lines. Headways
+are relative to the mean of their two hours, for frequent service; CV is their coefficient of variation, and
+headways below a quarter of the mean count as bunched. Built-in scenarios have no recorded trips to compare.
 """
-_COLUMNS = ("figure", "simulated", "sd of days", "measured", "off", "tolerance", "holds", "measured on")
+_COLUMNS = (
+    "statistic",
+    "simulated",
+    "sd over days",
+    "measured",
+    "difference",
+    "tolerance",
+    "holds",
+    "measured on",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The scenario, the days, and what to compare with."""
+    """Add the scenario, the days and the records."""
     parser.add_argument(
         "scenario", metavar="SCENARIO", help="folder with recorded trips, as `headway data sunt` writes them"
     )
     parser.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="env.args.* of the simulator"
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="env.args.* of the simulation"
     )
     parser.add_argument(
-        "--day-type", choices=("weekday", "sunday"), help="(default: the weekday, if it has trips)"
+        "--day-type", choices=("weekday", "sunday"), help="day type (default: weekday, if it has trips)"
     )
-    parser.add_argument("--days", type=int, default=20, help="to simulate (default: 20)")
-    parser.add_argument("--records", metavar="RAW", help="folder below which SUNT's files od-*.parquet lie")
-    parser.add_argument("--format", choices=("text", "csv"), default="text")
+    parser.add_argument("--days", type=int, default=20, help="days to simulate (default: 20)")
+    parser.add_argument(
+        "--records", metavar="RAW", help="folder that holds SUNT's files od-*.parquet at any depth"
+    )
+    parser.add_argument("--format", choices=("text", "csv"), default="text", help="output format")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Simulate, compare and print."""
+    """Simulate, compare and print the table."""
     if arguments.days < 1:
         raise HeadwayError("--days must be at least 1")
     config = _config(arguments)
@@ -83,22 +94,24 @@ def execute(arguments: argparse.Namespace) -> int:
         _COLUMNS,
         [_cells(row) for row in rows],
         title=f"{name}, {day}: replay, always MOVE, days simulated: {arguments.days}",
-        spare=("sd of days", "tolerance", "off"),
+        spare=("sd over days", "tolerance", "difference"),
     )
     judged = [row for row in rows if row.judged]
-    print(f"{sum(row.holds for row in judged)} of {len(judged)} figures hold")
+    print(f"{sum(row.holds for row in judged)} of {len(judged)} statistics hold")
     if left_out := len(rows) - len(judged):
         lines, city = line_count(tables, config), CITY_LINES[config.day_type]
         print(
-            f"not judged: {left_out} figures that were measured over all {city} lines of the city, of which "
-            f"{'is' if lines == 1 else 'are'} {lines} here; --records RAW measures them on these"
+            f"not judged: {left_out} statistics measured over all {city} lines of the city; the scenario has "
+            f"{lines}; --records RAW measures them on {'that line' if lines == 1 else 'those lines'}"
         )
     return 0
 
 
 def _config(arguments: argparse.Namespace) -> "BusConfig":
-    """The environment's arguments. Raises HeadwayError for other keys, for those that options give and for
-    those that a replay fixes."""
+    """Return the environment's arguments.
+
+    Raises HeadwayError for other keys, for keys that have an option and for keys that a replay fixes.
+    """
     from headway_envs.bus.config import BusConfig
     from headway_envs.bus.prepare import REPLAY_FIXED
     from headway_launch.experiments.compose import compose
@@ -117,13 +130,13 @@ def _config(arguments: argparse.Namespace) -> "BusConfig":
 
 
 def _refuse_fixed(key: str, fixed: Sequence[str]) -> None:
-    """Raises HeadwayError if the replay sets `key`, or one of the keys in it."""
+    """Raise HeadwayError if the replay sets `key` or one of its subkeys."""
     name = key.removeprefix("env.args.")
     if name in fixed:
-        raise HeadwayError(f"{key}: a replay fixes it; leave it out")
+        raise HeadwayError(f"{key}: a replay fixes this key; omit it")
     inside = [other for other in fixed if other.startswith(f"{name}.")]
     if inside:
-        raise HeadwayError(f"{key}: a replay fixes {', '.join(inside)}; give its other keys one by one")
+        raise HeadwayError(f"{key}: a replay fixes {', '.join(inside)}; give the other subkeys individually")
 
 
 def _cells(row: "Row") -> tuple[str | float | None, ...]:

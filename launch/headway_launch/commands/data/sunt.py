@@ -1,4 +1,4 @@
-"""`headway data sunt`: a scenario of Salvador's buses, from raw files of SUNT."""
+"""`headway data sunt`: write a scenario of Salvador's buses from SUNT's raw files."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from headway_launch.commands.data.choices import date_of, names_of
 from headway_launch.commands.data.writing import (
     add_output_arguments,
     check_output,
-    tell_written,
+    print_written,
     write_scenario,
 )
 
@@ -19,27 +19,31 @@ examples:
   headway data sunt SUNT/data towns/salvador --weekday 2024-08-26 --sunday 2024-09-15
   headway run env=bus env.args.scenario=towns/line algo=mappo
 
-RAW is a folder that holds, at any depth, files of SUNT (https://github.com/LabIA-UFBA/SUNT, CC BY 4.0):
-  od-YYYY-MM-DD.parquet                      trip records; at least one weekday or Sunday
-  gtfs_bus_topique_*.parquet                 where stops lie
-  node_temporal_features_DD-MM-YYYY.parquet  counts by stop, for the demand of days without fares
-Trips are those of one day of each day type, travel times those of all its days. meta.json names the source
-and the licence, says what each table is made from, and counts what was left out or mended.
+RAW is a folder that holds, at any depth, SUNT's files (https://github.com/LabIA-UFBA/SUNT, CC BY 4.0):
+  od-YYYY-MM-DD.parquet                      trip records of at least one weekday or Sunday
+  gtfs_bus_topique_*.parquet                 positions of stops
+  node_temporal_features_DD-MM-YYYY.parquet  counts by stop, for demand on days without fare data
+Trips are taken from one day of each day type, travel times from all its days. meta.json names the source and
+the licence, describes the origin of each table, and counts omitted and corrected records.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The files, the folder, and what to take."""
-    parser.add_argument("raw", metavar="RAW", help="folder with files of SUNT")
+    """Add the files, the folder and the selection."""
+    parser.add_argument("raw", metavar="RAW", help="folder with SUNT's files")
     add_output_arguments(parser)
-    parser.add_argument("--weekday", metavar="DATE", help="of the timetable (default: that of most trips)")
-    parser.add_argument("--sunday", metavar="DATE", help="of the timetable (default: that of most trips)")
-    parser.add_argument("--lines", help="names of lines, with commas (default: all)")
-    parser.add_argument("--seed", type=int, default=0, help="of demand where no counts are (default: 0)")
+    parser.add_argument(
+        "--weekday", metavar="DATE", help="date of the timetable (default: the one with most trips)"
+    )
+    parser.add_argument(
+        "--sunday", metavar="DATE", help="date of the timetable (default: the one with most trips)"
+    )
+    parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of demand without counts (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Read, write and say what."""
+    """Import the files, write the scenario and print a summary."""
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
     weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
@@ -49,5 +53,5 @@ def execute(arguments: argparse.Namespace) -> int:
     options = SuntOptions(weekday, sunday, names_of(arguments.lines), arguments.seed)
     tables = import_sunt(Path(arguments.raw), options)
     write_scenario(tables, out)
-    tell_written(tables, out)
+    print_written(tables, out)
     return 0

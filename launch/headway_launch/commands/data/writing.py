@@ -1,4 +1,4 @@
-"""The folder that a scenario is written to, and what is said of it."""
+"""Writing a scenario folder, and the summary printed afterwards."""
 
 import argparse
 import math
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.output_files import unwritten
+from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -18,50 +18,51 @@ _SETTINGS = (
     (400, "algo=ippo algo.gamma=0.99 algo.gae_lambda=0.95 rollout.copies=1 rollout.block=1"),
     (math.inf, "algo=ippo preset=bus_lines env_steps=28_500"),
 )
-"""Most buses at once, and what is trained there: as on the line, as `bus_study_network`, as `bus_city`."""
+"""Most buses at once, and the suggested settings: those of the line, `bus_study_network` and `bus_city`."""
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """OUT and --replace."""
+    """Add OUT and --replace."""
     parser.add_argument("out", metavar="OUT", help="folder to write the scenario to")
-    parser.add_argument("--replace", action="store_true", help="write over the scenario that OUT holds")
+    parser.add_argument("--replace", action="store_true", help="overwrite the scenario in OUT")
 
 
 def check_output(arguments: argparse.Namespace) -> Path:
-    """The folder to write; before any work, so that none is lost. Raises HeadwayError if it is taken."""
+    """Return the folder to write. Raises HeadwayError if it is taken; called before any work is done."""
     from headway_envs.bus.config import SCENARIOS
 
     out = Path(arguments.out)
     if str(out) in SCENARIOS:
         raise HeadwayError(
-            f"OUT: env.args.scenario={out} is the built-in scenario; give the folder another name: my_{out}"
+            f"OUT: env.args.scenario={out} selects the built-in scenario; choose another name, such as "
+            f"my_{out}"
         )
     here = Path.cwd()
     if out.resolve() in (here, *here.parents):
-        raise HeadwayError(f"OUT: {out} is the working directory or lies above it; name a folder in it")
+        raise HeadwayError(f"OUT: {out} is the working directory or one of its parents; name a folder in it")
     if out.exists() and not out.is_dir():
         raise HeadwayError(f"OUT: {out} is a file; name a folder")
     _refuse_others(out)
     if out.is_dir() and any(out.iterdir()) and not arguments.replace:
-        raise HeadwayError(f"OUT: {out} holds a scenario; --replace writes over it")
+        raise HeadwayError(f"OUT: {out} holds a scenario; --replace overwrites it")
     return out
 
 
 def _refuse_others(out: Path) -> None:
-    """Raises HeadwayError if the folder, where there is one, holds anything but a scenario."""
+    """Raise HeadwayError if the folder exists and holds anything but a scenario."""
     from headway_envs.bus.scenario.tables import COLUMNS
 
     held = {entry.name: entry.is_file() for entry in out.iterdir()} if out.is_dir() else {}
     tables = {f"{name}.parquet" for name in COLUMNS}
     others = [name for name, is_file in held.items() if not is_file or name not in {*tables, "meta.json"}]
     if held and not others and not tables & set(held):
-        others = ["meta.json"]  # alone it is anybody's
+        others = ["meta.json"]  # without tables, it may belong to something else
     if others:
         raise HeadwayError(f"OUT: {out} holds other files ({min(others)}); name a new folder")
 
 
 def write_scenario(tables: "Tables", out: Path) -> None:
-    """Check and write; a scenario that was there goes when the new one stands whole in its place."""
+    """Check and write a scenario; an old one is removed once the new one is complete in its place."""
     from headway_envs.bus.scenario.tables import check_tables, write_tables
 
     check_tables(tables)
@@ -82,11 +83,11 @@ def write_scenario(tables: "Tables", out: Path) -> None:
                 if old.is_dir() and not out.exists():
                     old.rename(out)
     except OSError as error:
-        raise unwritten("OUT", out, error) from error
+        raise write_error("OUT", out, error) from error
 
 
-def tell_written(tables: "Tables", out: Path) -> None:
-    """What was written, in a line each, and what to do with it."""
+def print_written(tables: "Tables", out: Path) -> None:
+    """Print a summary of the scenario and the next commands."""
     from headway_envs.bus.scenario.description import by_day_type
     from headway_envs.bus.scenario.tables import DAY_TYPES
 

@@ -1,14 +1,13 @@
-"""Sections that set a study beside what was published of its kind: BusEnv's table, the merging study's
-curves, the crossing's table."""
+"""Sections that compare a study with published results, which are stored beside the environments."""
 
 from headway_launch.report.parts import Section
-from headway_launch.report.published.busenv import busenv_section
-from headway_launch.report.published.crossing import crossing_section
-from headway_launch.report.published.merging import merging_section
+from headway_launch.report.published.bus_published import bus_published_section
+from headway_launch.report.published.intersection import intersection_section
+from headway_launch.report.published.merge import merge_section
 from headway_launch.report.study_data import StudyData
 
 
 def published_sections(data: StudyData) -> list[Section]:
-    """Those that a study's environments call for; most call for none."""
-    made = (of_study(data) for of_study in (busenv_section, merging_section, crossing_section))
+    """Return the sections for the study's environments; empty for environments without published results."""
+    made = (section_of(data) for section_of in (bus_published_section, merge_section, intersection_section))
     return [section for section in made if section is not None]

@@ -48,32 +48,44 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["describe", "nowhere"], ["scenario 'nowhere' is none of line, corridor, district, city"]),
         (["plot", "nowhere"], ["scenario 'nowhere' is none of"]),
         (["plot", "line", "--output", "x.nothing"], ["--output: x.nothing cannot be written"]),
-        (["plot", "line", "--output", "x"], ["--output: x does not say which kind", "as x.png or .svg"]),
+        (["plot", "line", "--output", "x"], ["--output: x has no suffix", "as x.png or .svg"]),
         (["plot", "line", "--output", "no/x.png"], ["--output: no/x.png cannot", "there is no folder no;"]),
         (["plot", "line", "--day-type", "monday"], ["--day-type", "monday"]),
         (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
-        (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is no date YYYY-MM-DD"]),
-        (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must lie above 0"]),
+        (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is not a date YYYY-MM-DD"]),
+        (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must be above 0"]),
         (["sunt", "nowhere", "x"], ["RAW: nowhere is not a folder"]),
-        (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is no date"]),
+        (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is not a date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
         (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),
         (["realism", "nowhere"], ["there is no folder nowhere"]),
         (["realism", "line"], ["SCENARIO: its trips are made up, nothing was measured there; give"]),
         (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
-        (["realism", "line", "env.args.scenario_seed=1"], ["env.args.scenario_seed: a replay fixes it"]),
+        (
+            ["realism", "line", "env.args.scenario_seed=1"],
+            ["env.args.scenario_seed: a replay fixes this key"],
+        ),
         (["realism", "line", "algo.lr=3"], ["algo.lr: only env.args.* of the bus environment"]),
         (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type instead"]),
-        (["realism", "line", "env.args.start_hour=6"], ["env.args.start_hour: a replay fixes it; leave it"]),
-        (["realism", "line", "env.args.end_hour=20"], ["env.args.end_hour: a replay fixes it"]),
-        (["realism", "line", "env.args.recovery_share=1"], ["env.args.recovery_share: a replay fixes it"]),
-        (["realism", "line", "env.args.dispatch_window_s=9"], ["dispatch_window_s: a replay fixes it"]),
+        (
+            ["realism", "line", "env.args.start_hour=6"],
+            ["env.args.start_hour: a replay fixes this key; omit it"],
+        ),
+        (["realism", "line", "env.args.end_hour=20"], ["env.args.end_hour: a replay fixes this key"]),
+        (
+            ["realism", "line", "env.args.recovery_share=1"],
+            ["env.args.recovery_share: a replay fixes this key"],
+        ),
+        (["realism", "line", "env.args.dispatch_window_s=9"], ["dispatch_window_s: a replay fixes this key"]),
         (
             ["realism", "line", "env.args.noise.dispatch_s=9"],
-            ["env.args.noise.dispatch_s: a replay fixes it"],
+            ["env.args.noise.dispatch_s: a replay fixes this key"],
         ),
-        (["realism", "line", "env.args.upkeep.uptime_hours=9"], ["upkeep.uptime_hours: a replay fixes it"]),
-        (["realism", "line", "env.args.noise={dispatch_s: 9}"], ["fixes noise.dispatch_s; give its other"]),
+        (
+            ["realism", "line", "env.args.upkeep.uptime_hours=9"],
+            ["upkeep.uptime_hours: a replay fixes this key"],
+        ),
+        (["realism", "line", "env.args.noise={dispatch_s: 9}"], ["fixes noise.dispatch_s; give the other"]),
         (["realism", "line", "env.args.boardin_s=3"], ["did you mean env.args.boarding_s?"]),
     ],
 )
@@ -135,7 +147,7 @@ def test_what_lies_there_is_not_written_over(tmp_path: Path, capsys: pytest.Capt
     out = tmp_path / "mine"
     assert run(["data", "synthetic", str(out)]) == 0
     assert run(["data", "synthetic", str(out), "--seed", "1"]) == 2
-    assert "holds a scenario; --replace writes over it" in capsys.readouterr().err
+    assert "holds a scenario; --replace overwrites it" in capsys.readouterr().err
     assert json.loads((out / "meta.json").read_text())["seed"] == 0
     assert run(["data", "synthetic", str(out), "--seed", "1", "--replace"]) == 0
     assert json.loads((out / "meta.json").read_text())["seed"] == 1
@@ -192,7 +204,7 @@ def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(
     monkeypatch.chdir(tmp_path)
     assert run(["data", "synthetic", out]) == 2
     name = Path(out).name
-    assert f"OUT: env.args.scenario={name} is the built-in scenario; give the" in capsys.readouterr().err
+    assert f"OUT: env.args.scenario={name} selects the built-in scenario; choose" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert run(["data", "synthetic", f"towns/{name}"]) == 0
 
@@ -203,7 +215,9 @@ def test_the_working_directory_and_those_above_are_refused_before_any_work(
     monkeypatch.chdir(tmp_path)
     for out in (".", "", "..", "towns/..", str(tmp_path)):
         assert run(["data", "gtfs", "no feed", out]) == 2
-        assert "is the working directory or lies above it; name a folder in it" in capsys.readouterr().err
+        assert (
+            "is the working directory or one of its parents; name a folder in it" in capsys.readouterr().err
+        )
 
 
 def test_a_link_to_a_scenario_stays_one_and_names_the_new_one(tmp_path: Path) -> None:
@@ -236,21 +250,21 @@ def test_realism_prints_simulated_beside_measured(
     capsys.readouterr()
     assert run(["data", "realism", str(out), "--days", "1", "--format", "csv"]) == 0
     header, *rows = csv.reader(capsys.readouterr().out.splitlines())
-    assert header[0] == "figure"
+    assert header[0] == "statistic"
     first = dict(zip(header, next(row for row in rows if row[0] == "headway CV, first call"), strict=True))
     assert first["simulated"] == first["measured"]
     assert first["holds"] == "yes"
     assert first["measured on"] == "its own tables"
     assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
-    assert capsys.readouterr().out.endswith(" figures hold\n")
+    assert capsys.readouterr().out.endswith(" statistics hold\n")
     (out / "meta.json").write_text(json.dumps({"source": f"records of a test of doi:{DOI}"}))
     assert run(["data", "realism", str(out), "--days", "1"]) == 0
     *rows, counted, left_out = capsys.readouterr().out.splitlines()
     cells = [row.split("\t") for row in rows[1:]]
     own = [row for row in cells if row[7] == "its own tables"]
     assert {row[6] for row in cells if row not in own} == {""}
-    assert counted == f"{sum(row[6] == 'yes' for row in own)} of {len(own)} figures hold"
-    assert left_out.startswith(f"not judged: {len(cells) - len(own)} figures that were measured over all 382")
+    assert counted == f"{sum(row[6] == 'yes' for row in own)} of {len(own)} statistics hold"
+    assert left_out.startswith(f"not judged: {len(cells) - len(own)} statistics measured over all 382")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
     told = capsys.readouterr().err

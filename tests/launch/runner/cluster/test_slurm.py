@@ -83,8 +83,8 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("--nodes", "2"), "--nodes is for Slurm: give --slurm with it"),
-        (("--array",), "--array is for Slurm: give --slurm with it"),
+        (("--nodes", "2"), "--nodes needs --slurm"),
+        (("--array",), "--array needs --slurm"),
         (("--slurm", "--nodes", "0"), "--nodes must be at least 1, not 0"),
         (
             ("--slurm", "--time", "soon"),
@@ -142,7 +142,7 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (
             ("--slurm", "--dry-run"),
-            "--slurm goes on where the store stops: leave --dry-run and --fresh out",
+            "--slurm cannot be combined with --dry-run or --fresh",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""The section beside the crossing's published table."""
+"""Comparison of a study with the published intersection results."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +8,8 @@ import pytest
 from sections import section_of, tables, words
 
 from headway_launch.report.parts import Section
-from headway_launch.report.published.crossing import crossing_figures, crossing_section
+from headway_launch.report.published.episode_metrics import published_values
+from headway_launch.report.published.intersection import intersection_section
 from headway_launch.report.study_data import StudyData
 
 PAPER = "experiment=intersection_paper_ippo"
@@ -18,17 +19,17 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    return section_of(root, crossing_section)
+    return section_of(root, intersection_section)
 
 
-def test_three_are_published() -> None:
-    published = crossing_figures()
+def test_three_algorithms_have_published_values() -> None:
+    published = published_values("intersection")
     assert list(published.index) == ["ippo", "a3c", "ddpg"]
     assert published.loc["ippo", "outflow_vph"] == 323
     assert np.isnan(published.loc["ddpg", "vehicles"])
 
 
-def test_the_paper_s_row_of_what_was_trained_stands_above_ours(keep_run: Keep, root: Path) -> None:
+def test_published_rows_of_trained_algorithms_stand_above_ours(keep_run: Keep, root: Path) -> None:
     for seed in range(2):
         more = {**METRICS, "outflow_vph": 600.0 + 20 * seed}
         keep_run((PAPER,), seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **more)
@@ -41,15 +42,17 @@ def test_the_paper_s_row_of_what_was_trained_stands_above_ours(keep_run: Keep, r
     [row] = tables(found)["against_humans"].rows
     assert row[1] == "2"
     assert row[2].startswith("+110")
-    assert row[-1] == "no claim (outflow not told apart, collisions not told apart)"  # two seeds: t is wide
-    assert "not the paper's" not in words(found)
+    assert (
+        row[-1] == "no claim (outflow: no difference shown, collisions: no difference shown)"
+    )  # two seeds: t is wide
+    assert "differ from the paper's" not in words(found)
 
 
 @pytest.mark.parametrize(
     ("outflow", "collisions", "reading"),
-    [(600.0, 0.0, "more leave, fewer crash"), (400.0, 2.0, "fewer leave, more crash")],
+    [(600.0, 0.0, "more outflow, fewer collisions"), (400.0, 2.0, "less outflow, more collisions")],
 )
-def test_ten_seeds_are_set_against_human_drivers(
+def test_ten_seeds_are_compared_with_human_drivers(
     keep_run: Keep, root: Path, outflow: float, collisions: float, reading: str
 ) -> None:
     for seed in range(10):
@@ -61,7 +64,7 @@ def test_ten_seeds_are_set_against_human_drivers(
     assert "compare those rows with the rules, not with the paper" in words(found)
 
 
-def test_other_days_than_the_humans_are_not_compared(keep_run: Keep, root: Path) -> None:
+def test_episodes_other_than_the_human_drivers_are_not_compared(keep_run: Keep, root: Path) -> None:
     for seed, root_of_days in enumerate((1, 2)):
         overrides = (PAPER, f"evaluation.seed={root_of_days}")
         keep_run(overrides, seed, 10.0, rules={"human": 1.0}, rule_metrics=HUMAN, **METRICS)
@@ -71,9 +74,9 @@ def test_other_days_than_the_humans_are_not_compared(keep_run: Keep, root: Path)
 
 def test_without_human_drivers_there_is_no_baseline(keep_run: Keep, root: Path) -> None:
     keep_run((PAPER,), 0, 10.0, **METRICS)
-    assert "there is no baseline of human drivers" in words(section(root))
+    assert "There is no baseline of human drivers" in words(section(root))
 
 
 def test_other_environments_have_no_such_section(keep_run: Keep, root: Path) -> None:
     keep_run(("experiment=toy_tracking",), 0, 10.0)
-    assert crossing_section(StudyData(root, "study")) is None
+    assert intersection_section(StudyData(root, "study")) is None

@@ -1,4 +1,4 @@
-"""The section that answers whether learners scale from one ramp lane to two."""
+"""Comparison of a study with the published merging study."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +9,7 @@ from scipy import stats
 from sections import section_of, tables, words
 
 from headway_launch.report.parts import Section
-from headway_launch.report.published.merging import merging_section
+from headway_launch.report.published.merge import merge_section
 from headway_launch.report.study_data import StudyData
 
 STUDY = "experiment=merge_study"
@@ -17,7 +17,7 @@ Keep = Callable[..., Path]
 
 
 def section(root: Path) -> Section:
-    return section_of(root, merging_section)
+    return section_of(root, merge_section)
 
 
 def train(keep: Keep, env: str, rewards: list[float], *overrides: str, crash_rate: float = 0.1) -> None:
@@ -27,20 +27,20 @@ def train(keep: Keep, env: str, rewards: list[float], *overrides: str, crash_rat
         keep((STUDY, f"env={env}", *overrides), seed, reward, rules=rules, **metrics)
 
 
-def test_ranges_published_stand_beside_rewards_crashes_and_rules(keep_run: Keep, root: Path) -> None:
+def test_published_ranges_stand_beside_rewards_crashes_and_rules(keep_run: Keep, root: Path) -> None:
     train(keep_run, "merge", [50.0, 54.0], "algo=madqn")
     train(keep_run, "merge", [60.0], "algo=ippo")
     shown = tables(section(root))["merging"]
     rows = {row[1]: row for row in shown.rows}
     assert rows["madqn"][2:7] == ["2", "-100 to 50", "52.0 ± 2.8", "0.100 ± 0.000", "0.900 ± 0.000"]
-    assert rows["madqn"][-1] == "\N{EN DASH}"  # nothing logged of a supervisor
-    assert rows["ippo"][3] == "\N{EN DASH}"  # nobody published it
+    assert rows["madqn"][-1] == "\N{EN DASH}"  # interventions were not logged
+    assert rows["ippo"][3] == "\N{EN DASH}"  # not published
     assert [row[1] for row in shown.rows][-2:] == ["rule idm_mobil", "rule random"]
     assert shown.emphasised == {2, 3}
     assert "`merge` and on `merge_two_lane`" in words(section(root))
 
 
-def test_what_a_second_lane_costs_is_welch_s_difference(keep_run: Keep, root: Path) -> None:
+def test_change_with_a_second_lane_is_welch_s_difference(keep_run: Keep, root: Path) -> None:
     one = [50.0 + each for each in range(10)]
     two = [40.0 + each for each in range(10)]
     train(keep_run, "merge", one, "algo=mappo")
@@ -59,7 +59,7 @@ def test_what_a_second_lane_costs_is_welch_s_difference(keep_run: Keep, root: Pa
     assert maacktr[-2:] == ["does not", "no claim (no difference shown)"]
 
 
-def test_lanes_are_paired_where_the_traffic_is_the_same(keep_run: Keep, root: Path) -> None:
+def test_tasks_with_the_same_traffic_are_paired(keep_run: Keep, root: Path) -> None:
     train(keep_run, "merge", [1.0, 2.0], "env.args.supervisor=true")
     train(keep_run, "merge_two_lane", [1.0, 2.0])
     assert "scaling" not in tables(section(root))
@@ -68,7 +68,7 @@ def test_lanes_are_paired_where_the_traffic_is_the_same(keep_run: Keep, root: Pa
     assert row[2].startswith("+2")
 
 
-def test_learners_of_one_road_only_are_said(keep_run: Keep, root: Path) -> None:
+def test_learners_trained_on_one_of_the_tasks_only_are_reported(keep_run: Keep, root: Path) -> None:
     train(keep_run, "merge", [1.0, 2.0], "algo=mappo")
     train(keep_run, "merge_two_lane", [1.0, 2.0], "algo=ippo")
     assert "No learner was trained on both" in words(section(root))
@@ -76,4 +76,4 @@ def test_learners_of_one_road_only_are_said(keep_run: Keep, root: Path) -> None:
 
 def test_other_environments_have_no_such_section(keep_run: Keep, root: Path) -> None:
     keep_run(("experiment=toy_tracking",), 0, 10.0)
-    assert merging_section(StudyData(root, "study")) is None
+    assert merge_section(StudyData(root, "study")) is None

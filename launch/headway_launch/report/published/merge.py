@@ -1,0 +1,163 @@
+"""Comparison with the published merging study: which algorithms scale from one ramp lane to two."""
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from headway.contracts import PublishedResult
+from headway.stats import difference_of_means
+from headway_launch.report.parts import MISSING, Part, Section, Table
+from headway_launch.report.published.episode_metrics import (
+    MetricColumn,
+    env_of,
+    formatted,
+    learner_metrics,
+    mean_by_seed,
+    published_results,
+    rule_metrics,
+    seeds_of,
+    tasks_of,
+)
+from headway_launch.report.study_data import StudyData
+from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
+
+if TYPE_CHECKING:
+    from headway.stats import Interval
+
+ONE_LANE, TWO_LANES = "merge", "merge_two_lane"
+COLUMNS = (
+    MetricColumn("reward", "reward", 1),
+    MetricColumn("crash_rate", "crashes", 3),
+    MetricColumn("merge_rate", "merged", 3),
+    MetricColumn("mean_speed_ms", "speed, m/s", 2),
+    MetricColumn("interventions", "interventions", 1),
+)
+SCALING_COLUMNS = COLUMNS[:4]
+_UNPUBLISHED = PublishedResult(ranges={"reward": MISSING}, finding=MISSING)
+
+
+def merge_section(data: StudyData) -> Section | None:
+    """Compare rewards, crashes, merges and speeds with the published ranges, and one ramp lane with two.
+
+    None for studies of other environments.
+    """
+    tasks = tasks_of(data, ONE_LANE, TWO_LANES)
+    if not tasks:
+        return None
+    body: list[Part] = [
+        "The study plots curves and prints no table; the ranges below are those that its text states for "
+        "the evaluation rewards, over 10,000 episodes at density 2. Its conclusion: MAPPO scales to two ramp "
+        "lanes, MAACKTR gets worse, MADQN learns on neither.",
+        _comparison(data, tasks),
+    ]
+    pairs = _pairs(data, tasks)
+    for place, (one, two) in enumerate(pairs):
+        body += _scaling(data, one, two, f"_{place + 1}" if len(pairs) > 1 else "")
+    if not pairs:
+        body.append(
+            "These runs do not show how an algorithm scales: that needs runs with the same settings on "
+            f"`{ONE_LANE}` and on `{TWO_LANES}`."
+        )
+    body += published_results(ONE_LANE).caveats
+    return Section("merging", "Comparison with the published merging study", body)
+
+
+def _comparison(data: StudyData, tasks: list[str]) -> Table:
+    rows: list[list[str]] = []
+    exact: list[dict[str, Any]] = []
+    rules: set[int] = set()
+    for task in tasks:
+        published = published_results(str(env_of(data, task)["id"])).results
+        for name, row in learner_metrics(data, task, COLUMNS).iterrows():
+            reported = published.get(str(row["algorithm"]), _UNPUBLISHED).ranges["reward"]
+            rows.append([task, str(name), seeds_of(row), reported, *formatted(row, COLUMNS)])
+            exact.append({"environment": task, "controller": name, "published_reward": reported, **row})
+        for name, row in rule_metrics(data, task, COLUMNS).iterrows():
+            rules.add(len(rows))
+            rows.append([task, str(name), MISSING, MISSING, *formatted(row, COLUMNS)])
+            exact.append({"environment": task, "controller": name, **row})
+    return Table(
+        "merging",
+        "Reward per episode (sum over its steps of the mean over vehicles), share of episodes with a crash, "
+        "share of CAVs that merged into the highway, their mean speed, and actions replaced by the "
+        "supervisor: last evaluation, mean ± standard deviation over seeds. The published runs used the "
+        "supervisor.",
+        ["environment", "controller", "seeds", "published: reward", *(each.heading for each in COLUMNS)],
+        rows,
+        pd.DataFrame(exact),
+        words=frozenset({0, 1, 3}),
+        emphasised=frozenset(rules),
+    )
+
+
+def _pairs(data: StudyData, tasks: list[str]) -> list[tuple[str, str]]:
+    """Return pairs of tasks that differ only in the number of ramp lanes."""
+
+    def traffic(task: str) -> dict[str, Any]:
+        found: dict[str, Any] = env_of(data, task)["args"]
+        return found
+
+    of = {environment: tasks_of(data, environment) for environment in (ONE_LANE, TWO_LANES)}
+    return [(one, two) for one in of[ONE_LANE] for two in of[TWO_LANES] if traffic(one) == traffic(two)]
+
+
+def _scaling(data: StudyData, one: str, two: str, number: str) -> list[Part]:
+    """Return the table of each learner's change from one ramp lane to two."""
+    both = [name for name in data.on(one) if name in data.on(two)]
+    published = published_results(TWO_LANES).results
+    rows, exact = [], []
+    for name in both:
+        members = data.on(one)[name]
+        seeds = min(len(members), len(data.on(two)[name]))
+        changes = {each.metric: _change(data, one, two, name, each.metric) for each in SCALING_COLUMNS}
+        finding = published.get(members[0].algorithm, _UNPUBLISHED).finding
+        shown = [_shown(changes[each.metric], each.decimals) for each in SCALING_COLUMNS]
+        rows.append([name, str(seeds), *shown, finding, _conclusion(changes["reward"], seeds)])
+        exact.append({"controller": name, "seeds": seeds, **_exact(changes)})
+    if not rows:
+        return [f"No learner was trained on both {one} and {two}."]
+    return [
+        Table(
+            f"scaling{number}",
+            f"{two} minus {one}: difference of the means over seeds, with its 95% interval by Welch's t.",
+            ["controller", "seeds", *(each.heading for each in SCALING_COLUMNS), "published", "here"],
+            rows,
+            pd.DataFrame(exact),
+            words=frozenset({0, 2 + len(SCALING_COLUMNS), 3 + len(SCALING_COLUMNS)}),
+        )
+    ]
+
+
+def _change(data: StudyData, one: str, two: str, name: str, metric: str) -> "Interval | None":
+    """Return the change of a metric's mean, or None if it was not logged or there is only one seed."""
+    of_one, of_two = (mean_by_seed(data, task, name, metric) for task in (one, two))
+    if min(len(of_one), len(of_two)) < 2:
+        return None
+    return difference_of_means(of_two, of_one)
+
+
+def _shown(change: "Interval | None", decimals: int) -> str:
+    if change is None:
+        return MISSING
+    if math.isnan(change.low):
+        return f"{change.estimate:+.{decimals}f}"
+    return f"{change.estimate:+.{decimals}f} [{change.low:.{decimals}f}, {change.high:.{decimals}f}]"
+
+
+def _conclusion(change: "Interval | None", seeds: int) -> str:
+    if change is None:
+        return MISSING
+    conclusion = "no difference shown"
+    if change.excludes_zero:
+        conclusion = "gains" if change.estimate > 0 else "loses"
+    return conclusion if seeds >= SEEDS_FOR_A_CLAIM else f"no claim ({conclusion})"
+
+
+def _exact(changes: "dict[str, Interval | None]") -> dict[str, float]:
+    return {
+        f"{metric}{part}": value
+        for metric, change in changes.items()
+        if change is not None
+        for part, value in (("", change.estimate), ("_low", change.low), ("_high", change.high))
+    }
