@@ -8,13 +8,13 @@ from typing import Any
 from headway.contracts import HeadwayError
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import Collector, evaluation_requests, joined, restart_purpose
+from headway.rollout.collector import Collector, evaluation_requests, concatenate_blocks, restart_purpose
 from headway.rollout.episodes import evaluate_policy
 from headway.rollout.plan import process_holds
-from headway.rollout.workers.async_worker import AsynchronousPlan, Contributing
+from headway.rollout.workers.async_worker import AsynchronousPlan, ContributionService
 from headway.rollout.workers.process_workers import process_collector
 from headway.rollout.workers.worker import Begin, Contribute, Done, Restore
-from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, standing
+from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
 
 
 class PoolContributors:
@@ -25,7 +25,7 @@ class PoolContributors:
     in_turns = False
 
     def __init__(
-        self, plan: AsynchronousPlan, workplace: WorkerLauncher, evaluating: Collector, notify: Notify
+        self, plan: AsynchronousPlan, launcher: WorkerLauncher, evaluating: Collector, notify: Notify
     ) -> None:
         """`evaluating`: is never begun; this closes it, also where it cannot start."""
         self.plan, self.evaluating = plan, evaluating
@@ -33,7 +33,7 @@ class PoolContributors:
         self.arrived: deque[int] = deque()
         """Workers that have answered, or died, and were not heard yet; first come, first heard."""
         try:
-            self.crew = WorkerPool(workplace, len(plan.shards), notify)
+            self.pool = WorkerPool(launcher, len(plan.shards), notify)
         except BaseException:
             evaluating.close()
             raise
@@ -41,11 +41,11 @@ class PoolContributors:
     @property
     def number(self) -> int:
         """See `Contributors`."""
-        return len(self.crew.workers)
+        return len(self.pool.workers)
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self.crew.all([Begin("env")] * self.number)
+        self.pool.all([Begin("env")] * self.number)
 
     def idle(self) -> list[int]:
         """See `Contributors`."""
@@ -54,21 +54,21 @@ class PoolContributors:
     def assign(self, worker: int, task: Contribute) -> None:
         """See `Contributors`."""
         self.tasks[worker] = task
-        self.crew.send(worker, task)
+        self.pool.send(worker, task)
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
         """See `Contributors`; a worker that died is replaced, and contributes again while others go on."""
         while True:
             worker = self._first_come() if turn is None else turn
             # By the contribution, as a fast worker makes, and may die in, several of one iteration.
-            self.crew.anew = f"env restart for contribution {self.tasks[worker].number}"
-            done = self.crew.hear(worker, self.tasks[worker])
+            self.pool.anew = f"env restart for contribution {self.tasks[worker].number}"
+            done = self.pool.hear(worker, self.tasks[worker])
             if done is not None:
                 return worker, self.tasks.pop(worker), done
 
     def _first_come(self) -> int:
         unheard = [worker for worker in self.tasks if worker not in self.arrived]
-        self.arrived += self.crew.answered(unheard, 0 if self.arrived else None)
+        self.arrived += self.pool.answered(unheard, 0 if self.arrived else None)
         return self.arrived.popleft()
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
@@ -77,29 +77,29 @@ class PoolContributors:
 
     def snapshot(self) -> list[Any]:
         """Of each worker: where it stood before what it does now, and what that is."""
-        states = [worker.snapshot for worker in self.crew.workers]
+        states = [worker.snapshot for worker in self.pool.workers]
         return [_with_task(state, self.tasks.get(worker)) for worker, state in enumerate(states)]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
         """Have everyone begin again with what it was doing; where there are no snapshots, start anew."""
         self.plan.require_workers(snapshots)
         states = [None if snapshot is None else snapshot["worker"] for snapshot in snapshots]
-        self.crew.all([standing(state, restart_purpose(iteration)) for state in states])
+        self.pool.all([resume_command(state, restart_purpose(iteration)) for state in states])
         for worker, task in _tasks_of(snapshots).items():
             self.assign(worker, task)
 
     def process_ids(self) -> list[int]:
         """Of all workers."""
-        return self.crew.process_ids() + self.evaluating.process_ids()
+        return self.pool.process_ids() + self.evaluating.process_ids()
 
     def usage(self) -> Usage:
         """Of all workers, with what they do now: a rollout under way may never be heard of."""
-        return self.crew.usage(self.tasks) + self.evaluating.usage()
+        return self.pool.usage(self.tasks) + self.evaluating.usage()
 
     def close(self) -> None:
         """End all workers: at once, as nobody waits for what they are doing."""
         try:
-            self.crew.close(hastily=self.tasks)
+            self.pool.close(hastily=self.tasks)
         finally:
             self.evaluating.close()
 
@@ -117,9 +117,9 @@ class SerialContributors:
                 f"{process_holds(self.plan.spec, limit)}, and this one would hold "
                 f"{self.plan.copies}; set backend=process, or rollout.copies={limit}"
             )
-        self.workers = [Contributing(plan, shard) for shard in plan.shards]
+        self.workers = [ContributionService(plan, shard) for shard in plan.shards]
         self.tasks: dict[int, Contribute] = {}
-        apart = self.plan.evaluating_apart
+        apart = self.plan.evaluation_plan
         self.apart = None if limit is None else process_collector(apart, [apart.whole], notify)
 
     @property
@@ -130,7 +130,7 @@ class SerialContributors:
     def begin(self) -> None:
         """Start the first episodes."""
         for worker in self.workers:
-            worker.carry_out(Begin("env"))
+            worker.execute(Begin("env"))
 
     def idle(self) -> list[int]:
         """See `Contributors`."""
@@ -144,14 +144,14 @@ class SerialContributors:
         """See `Contributors`; what comes first is what was assigned first."""
         worker = next(iter(self.tasks)) if turn is None else turn
         task = self.tasks.pop(worker)
-        return worker, task, self.workers[worker].carry_out(task)
+        return worker, task, self.workers[worker].execute(task)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Evaluation episodes, here or, where a process may hold few copies, in one of its own."""
         if self.apart is not None:
             return self.apart.evaluate(root, episodes, greedy, parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
-        return joined([evaluate_policy(self.plan, parameters, request) for request in requests])
+        return concatenate_blocks([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:
         """Of each worker: where it stands, and what it is to do next."""
@@ -163,7 +163,7 @@ class SerialContributors:
         self.asynchronous.require_workers(snapshots)
         for worker, snapshot in zip(self.workers, snapshots, strict=True):
             anew = snapshot is None
-            worker.carry_out(Begin(restart_purpose(iteration)) if anew else Restore(snapshot["worker"]))
+            worker.execute(Begin(restart_purpose(iteration)) if anew else Restore(snapshot["worker"]))
         self.tasks = _tasks_of(snapshots)
 
     def process_ids(self) -> list[int]:

@@ -37,11 +37,11 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
         return SerialContributors(plan, notify)
     evaluating = _evaluating(backend, plan.rollout, len(plan.shards), notify)
     try:
-        workplace = _WORKPLACES[backend.name](backend, plan, notify)
+        launcher = _LAUNCHERS[backend.name](backend, plan, notify)
     except BaseException:
         evaluating.close()
         raise
-    return PoolContributors(plan, workplace, evaluating, notify)
+    return PoolContributors(plan, launcher, evaluating, notify)
 
 
 def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -49,7 +49,7 @@ def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify:
     has for training, since a stack counts for so many cores where several trainings share a machine."""
     name = "process" if backend.name == "serial" else backend.name
     groups = len(plan.groups)
-    apart, number = plan.evaluating_apart, min(groups, max(1, workers // groups))
+    apart, number = plan.evaluation_plan, min(groups, max(1, workers // groups))
     if name == "ray" and backend.cpus_per_worker:
         number = 1  # each would keep its place in the cluster while training goes on
     # Whoever only evaluates may be told to for any replicas: its shard is never used.
@@ -89,7 +89,7 @@ _COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, Sequence[Shard],
     "process": _process,
     "ray": _ray,
 }
-_WORKPLACES: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], WorkerLauncher]] = {
+_LAUNCHERS: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], WorkerLauncher]] = {
     "process": _processes,
     "ray": _actors,
 }

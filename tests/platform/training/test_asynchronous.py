@@ -272,7 +272,7 @@ def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: P
     job = _job("a3c", tmp_path, "arrival")
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
-        first, second = map(psutil.Process, contributors.crew.process_ids())
+        first, second = map(psutil.Process, contributors.pool.process_ids())
         mode = AsynchronousMode(learner, contributors)
         mode.iterate(1, 0.0)
         first.suspend()
@@ -293,7 +293,7 @@ def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_en
     job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
-        processes = [psutil.Process(process_id) for process_id in contributors.crew.process_ids()]
+        processes = [psutil.Process(process_id) for process_id in contributors.pool.process_ids()]
         idle = contributors.usage().cpu_seconds
         for worker in range(2):
             contributors.assign(worker, Contribute(worker + 1, 0, learner.published()))
@@ -313,14 +313,14 @@ def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_pa
     job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     with _opened(job, []) as contributors:
-        before = contributors.crew.workers[0].snapshot
-        dies = psutil.Process(contributors.crew.process_ids()[0])
+        before = contributors.pool.workers[0].snapshot
+        dies = psutil.Process(contributors.pool.process_ids()[0])
         dies.suspend()
         contributors.assign(0, Contribute(1, 0, acting))
         dies.kill()
-        while contributors.crew.process_ids()[0] == dies.pid:
-            contributors.crew.hear(0, contributors.tasks[0])
-        replacement = psutil.Process(contributors.crew.process_ids()[0])
+        while contributors.pool.process_ids()[0] == dies.pid:
+            contributors.pool.receive(0, contributors.tasks[0])
+        replacement = psutil.Process(contributors.pool.process_ids()[0])
         replacement.suspend()
         for number in (2, 3, 4):
             contributors.assign(1, Contribute(number, 0, acting))
@@ -339,7 +339,7 @@ def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_itera
     faced = []
     with _opened(job, notices := []) as contributors:
         for number in (1, 2, 3):
-            process = psutil.Process(contributors.crew.process_ids()[0])
+            process = psutil.Process(contributors.pool.process_ids()[0])
             process.suspend()
             contributors.assign(0, Contribute(number, 0, acting))
             process.kill()
@@ -377,15 +377,15 @@ def test_gradients_that_come_as_they_like_are_each_applied_once(
     learner: Any = _Counting(acting)
     heard: list[tuple[int, int]] = []
     with _opened(job, notices := []) as contributors:
-        hear = contributors.next_done
+        receive = contributors.next_done
 
         def next_done(turn: int | None) -> tuple[int, Contribute, Done]:
-            worker, task, done = hear(turn)
+            worker, task, done = receive(turn)
             heard.append((worker, task.number))
             return worker, task, done
 
         monkeypatch.setattr(contributors, "next_done", next_done)
-        first = psutil.Process(contributors.crew.process_ids()[0])
+        first = psutil.Process(contributors.pool.process_ids()[0])
         mode = AsynchronousMode(learner, contributors, iterations=12)
         mode.iterate(1, 0.0)
         first.suspend()

@@ -65,10 +65,10 @@ class ContributorSetup:
         """The service of a worker that contributes."""
         pickled = self.plan
         plan: AsynchronousPlan = pickle.loads(pickled) if isinstance(pickled, bytes) else pickled.load()
-        return Contributing(plan, self.shard)
+        return ContributionService(plan, self.shard)
 
 
-class Contributing:
+class ContributionService:
     """Some copies of one seed, and a contributor that learns from them."""
 
     def __init__(self, plan: AsynchronousPlan, shard: Shard) -> None:
@@ -82,7 +82,7 @@ class Contributing:
         sampler = self.sampler.snapshot()
         return None if sampler is None else {"sampler": sampler, "learned": self.contributor.snapshot()}
 
-    def carry_out(self, command: Command) -> Done:
+    def execute(self, command: Command) -> Done:
         """Do as told."""
         done = Done([], [], None, self.own_usage.read())
         match command:

@@ -15,7 +15,7 @@ from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
 from headway.rollout.workers.worker import (
-    Broken,
+    CommandFailed,
     Command,
     Done,
     Setup,
@@ -33,7 +33,7 @@ GRACE_S = 5.0
 def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> PoolCollector:
     """Worker processes, one a shard, that write into one shared trajectory and read one shared set of
     parameters."""
-    return PoolCollector(plan, SharedMemory(plan, shards), len(shards), notify)
+    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify)
 
 
 class ProcessLauncher:
@@ -51,7 +51,7 @@ class ProcessLauncher:
         process = self.context.Process(
             target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
-        with nullcontext() if self.plan.mentions_main else _main_left_out():
+        with nullcontext() if self.plan.mentions_main else _without_main_module():
             process.start()
         theirs.close()
         return ProcessConnection(process, ours)
@@ -73,7 +73,7 @@ class ProcessLauncher:
         self.plan.block.close()
 
 
-class SharedMemory(ProcessLauncher):
+class SharedMemoryTransport(ProcessLauncher):
     """Worker processes that sample into, and by the parameters in, memory that they share with this one."""
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
@@ -124,10 +124,10 @@ class ProcessConnection:
         except OSError:
             return  # it is dead: `receive` says so
 
-    def receive(self) -> Done | Broken | str:
+    def receive(self) -> Done | CommandFailed | str:
         """See `WorkerConnection`."""
         try:
-            answer: Done | Broken = self.pipe.recv()
+            answer: Done | CommandFailed = self.pipe.recv()
         except (EOFError, OSError):
             self.process.join(GRACE_S)
             code = self.process.exitcode
@@ -144,7 +144,7 @@ class ProcessConnection:
 
 
 @contextmanager
-def _main_left_out() -> Iterator[None]:
+def _without_main_module() -> Iterator[None]:
     """Start processes without the main module, which each would otherwise run again: it may import torch,
     or train when imported. Multiprocessing finds it by these two attributes."""
     main = sys.modules["__main__"]

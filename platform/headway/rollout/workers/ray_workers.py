@@ -24,9 +24,9 @@ from headway.contracts.acting_policy import Parameters
 from headway.events import Usage
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
-from headway.rollout.sampler import part_of
+from headway.rollout.sampler import shard_views
 from headway.rollout.workers.ray_cluster import connect, disconnect
-from headway.rollout.workers.worker import Broken, Collect, Command, Done, Sampling, Serving, Setup
+from headway.rollout.workers.worker import CommandFailed, Collect, Command, Done, SamplingService, CommandServer, Setup
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 PATIENCE_S = 10.0
@@ -48,7 +48,7 @@ def ray_collector(
 
     Raises HeadwayError where there is no cluster.
     """
-    return PoolCollector(plan, Broadcast(backend, plan, shards, notify), len(shards), notify)
+    return PoolCollector(plan, RaySamplingTransport(backend, plan, shards, notify), len(shards), notify)
 
 
 def pickled_whole(plan: object) -> bytes:
@@ -67,12 +67,12 @@ class ShardSetup:
     parameters: dict[str, NDArray[Any]] = field(default_factory=dict)
     """Filled before each command."""
 
-    def open(self) -> Sampling:
+    def open(self) -> SamplingService:
         """The service of an actor that samples, into a trajectory of its own."""
         plan: RolloutPlan = pickle.loads(self.plan)
         ours = plan.of_replicas(self.shard.first_replica, self.shard.replicas)
         trajectory = Trajectory.allocate(replace(ours, copies=self.shard.count).layout)
-        return Sampling(plan, self.shard, trajectory, self.parameters, own=True)
+        return SamplingService(plan, self.shard, trajectory, self.parameters, own=True)
 
 
 @dataclass(frozen=True)
@@ -109,20 +109,20 @@ class RayRolloutWorker:
 
     def __init__(self, setup: bytes) -> None:
         self.setup: Setup = pickle.loads(setup)
-        self.serving = Serving(self.setup)
+        self.serving = CommandServer(self.setup)
 
     def place(self) -> Place:
         """Where it is."""
         return Place.here()
 
-    def carry_out(self, told: bytes, parameters: Parameters | None) -> tuple[bytes, Experience | None]:
+    def execute(self, told: bytes, parameters: Parameters | None) -> tuple[bytes, Experience | None]:
         """The answer to a command, pickled, and what was experienced, which Ray moves without pickling."""
         command: Command = pickle.loads(told)
         if isinstance(self.setup, ShardSetup) and parameters is not None:
             self.setup.parameters.update(parameters)
         answer = bytes(self.serving.answer(command))
         service = self.serving.service
-        if isinstance(command, Collect) and isinstance(service, Sampling):
+        if isinstance(command, Collect) and isinstance(service, SamplingService):
             return answer, experience_of(service.trajectory)
         return answer, None
 
@@ -165,7 +165,7 @@ class RayLauncher:
         """Take in what a worker brings besides its answer."""
         raise TypeError(f"worker {shard} brought experience that nobody asked for")
 
-    def welcome(self, shard: int, place: Place) -> None:
+    def check_place(self, shard: int, place: Place) -> None:
         """Look at where a worker has come to be, and with what. Raises HeadwayError where it would not give
         the same as one here."""
         for name, version in self.here.versions.items():
@@ -183,7 +183,7 @@ class RayLauncher:
                 )
             self.elsewhere.add(place.machine)
 
-    def say_it_waits(self, shard: int) -> None:
+    def notify_waiting(self, shard: int) -> None:
         """Tell the user that a worker has no place yet."""
         there, free = cpus_of(ray.cluster_resources()), cpus_of(ray.available_resources())
         self.notify(
@@ -198,7 +198,7 @@ def cpus_of(resources: Mapping[str, float]) -> float:
     return resources.get("CPU", 0.0)
 
 
-class Broadcast(RayLauncher):
+class RaySamplingTransport(RayLauncher):
     """Actors that sample: what they are given and bring goes through the object store."""
 
     def __init__(
@@ -207,7 +207,7 @@ class Broadcast(RayLauncher):
         pickled = pickled_whole(plan)
         super().__init__(backend, [ShardSetup(pickled, shard) for shard in shards], notify)
         self.trajectory = Trajectory.allocate(plan.layout)
-        self.parts = [part_of(self.trajectory, plan.replicas, shard) for shard in shards]
+        self.parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
 
     def publish(self, parameters: Parameters) -> None:
         """See `SamplingTransport`."""
@@ -226,8 +226,8 @@ class Broadcast(RayLauncher):
 class RayConnection:
     """An actor, and what it was last asked."""
 
-    def __init__(self, workplace: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
-        self.workplace, self.shard, self.actor = workplace, shard, actor
+    def __init__(self, launcher: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
+        self.launcher, self.shard, self.actor = launcher, shard, actor
         self.arriving = actor.place.remote()
         self.place: Place | None = None
         self.asked: Any = None
@@ -237,7 +237,7 @@ class RayConnection:
     @property
     def process_id(self) -> int | None:
         """See `WorkerConnection`."""
-        if self.place is None or self.place.machine != self.workplace.here.machine:
+        if self.place is None or self.place.machine != self.launcher.here.machine:
             return None
         return self.place.process_id
 
@@ -248,9 +248,9 @@ class RayConnection:
 
     def send(self, command: Command) -> None:
         """See `WorkerConnection`."""
-        self.asked = self.actor.carry_out.remote(pickle.dumps(command), self.workplace.published)
+        self.asked = self.actor.execute.remote(pickle.dumps(command), self.launcher.published)
 
-    def receive(self) -> Done | Broken | str:
+    def receive(self) -> Done | CommandFailed | str:
         """See `WorkerConnection`."""
         try:
             self._arrive()
@@ -258,11 +258,11 @@ class RayConnection:
         except ray.exceptions.RayError as error:
             self.lost_with_machine = is_loss_of_machine(error)
             return reason_of(error)
-        answer: Done | Broken = pickle.loads(content)
-        if isinstance(answer, Broken):
+        answer: Done | CommandFailed = pickle.loads(content)
+        if isinstance(answer, CommandFailed):
             return answer
         if experience is not None:
-            self.workplace.take(self.shard, experience)
+            self.launcher.take(self.shard, experience)
         # Energy and memory are measured on this machine, and shared out by what was used here.
         return answer if self.process_id is not None else replace(answer, usage=Usage())
 
@@ -273,10 +273,10 @@ class RayConnection:
     def _arrive(self) -> None:
         if self.place is not None:
             return
-        if not ray.wait([self.arriving], timeout=PATIENCE_S)[0] and self.workplace.cpus:
-            self.workplace.say_it_waits(self.shard)
+        if not ray.wait([self.arriving], timeout=PATIENCE_S)[0] and self.launcher.cpus:
+            self.launcher.notify_waiting(self.shard)
         place: Place = ray.get(self.arriving)
-        self.workplace.welcome(self.shard, place)
+        self.launcher.check_place(self.shard, place)
         self.place = place
 
 

@@ -38,7 +38,7 @@ class WorkerSetup:
         """The service of a worker that samples."""
         plan = self.plan.load()
         shapes = plan.policy.parameter_shapes(plan.replicas)
-        return Sampling(
+        return SamplingService(
             plan,
             self.shard,
             Trajectory.from_buffer(self.trajectory.buffer, plan.layout),
@@ -106,7 +106,7 @@ class Done:
 class Service(Protocol):
     """What a worker does."""
 
-    def carry_out(self, command: Command) -> Done:
+    def execute(self, command: Command) -> Done:
         """Do as told."""
         ...
 
@@ -120,12 +120,12 @@ class Setup(Protocol):
 
 
 @dataclass(frozen=True)
-class Broken:
+class CommandFailed:
     """A command that raised."""
 
     line: str
     traceback: str
-    is_users: bool
+    is_user_error: bool
     """The user can mend it: trying again is of no use."""
 
 
@@ -150,7 +150,7 @@ def run_worker(setup: Setup, commands: connection.Connection) -> None:
     """Serve commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the session's to answer
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    serving = Serving(setup)
+    serving = CommandServer(setup)
     while True:
         try:
             command: Command = commands.recv()
@@ -163,7 +163,7 @@ def run_worker(setup: Setup, commands: connection.Connection) -> None:
             return  # nobody listens any more
 
 
-class Serving:
+class CommandServer:
     """A worker's service, opened at the first command, with what it raises made an answer."""
 
     def __init__(self, setup: Setup) -> None:
@@ -175,14 +175,14 @@ class Serving:
         try:
             self.service = self.service or self.setup.open()
             # Pickled here, so that a snapshot that cannot be is an error like any other.
-            return reduction.ForkingPickler.dumps(self.service.carry_out(command))
+            return reduction.ForkingPickler.dumps(self.service.execute(command))
         except Exception as error:
             line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
-            is_users = isinstance(error, HeadwayError)
-            return reduction.ForkingPickler.dumps(Broken(line, traceback.format_exc(), is_users))
+            is_user_error = isinstance(error, HeadwayError)
+            return reduction.ForkingPickler.dumps(CommandFailed(line, traceback.format_exc(), is_user_error))
 
 
-class Sampling:
+class SamplingService:
     """The plan at work on one shard."""
 
     def __init__(
@@ -203,7 +203,7 @@ class Sampling:
         """Not made by a worker that only evaluates."""
         return Sampler(self.plan, self.shard, self.trajectory, self.own)
 
-    def carry_out(self, command: Command) -> Done:
+    def execute(self, command: Command) -> Done:
         """Do as told."""
         episodes: list[Episode] = []
         match command:

@@ -8,7 +8,7 @@ from headway.contracts import HeadwayError
 from headway.events import Usage
 from headway.rollout.collector import restart_purpose
 from headway.rollout.workers.usage import cpu_seconds_of
-from headway.rollout.workers.worker import Begin, Broken, Command, Done, Evaluate, Restore
+from headway.rollout.workers.worker import Begin, CommandFailed, Command, Done, Evaluate, Restore
 
 Notify = Callable[[str], None]
 
@@ -35,7 +35,7 @@ class WorkerConnection(Protocol):
         """Have it begin with a command; that it is dead, `receive` says."""
         ...
 
-    def receive(self) -> Done | Broken | str:
+    def receive(self) -> Done | CommandFailed | str:
         """Its answer, waited for, or a line that says how it died."""
         ...
 
@@ -98,15 +98,15 @@ class _Worker:
 class WorkerPool:
     """Workers, each with a part of its own, that carry out commands and are replaced when they die."""
 
-    def __init__(self, workplace: WorkerLauncher, number: int, notify: Notify) -> None:
-        self.workplace, self.notify = workplace, notify
+    def __init__(self, launcher: WorkerLauncher, number: int, notify: Notify) -> None:
+        self.launcher, self.notify = launcher, notify
         self.lost_cpu_seconds = 0.0
-        self.anew = restart_purpose(0)
+        self.restart_purpose = restart_purpose(0)
         """Purpose of the seeds of episodes that start anew because their worker died."""
         self.workers: list[_Worker] = []
         try:
             for shard in range(number):
-                self.workers.append(_Worker(workplace.start(shard)))
+                self.workers.append(_Worker(launcher.start(shard)))
         except BaseException:
             self.close()
             raise
@@ -124,7 +124,7 @@ class WorkerPool:
     def answered(self, shards: Sequence[int], timeout_s: float | None) -> list[int]:
         """Those of some workers that have answered or died, in order; see `WorkerLauncher.wait`."""
         waitables = {self.workers[shard].link.waitable: shard for shard in shards}
-        return sorted(waitables[ready] for ready in self.workplace.wait(list(waitables), timeout_s))
+        return sorted(waitables[ready] for ready in self.launcher.wait(list(waitables), timeout_s))
 
     def process_ids(self) -> list[int]:
         """Worker processes of this machine, by id."""
@@ -143,15 +143,15 @@ class WorkerPool:
         """End the workers, busy ones after some seconds of grace, or at once."""
         for shard in hastily:
             self.workers[shard].link.kill()
-        self.workplace.dismiss([worker.link for worker in self.workers])
+        self.launcher.dismiss([worker.link for worker in self.workers])
 
     def answer(self, shard: int, command: Command) -> Done:
         """Of a worker that was sent this command, or of the one that replaces it."""
-        while (done := self.hear(shard, command)) is None:
+        while (done := self.receive(shard, command)) is None:
             pass
         return done
 
-    def hear(self, shard: int, command: Command) -> Done | None:
+    def receive(self, shard: int, command: Command) -> Done | None:
         """The same; or None as soon as the worker is found to have failed, and again when the one that
         replaces it has still something to do."""
         worker = self.workers[shard]
@@ -163,30 +163,30 @@ class WorkerPool:
                 return answer
             worker.link.send(worker.repeats[0])
             return None
-        if isinstance(answer, Broken) and answer.is_users:
+        if isinstance(answer, CommandFailed) and answer.is_user_error:
             raise HeadwayError(answer.line)
         self._require_replaceable(shard, answer)
         self._replace(shard, command, answer)
         return None
 
-    def _require_replaceable(self, shard: int, answer: Broken | str) -> None:
+    def _require_replaceable(self, shard: int, answer: CommandFailed | str) -> None:
         worker, untraced = self.workers[shard], "the worker left no traceback"
         if worker.link.lost_with_machine:
             if worker.lost_machines == _LOST_MACHINES:
                 times = f"{_LOST_MACHINES + 1} times in a row"
                 raise WorkerFailedError(f"worker {shard} lost its machine {times} ({answer})", untraced)
         elif worker.failures:
-            if isinstance(answer, Broken):
+            if isinstance(answer, CommandFailed):
                 raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
             raise WorkerFailedError(f"worker {shard} failed twice ({answer})", untraced)
 
-    def _replace(self, shard: int, command: Command, first: Broken | str) -> None:
+    def _replace(self, shard: int, command: Command, first: CommandFailed | str) -> None:
         """Replace a worker that failed, and have its command repeated from where it stood."""
-        reason = first.line if isinstance(first, Broken) else first
+        reason = first.line if isinstance(first, CommandFailed) else first
         old = self.workers[shard]
         old.link.kill()
         self.lost_cpu_seconds += old.usage.cpu_seconds
-        worker = self.workers[shard] = _Worker(self.workplace.start(shard))
+        worker = self.workers[shard] = _Worker(self.launcher.start(shard))
         # Where the repetition begins: a checkpoint may be written before it is over.
         worker.begun, worker.snapshot = old.begun, old.snapshot
         lost = old.link.lost_with_machine
@@ -194,9 +194,9 @@ class WorkerPool:
         worker.repeats = [command]
         # Evaluation before the first episodes, or Begin itself, has nothing to go back to.
         if not isinstance(command, Begin | Restore) and old.begun:
-            worker.repeats.insert(0, standing(old.snapshot, self.anew))
-        anew = any(isinstance(step, Begin) for step in worker.repeats)
-        again = "its episodes start again" if anew else "repeating its part from where it stood"
+            worker.repeats.insert(0, resume_command(old.snapshot, self.restart_purpose))
+        restart_purpose = any(isinstance(step, Begin) for step in worker.repeats)
+        again = "its episodes start again" if restart_purpose else "repeating its part from where it stood"
         self.notify(f"worker {shard} failed ({reason}); replaced, {again}")
         worker.link.send(worker.repeats[0])
 
@@ -205,7 +205,7 @@ class WorkerFailedError(HeadwayError):
     """A worker failed twice in a row, or lost its machine too often; the details are its own traceback."""
 
 
-def standing(snapshot: Any, anew: str) -> Command:  # noqa: ANN401 - opaque
+def resume_command(snapshot: Any, restart_purpose: str) -> Command:  # noqa: ANN401 - opaque
     """Bring a worker to where a snapshot stands, or to new episodes, of seeds of the purpose `anew`, where
     there is none."""
-    return Begin(anew) if snapshot is None else Restore(snapshot)
+    return Begin(restart_purpose) if snapshot is None else Restore(snapshot)

@@ -268,11 +268,11 @@ def test_a_worker_with_other_versions_is_refused() -> None:
     actors = RayLauncher(backend_of("ray"), [], print)
     try:
         here = Place.here()
-        actors.welcome(0, here)
+        actors.check_place(0, here)
         with pytest.raises(
             HeadwayError, match=r"worker 3 on far has numpy 1.0, and this machine .*install the same"
         ):
-            actors.welcome(3, replace(here, host="far", versions={**here.versions, "numpy": "1.0"}))
+            actors.check_place(3, replace(here, host="far", versions={**here.versions, "numpy": "1.0"}))
     finally:
         actors.dismiss([])
 

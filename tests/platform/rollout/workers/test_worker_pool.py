@@ -47,10 +47,10 @@ class _Scripted:
 def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episodes"),)) -> list[str]:
     """The notices of a crew of one that is given commands and so answers."""
     notices: list[str] = []
-    crew = WorkerPool(_Scripted(iter(answers)), 1, notices.append)
+    pool = WorkerPool(_Scripted(iter(answers)), 1, notices.append)
     for command in commands:
-        crew.send(0, command)
-        crew.answer(0, command)
+        pool.send(0, command)
+        pool.answer(0, command)
     return notices
 
 
