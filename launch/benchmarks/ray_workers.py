@@ -96,7 +96,12 @@ def report() -> None:
 def _report_wire() -> dict[str, Wire]:
     """By task, of those whose environment is a batch."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
-    from headway.rollout.workers.ray_workers import RaySamplingTransport, experience_of, nbytes_of, ray_collector
+    from headway.rollout.workers.ray_workers import (
+        RaySamplingTransport,
+        experience_of,
+        nbytes_of,
+        ray_collector,
+    )
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import evaluation_requests, concatenate_blocks, require_shards, restart_purpose
+from headway.rollout.collector import concatenate_blocks, evaluation_requests, require_shards, restart_purpose
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Begin, Collect, Evaluate

@@ -26,7 +26,15 @@ from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.sampler import shard_views
 from headway.rollout.workers.ray_cluster import connect, disconnect
-from headway.rollout.workers.worker import CommandFailed, Collect, Command, Done, SamplingService, CommandServer, Setup
+from headway.rollout.workers.worker import (
+    Collect,
+    Command,
+    CommandFailed,
+    CommandServer,
+    Done,
+    SamplingService,
+    Setup,
+)
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 PATIENCE_S = 10.0
