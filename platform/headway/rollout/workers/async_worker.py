@@ -55,14 +55,14 @@ class AsynchronousPlan:
 
 @dataclass(frozen=True)
 class ContributorSetup:
-    """All that such a worker is given when it starts."""
+    """Setup of a worker that contributes."""
 
     plan: SharedPickle[AsynchronousPlan] | bytes
-    """An `AsynchronousPlan`; pickled, where memory cannot be shared."""
+    """A pickled `AsynchronousPlan`, in shared memory if the worker is on this machine."""
     shard: Shard
 
-    def open(self) -> "Contributing":
-        """The service of a worker that contributes."""
+    def open(self) -> "ContributionService":
+        """Return the contribution service."""
         pickled = self.plan
         plan: AsynchronousPlan = pickle.loads(pickled) if isinstance(pickled, bytes) else pickled.load()
         return ContributionService(plan, self.shard)

@@ -34,7 +34,7 @@ class WorkerSetup:
     trajectory: SharedBlock
     parameters: SharedBlock
 
-    def open(self) -> "Sampling":
+    def open(self) -> "SamplingService":
         """Return the sampling service."""
         plan = self.plan.load()
         shapes = plan.policy.parameter_shapes(plan.replicas)

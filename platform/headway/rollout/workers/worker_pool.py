@@ -61,8 +61,8 @@ class WorkerLauncher(Protocol):
 
 
 _MAX_LOST_MACHINES = 3
-"""Lost machines in a row that a worker survives. Until the whole cluster knows of a loss, a replacement may be
-placed on the same machine."""
+"""Lost machines in a row after which a worker is still replaced. Until the whole cluster knows of a loss, a
+replacement may be placed on the same machine."""
 
 
 @dataclass
@@ -211,5 +211,5 @@ class WorkerFailedError(HeadwayError):
 
 
 def resume_command(snapshot: Any, purpose: str) -> Command:  # noqa: ANN401 - opaque
-    """Return the command that restores a snapshot or, without one, starts episodes with seeds of `purpose`."""
+    """Return the command to restore a snapshot or, without one, to start episodes with seeds of `purpose`."""
     return Begin(purpose) if snapshot is None else Restore(snapshot)
