@@ -28,7 +28,7 @@ class PoolContributors:
     def __init__(
         self, plan: AsynchronousPlan, launcher: WorkerLauncher, evaluator: Collector, notify: Notify
     ) -> None:
-        """`evaluator` never begins training episodes. It is closed with this object, or if the start fails."""
+        """`evaluator` never begins training episodes. It is closed with this object or if the start fails."""
         self.plan, self.evaluator = plan, evaluator
         self.tasks: dict[int, Contribute] = {}
         """Current task by worker."""

@@ -62,10 +62,10 @@ class AsynchronousMode:
     """Asynchronous training as in A3C (Mnih et al. 2016, arXiv:1602.01783).
 
     Each worker samples and computes a contribution (gradients, for instance); the learner applies it on
-    arrival and sends the worker the updated parameters. Workers never wait for each other, not even at the end
-    of an iteration, which is reached when as many contributions as there are workers have been applied. They
-    do wait for the learner while it applies other contributions, evaluates, writes a checkpoint or replaces a
-    worker. No contribution beyond the budget is assigned.
+    arrival and sends the worker the updated parameters. Workers never wait for each other: an iteration ends
+    when as many contributions as there are workers have been applied. They do wait for the learner while it
+    applies other contributions, evaluates, writes a checkpoint or replaces a worker. No contribution beyond
+    the budget is assigned.
 
     A contribution's staleness is the number of updates made since its parameters were published. Every
     iteration reports `staleness/mean` and `staleness/max`.

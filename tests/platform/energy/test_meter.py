@@ -35,7 +35,7 @@ def test_all_shares_sum_to_the_total(seed: int) -> None:
             # More than two cores can give, and often no news: both must be borne.
             used[job] += generator.choice([0.0, generator.exponential(6)])
         jobs = {job: JobUsage(used[job], int(generator.integers(0, 4 * GIB))) for job in sorted(running)}
-        ledger.use(now, jobs, {"a": 0.7} if "a" in running else {})
+        ledger.record(now, jobs, {"a": 0.7} if "a" in running else {})
         ledger.close_interval(now, _increment(*generator.exponential(1, 3)))
         if running and generator.random() < 0.1:
             job = sorted(running)[0]
@@ -52,7 +52,7 @@ def test_all_shares_sum_to_the_total(seed: int) -> None:
 
 def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
     ledger = EnergyLedger(0.0, cores=4, memory_bytes=8 * GIB)
-    ledger.use(10.0, {"busy": JobUsage(20.0, 2 * GIB), "light": JobUsage(4.0, 0)}, {"busy": 1.0})
+    ledger.record(10.0, {"busy": JobUsage(20.0, 2 * GIB), "light": JobUsage(4.0, 0)}, {"busy": 1.0})
     ledger.close_interval(10.0, _increment(40.0, 3.0, 8.0))
     busy, light, idle = *(ledger.shares()[job] for job in ("busy", "light")), ledger.idle()
     assert [getattr(busy, part) for part in PARTS[:3]] == pytest.approx([20, 3, 2])
@@ -65,8 +65,8 @@ def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
 def test_rare_reports_cost_a_job_nothing() -> None:
     often, rarely = (EnergyLedger(0.0, cores=1, memory_bytes=GIB) for _ in range(2))
     for second in range(1, 31):
-        often.use(second, {"job": JobUsage(0.9 * second, 0)}, {})
-        rarely.use(second, {"job": JobUsage(0.9 * (second // 10 * 10), 0)}, {})
+        often.record(second, {"job": JobUsage(0.9 * second, 0)}, {})
+        rarely.record(second, {"job": JobUsage(0.9 * (second // 10 * 10), 0)}, {})
         for ledger in (often, rarely):
             ledger.close_interval(second, _increment(1.0, 0.0, 0.0))
     assert often.settle("job").cpu_kwh == pytest.approx(27)
@@ -76,14 +76,14 @@ def test_rare_reports_cost_a_job_nothing() -> None:
 def test_what_was_used_before_the_measurement_is_not_charged() -> None:
     ledger = EnergyLedger(100.0, cores=1, memory_bytes=GIB)
     ledger.open("job", 50.0)
-    ledger.use(110.0, {"job": JobUsage(55.0, 0)}, {})
+    ledger.record(110.0, {"job": JobUsage(55.0, 0)}, {})
     ledger.close_interval(110.0, _increment(10.0, 0.0, 0.0))
     assert ledger.settle("job").cpu_kwh == pytest.approx(5)
 
 
 def test_the_unknown_is_never_zero() -> None:
     ledger = EnergyLedger(0.0, cores=1, memory_bytes=GIB)
-    ledger.use(1.0, {"job": JobUsage(1.0, GIB)}, {"job": 1.0})
+    ledger.record(1.0, {"job": JobUsage(1.0, GIB)}, {"job": 1.0})
     ledger.close_interval(1.0, Increment(None, None, 2.0, 0.2))
     energy = ledger.settle("job")
     assert (energy.cpu_kwh, energy.gpu_kwh, energy.ram_kwh, energy.kwh) == (None, None, 2.0, 2.0)
