@@ -9,8 +9,8 @@ from headway.energy.ledger import JobUsage
 def gpu_shares(jobs: Mapping[str, JobUsage], utilization: Mapping[int, float]) -> dict[str, float]:
     """Return the share of the GPUs' energy of each job that uses a GPU. The shares sum to 1.
 
-    Proportional to `utilization`, on any scale by process id. Equal shares if it is unknown, as in containers,
-    where the driver's process ids differ. Empty if no job uses a GPU.
+    Proportional to `utilization`, on any scale by process id. Equal shares if that is unknown, as in
+    containers, where the driver's process ids differ. Empty if no job uses a GPU.
     """
     users = {job: usage for job, usage in jobs.items() if usage.uses_gpu}
     weights = {

@@ -1,7 +1,7 @@
 """Division of a machine's energy among the jobs that run on it, such that all shares sum to the total.
 
-In each interval a job's share of the CPU energy is its CPU seconds / (wall time x cores), its share of the RAM
-energy is its memory / the machine's memory, and its share of the GPU energy is given. The rest is idle energy.
+In each interval a job's share of the CPU energy is its CPU seconds / (wall time x cores), its share of the
+RAM energy is its memory / the machine's memory, and its share of the GPU energy is given. The rest is idle.
 CPU seconds may be reported rarely (once per iteration); they are spread evenly over the time since the last
 report.
 """

@@ -29,7 +29,7 @@ _UNKNOWN = Energy(None, None, None, None)
 
 @dataclass(frozen=True)
 class EnergyReport:
-    """A session's energy. `jobs`, `session` (its own process) and `idle` sum to `total`, the tracker's total."""
+    """A session's energy: `jobs`, `session` (its own process) and `idle` sum to `total`, the tracker's."""
 
     jobs: Mapping[str, Energy]
     session: Energy

@@ -64,13 +64,13 @@ class PowerModes:
         return {"energy.cpu": self.cpu, "energy.gpu": self.gpu, "energy.ram": self.ram}
 
     def notices(self) -> tuple[str, ...]:
-        """Return one line per part that is not measured, except RAM, which is always estimated."""
+        """Return one line per part that is not measured, except RAM, which never is."""
         lines = []
         if self.cpu == NOT_MEASURED:
             lines.append("the CPU's energy is not measured on this machine and is left out")
         elif not self.cpu.startswith("measured"):
             lines.append(
-                f"the CPU's energy is {self.cpu}: its counters (RAPL) cannot be read here; the CPU's power at "
+                f"the CPU's energy is {self.cpu}: its counters (RAPL) cannot be read here; the power at "
                 "full load can be set by energy.cpu_power_w=WATTS"
             )
         if self.gpu == NOT_MEASURED and _has_gpu():

@@ -63,4 +63,4 @@ def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(
     assert lost <= len(notices) <= 2 * lost
     for notice in notices:
         assert "node" in notice
-        assert notice.endswith("replaced, repeating its part from where it stood")
+        assert notice.endswith("replaced, repeating its part from the last snapshot")

@@ -336,7 +336,7 @@ def test_what_is_not_finite_is_named(field: str, place: tuple[int, ...], line: s
     getattr(observed if hasattr(observed, field) else outcome, field)[place] = value
     with pytest.raises(HeadwayError) as failure:
         check_finite(SPEC, outcome, observed, 4, _name)
-    assert f"environment bridge gave {value} as {line}; mend the environment" in str(failure.value)
+    assert f"environment bridge gave {value} as {line}; fix the environment" in str(failure.value)
 
 
 def test_large_numbers_are_not_taken_for_infinity() -> None:

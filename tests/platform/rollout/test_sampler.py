@@ -321,7 +321,7 @@ def test_a_rule_that_draws_draws_anew_in_every_block() -> None:
 
 
 def test_an_episode_that_never_ends_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(episodes, "MOST_STEPS", 6)
+    monkeypatch.setattr(episodes, "MAX_STEPS", 6)
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5,), 8, 4, 1)
     with pytest.raises(HeadwayError, match=r"evaluation episode 5 has not ended in 6 steps; .*truncated"):
         evaluate_policy(plan, {}, EvaluationRequest(77, first=0, count=8, greedy=True))

@@ -66,7 +66,7 @@ def test_a_worker_killed_in_mid_iteration_leaves_no_trace_in_the_data(tmp_path: 
     assert_same(_taken(_never(tmp_path)), disturbed)
     assert len(notices) == 1
     assert "killed by signal 9" in notices[0]
-    assert "from where it stood" in notices[0]
+    assert "from the last snapshot" in notices[0]
 
 
 @pytest.mark.parametrize("snapshots", [True, False])
@@ -83,7 +83,7 @@ def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, s
     notices: list[str] = []
     undisturbed, disturbed = taken(0, []), taken(1, notices)
     assert len(notices) == 1
-    assert ("from where it stood" if snapshots else "its episodes start again") in notices[0]
+    assert ("from the last snapshot" if snapshots else "its episodes start again") in notices[0]
     if snapshots:
         assert_same(undisturbed, disturbed)
     seen = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]

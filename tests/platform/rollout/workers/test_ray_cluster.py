@@ -30,7 +30,7 @@ def _refusal(address: str) -> str:
 def test_an_address_without_a_cluster_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-        assert f"what answers at backend.address=127.0.0.1:{port} is no Ray cluster" in _answered(
+        assert f"the server at backend.address=127.0.0.1:{port} is not a Ray cluster" in _answered(
             server, port
         )
     assert f"no Ray cluster answers at backend.address=127.0.0.1:{port}" in _refusal(f"127.0.0.1:{port}")

@@ -157,7 +157,7 @@ def test_an_actor_that_fails_leaves_no_trace_in_the_data(
     disturbed = _collected(_faulty(tmp_path, fault), "ray", notices)
     assert_same(_collected(_faulty(tmp_path, times=0), "process"), disturbed)
     assert notices == [
-        f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from where it stood"
+        f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from the last snapshot"
     ]
     # Ray's own words stay out of the terminal.
     assert capfd.readouterr() == ("", "")
@@ -292,4 +292,4 @@ def test_a_worker_without_a_place_waits_and_says_so(monkeypatch: pytest.MonkeyPa
     collector = open_collector(backend, plan_of_toy("trivial"), 1, notify)
     with closing(collector), pytest.raises(KeyboardInterrupt):
         collector.begin()
-    assert said[0].startswith("worker 0 waits for a place: it asks for 1000 CPUs, and of the cluster's ")
+    assert said[0].startswith("worker 0 waits for free CPUs: it needs 1000, and ")
