@@ -1,4 +1,4 @@
-"""What of Ray runs on this machine, so that tests can see that nothing of theirs stays."""
+"""Ray's processes on this machine, so that tests can check that none of theirs is left."""
 
 import re
 
@@ -8,7 +8,7 @@ _RAYS = re.compile(r"ray::|/ray/(core|_private|dashboard|autoscaler)/")
 
 
 def ray_processes() -> set[psutil.Process]:
-    """Daemons and workers of all clusters."""
+    """Return the daemons and workers of all clusters on this machine."""
     found = set()
     for process in psutil.process_iter():
         try:
