@@ -20,6 +20,6 @@ def ray_processes() -> set[psutil.Process]:
 
 
 def assert_gone(before: set[psutil.Process], timeout_s: float = 120.0) -> None:
-    """That all that were not there before end; agents of a cluster that was killed take up to a minute."""
+    """Assert that all processes started since `before` end; a killed cluster needs up to a minute."""
     _, alive = psutil.wait_procs(ray_processes() - before, timeout=timeout_s)
     assert not alive
