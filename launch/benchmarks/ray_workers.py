@@ -98,7 +98,12 @@ def report() -> None:
 def _report_transfer() -> dict[str, TransferCost]:
     """Print and return the transfer costs by task, for tasks with a batched environment."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
-    from headway.rollout.workers.ray_workers import Broadcast, experience_of, nbytes_of, ray_collector
+    from headway.rollout.workers.ray_workers import (
+        RaySamplingTransport,
+        experience_of,
+        nbytes_of,
+        ray_collector,
+    )
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")
@@ -115,9 +120,9 @@ def _report_transfer() -> dict[str, TransferCost]:
             try:
                 collector.begin()
                 collector.collect(1, parameters)
-                assert isinstance(collector.exchange, Broadcast)
+                assert isinstance(collector.transport, RaySamplingTransport)
                 sent = nbytes_of(experience_of(collector.trajectory)) / (task.copies * task.steps)
-                put = _median_ms(partial(collector.exchange.publish, parameters))
+                put = _median_ms(partial(collector.transport.publish, parameters))
                 collected = _median_ms(partial(collector.collect, 2, parameters))
             finally:
                 collector.close()

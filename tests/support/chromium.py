@@ -1,7 +1,7 @@
-"""A real Chromium without a window, driven by its DevTools protocol over a pipe.
+"""A headless Chromium, driven by the DevTools protocol over a pipe.
 
-The protocol: chromedevtools.github.io/devtools-protocol; over a pipe, messages are JSON, each ended by a zero
-byte, which Chromium reads from file descriptor 3 and writes to 4.
+Protocol: chromedevtools.github.io/devtools-protocol. Over a pipe, messages are JSON, each ended by a zero
+byte. Chromium reads them from file descriptor 3 and writes them to 4.
 """
 
 import base64
@@ -22,26 +22,26 @@ PATIENCE_S = 60.0
 
 
 def found() -> str | None:
-    """The browser's program, if this machine has one."""
+    """Return the path of an installed browser, or None."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 @dataclass
 class Page:
-    """One page, which the browser shows in a window of any width."""
+    """One page of the browser."""
 
     reading: int
     writing: int
     session: str = ""
     requests: list[str] = field(default_factory=list)
-    """Addresses that the page asked for."""
+    """Addresses that the page requested."""
     errors: list[str] = field(default_factory=list)
-    """What its scripts complained of."""
+    """Exceptions of the page's scripts."""
     _buffer: bytes = b""
     _count: int = 0
 
     def open(self, address: str, width: int = 1280) -> None:
-        """Go there and wait until the page and what it asks for at once are loaded."""
+        """Open an address and wait until the page and its resources are loaded."""
         self.requests.clear()
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
@@ -50,13 +50,13 @@ class Page:
         self.wait_until("document.readyState === 'complete' && location.href !== 'about:blank'")
 
     def value(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
-        """What a script comes to on the page."""
+        """Return the value of a script, evaluated on the page."""
         answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
     def wait_until(self, script: str) -> None:
-        """Wait until a script comes to something true; what the page shows is told if it never does."""
+        """Wait until a script's value is true; fail with the page's text on a timeout."""
         deadline = time.monotonic() + PATIENCE_S
         while not self.value(script):
             assert time.monotonic() < deadline, f"{script} never held; the page: {self.text()[:2000]}"
@@ -67,29 +67,29 @@ class Page:
         self.wait_until(f"document.body.innerText.includes({json.dumps(text)})")
 
     def click(self, text: str) -> None:
-        """Click on what shows just this text, once it is there."""
+        """Click on the element with exactly this text, once it exists."""
         every = "[...document.querySelectorAll('body *')]"
         found = f"{every}.filter(element => element.textContent.trim() === {json.dumps(text)})"
         self.wait_until(f"{found}.length")
         self.value(f"{found}.at(-1).click()")
 
     def text(self) -> str:
-        """What the page shows."""
+        """Return the text that the page shows."""
         return str(self.value("document.body.innerText"))
 
     def picture(self, path: Path) -> None:
-        """Keep what the window shows as PNG."""
+        """Save a screenshot as PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:  # noqa: ANN401
-        """Ask the browser, and wait for its answer."""
+        """Send a command to the browser and return its answer."""
         self._count += 1
         message = {"id": self._count, "method": method, "params": parameters}
         if self.session:
             message["sessionId"] = self.session
         os.write(self.writing, json.dumps(message).encode() + b"\0")
         while (answer := self._next()).get("id") != self._count:
-            self._hear(answer)
+            self._record(answer)
         assert "error" not in answer, (method, answer["error"])
         return dict(answer["result"])
 
@@ -104,7 +104,7 @@ class Page:
         message, _, self._buffer = self._buffer.partition(b"\0")
         return dict(json.loads(message))
 
-    def _hear(self, event: dict[str, Any]) -> None:
+    def _record(self, event: dict[str, Any]) -> None:
         match event.get("method"):
             case "Network.requestWillBeSent":
                 self.requests.append(event["params"]["request"]["url"])
@@ -114,10 +114,10 @@ class Page:
 
 @contextmanager
 def chromium(program: str, profile: Path) -> Iterator[Page]:
-    """A browser with an empty profile, and one page of it."""
+    """Start a browser with an empty profile and yield a page of it."""
     (theirs_in, ours_out), (ours_in, theirs_out) = os.pipe(), os.pipe()
     arguments = "--headless --no-sandbox --disable-gpu --no-first-run --remote-debugging-pipe"
-    # A shell puts the pipes where Chromium looks for them.
+    # A shell moves the pipes to the file descriptors that Chromium uses.
     command = f'exec "$0" {arguments} --user-data-dir="$1" 3<&{theirs_in} 4>&{theirs_out}'
     process = subprocess.Popen(
         ["/bin/bash", "-c", command, program, str(profile)],

@@ -1,4 +1,4 @@
-"""A ParallelEnv in a process of its own, so that PettingZoo's test can play two crossings at once."""
+"""A ParallelEnv in a separate process, so that PettingZoo's test can play two intersections at once."""
 
 import multiprocessing
 from multiprocessing.connection import Connection
@@ -15,14 +15,14 @@ FACES = {"vehicles": IntersectionParallelEnv, "slots": IntersectionSlotsParallel
 
 def _host(face: str, config: IntersectionConfig, pipe: Connection) -> None:
     env = FACES[face](config)
-    while (asked := pipe.recv()) is not None:
-        name, arguments = asked
+    while (call := pipe.recv()) is not None:
+        name, arguments = call
         pipe.send((getattr(env, name)(**arguments), list(env.agents)))
     env.close()
 
 
 class HostedEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
-    """Spaces here, the simulation there."""
+    """A ParallelEnv whose simulation runs in another process, with its spaces in this one."""
 
     def __init__(self, face: str, config: IntersectionConfig) -> None:
         self._spaces = FACES[face](config)
@@ -40,16 +40,16 @@ class HostedEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without 
         return self._spaces.action_space(agent)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # noqa: ANN401 - as PettingZoo has it
-        return self._ask("reset", {"seed": seed})
+        return self._call("reset", {"seed": seed})
 
     def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401 - as PettingZoo has it
-        return self._ask("step", {"actions": actions})
+        return self._call("step", {"actions": actions})
 
     def close(self) -> None:
         self._pipe.send(None)
         self._process.join(10)
 
-    def _ask(self, name: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401 - any method's
+    def _call(self, name: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401 - any method's
         self._pipe.send((name, arguments))
         answer, self.agents = self._pipe.recv()
         return answer

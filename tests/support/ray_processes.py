@@ -1,4 +1,4 @@
-"""What of Ray runs on this machine, so that tests can see that nothing of theirs stays."""
+"""Ray's processes on this machine, so that tests can check that none of theirs is left."""
 
 import re
 
@@ -8,7 +8,7 @@ _RAYS = re.compile(r"ray::|/ray/(core|_private|dashboard|autoscaler)/")
 
 
 def ray_processes() -> set[psutil.Process]:
-    """Daemons and workers of all clusters."""
+    """Return the daemons and workers of all clusters on this machine."""
     found = set()
     for process in psutil.process_iter():
         try:
@@ -20,6 +20,6 @@ def ray_processes() -> set[psutil.Process]:
 
 
 def assert_gone(before: set[psutil.Process], timeout_s: float = 120.0) -> None:
-    """That all that were not there before end; agents of a cluster that was killed take up to a minute."""
+    """Assert that all processes started since `before` end; a killed cluster needs up to a minute."""
     _, alive = psutil.wait_procs(ray_processes() - before, timeout=timeout_s)
     assert not alive

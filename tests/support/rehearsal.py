@@ -1,6 +1,6 @@
-"""What the tests of rollouts share: plans, parameters, and environments that fail on cue.
+"""Plans, parameters and environments that fail on cue, for the tests of rollouts.
 
-A module of its own, not a part of a test, because worker processes import it.
+Worker processes import this module, so it must not be part of a test module.
 """
 
 import os
@@ -61,23 +61,24 @@ VISITORS = VisitorsConfig(agents=3, steps=12)
 
 @dataclass(frozen=True)
 class FaultConfig:
-    """Visitors, of whom one step goes wrong."""
+    """Configuration of `FaultyVisitors`."""
 
     fault: Fault
     marks: str
-    """Folder that remembers, across processes, how often the fault has struck."""
+    """Folder of marks that count, across processes, how often the fault has struck."""
     at: int
-    """Steps of one environment since its first reset (kept by snapshots) after which it strikes."""
+    """Step of an environment since its first reset (kept by snapshots) at which the fault strikes."""
     copies: int
-    """It strikes environments of this many copies only: not those of evaluation, say."""
+    """Number of copies of the environments that it strikes, to spare those of evaluation for instance."""
     times: int = 1
+    """Number of times that the fault strikes."""
     snapshots: bool = True
     limit: int | None = None
-    """Copies that a process can hold, as is said; nobody counts them."""
+    """Declared limit of copies per process, which is not enforced."""
 
 
 class FaultyVisitors:
-    """Visitors that fail on cue, and otherwise are what they always were."""
+    """`Visitors` with a fault at one step."""
 
     def __init__(self, config: FaultConfig, copies: int) -> None:
         self._config = config
@@ -117,7 +118,7 @@ class FaultyVisitors:
         self._env.close()
 
     def _strikes(self) -> bool:
-        """Once more, unless it was often enough: atomic among processes."""
+        """Return whether the fault strikes now, and count it; atomic among processes."""
         if self._env.num_copies != self._config.copies:
             return False
         for number in range(self._config.times):
@@ -132,7 +133,7 @@ class FaultyVisitors:
         match self._config.fault:
             case "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
-            case "kill parent":  # of an actor, the daemon of its node
+            case "kill parent":  # for a Ray worker, the daemon of its node
                 os.kill(os.getppid(), signal.SIGKILL)
                 time.sleep(60)
             case "exit":
@@ -158,7 +159,7 @@ class FaultyVisitors:
 
 
 class Unloadable:
-    """Makes environments where it was born, and cannot be unpickled elsewhere."""
+    """A factory of environments that cannot be unpickled."""
 
     def __call__(self, prepared: object, copies: int) -> BatchedEnv:
         return Visitors(VISITORS, copies)
@@ -168,7 +169,7 @@ class Unloadable:
 
 
 class TediousVisitors(Visitors):
-    """Visitors of whom each step takes half a CPU second where there are two copies."""
+    """`Visitors` whose steps take half a CPU second in environments of two copies."""
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         until = time.process_time() + (0.5 if self.num_copies == 2 else 0)
@@ -178,7 +179,7 @@ class TediousVisitors(Visitors):
 
 
 class RareVisitors(Visitors):
-    """Visitors of whom a process can hold two copies, and which are very cross about a third."""
+    """`Visitors` with a limit of two copies per process, and an error beyond it."""
 
     LIMIT = 2
     held = 0
@@ -198,13 +199,13 @@ class RareVisitors(Visitors):
 
 
 class LoneVisitors(RareVisitors):
-    """Visitors of whom a process can hold one copy."""
+    """`Visitors` with a limit of one copy per process."""
 
     LIMIT = 1
 
 
 class Showing:
-    """A contributor that shows the learner all that it is given."""
+    """A contributor whose contribution is the trajectory and the number."""
 
     def __init__(self, config: object, spec: EnvSpec, seeds: Sequence[int]) -> None:
         del config, spec, seeds
@@ -240,7 +241,7 @@ def plan_of(
     precision: Literal["float32", "float64"] = "float32",
     core: Literal["none", "gru"] = "none",
 ) -> RolloutPlan:
-    """A plan with IPPO's acting policy: one small network an agent."""
+    """Return a plan with IPPO's acting policy: one small network per agent."""
     with closing(make(config, 1)) as env:
         spec = env.spec
     policy = acting_policy(IPPOConfig(precision=precision, model=ModelConfig(core=core, gru_size=4)), spec)
@@ -248,12 +249,12 @@ def plan_of(
 
 
 def plan_of_toy(name: str, **choices: Any) -> RolloutPlan:  # noqa: ANN401 - those of `plan_of`
-    """A plan on one of the TOYS."""
+    """Return a plan on one of the TOYS."""
     return plan_of(*TOYS[name], **choices)
 
 
 def parameters_of(plan: RolloutPlan) -> Arrays:
-    """Random parameters, a replica's following from its seed alone."""
+    """Return random parameters; those of a replica depend on its seed only."""
     alone = plan.policy.parameter_shapes(1)
     draws = [generator(seed, "test parameters") for seed in plan.seeds]
     return {
@@ -263,7 +264,7 @@ def parameters_of(plan: RolloutPlan) -> Arrays:
 
 
 def backend_of(name: str) -> BackendConfig:
-    """The backend of a name as it is by default."""
+    """Return the default configuration of a backend."""
     return build(BackendConfig, {"name": name})
 
 
@@ -271,7 +272,7 @@ def backend_of(name: str) -> BackendConfig:
 def collector_of(
     plan: RolloutPlan, name: str = "process", workers: int = 2, notify: Notify = lambda line: None
 ) -> Iterator[Collector]:
-    """A collector, closed in the end."""
+    """Open a collector and close it at the end."""
     collector = open_collector(backend_of(name), plan, workers, notify)
     try:
         yield collector
@@ -281,10 +282,10 @@ def collector_of(
 
 @dataclass(frozen=True)
 class Taken:
-    """A copy of what one iteration gave."""
+    """A copy of one iteration's data."""
 
     arrays: Arrays
-    """Those of the trajectory, with zeros where it says that nothing valid stands."""
+    """Arrays of the trajectory, with zeros in rows that are not valid."""
     episodes: list[Episode]
 
 
@@ -303,7 +304,7 @@ def iterations_of(collector: Collector, parameters: Arrays, first: int, last: in
 
 
 def assert_same(one: Sequence[Taken], other: Sequence[Taken]) -> None:
-    """Bit for bit, NaN equal to NaN."""
+    """Assert that iterations are equal bit for bit, with NaN equal to NaN."""
     assert len(one) == len(other)
     for a, b in zip(one, other, strict=True):
         for name, array in a.arrays.items():

@@ -1,4 +1,4 @@
-"""What the tests of the training loop share: small jobs of IPPO, and their logs made comparable."""
+"""Small training jobs of IPPO for the tests of the training loop, and their logs in comparable form."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -41,7 +41,7 @@ def job_of(
     resume: bool = False,
     core: Literal["none", "gru"] = "none",
 ) -> TrainingJob:
-    """A job whose run folders are `folder`/seed."""
+    """Return a job whose run folders are `folder`/seed."""
     model = ModelConfig(hidden=(8,), core=core, gru_size=4, sequence_length=6)
     algo = IPPOConfig(model=model, epochs=2, minibatches=2, precision=precision)
     make, prepared = env
@@ -72,7 +72,7 @@ def job_of(
 
 
 def trained(job: TrainingJob, stop_after: int | None = None) -> list[Event]:
-    """Train a job to its end, or stop it after so many iterations; what it reported."""
+    """Train a job to its end, or stop it after `stop_after` iterations; return its events."""
     events: list[Event] = []
     asked = 0
 
@@ -87,13 +87,13 @@ def trained(job: TrainingJob, stop_after: int | None = None) -> list[Event]:
 
 
 def train_quietly(job: TrainingJob) -> None:
-    """What a training process of its own runs."""
+    """Train a job in a separate process."""
     torch.set_num_threads(1)
     trained(job)
 
 
 def log_of(directory: str | Path) -> Log:
-    """All tables of a run without times, every number written out to its last bit."""
+    """Return all tables of a run without times, with every number to its last bit."""
     return {table: [_exact(row) for row in read_rows(Path(directory), table)] for table in TABLES}
 
 
@@ -106,5 +106,5 @@ def _exact(row: Row) -> dict[str, str]:
 
 
 def logs_of(job: TrainingJob) -> list[Log]:
-    """One a seed."""
+    """Return one log per seed."""
     return [log_of(directory) for directory in job.directories]

@@ -1,4 +1,4 @@
-"""A native environment behind twins, and its ParallelEnv behind SuperSuit's own wrappers."""
+"""Comparison of batched wrappers on a native environment with SuperSuit's on its ParallelEnv."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,18 +16,18 @@ from headway.wrappers.parallel import WrappedParallelEnv
 from headway.wrappers.wrapped_env import Wrapped, wrapped_entry
 
 SEED = 5
-"""That of the first copy in `play`."""
+"""Seed of the first copy in `play`."""
 
 
 def prepared(name: str, entry: EnvEntry, wrappers: Sequence[Any], **arguments: object) -> Wrapped:
-    """A wrapped environment's shared part."""
+    """Return the prepared data of a wrapped environment."""
     made = wrapped_entry(name, entry, listed_wrappers(wrappers)).prepare(entry.config(**arguments))
     assert isinstance(made, Wrapped)
     return made
 
 
 def through_supersuit(wrapped: Wrapped, entry: EnvEntry, wrappers: Sequence[Any]) -> Recording:
-    """Random play of one copy with every wrapper around the ParallelEnv."""
+    """Record random play of one copy, with every wrapper applied to the ParallelEnv."""
     assert entry.parallel_env is not None
     listed = tuple(
         (wrapper.name, {key: value for key, value in wrapper.mapping.items() if key != "name"})
@@ -46,8 +46,10 @@ def through_supersuit(wrapped: Wrapped, entry: EnvEntry, wrappers: Sequence[Any]
 
 
 def assert_same_game(env: BatchedEnv, through: Recording) -> None:
-    """`env`, of one copy, gives what `through` holds for the same seeds and actions, to the last bit; episode
-    i of an adapted environment is episode 0 of the seed that the adapter derives for i."""
+    """Assert that `env`, of one copy, reproduces the recording bit for bit with the same seeds and actions.
+
+    Episode i of an adapted environment is episode 0 of the seed that the adapter derives for i.
+    """
     track, spec, start, episodes = through.trajectory, env.spec, 0, 0
     assert {**vars_of(spec), "snapshots": 0} == {**vars_of(through.spec), "snapshots": 0}
     while start < through.steps and through.episode_ended[start:].any():
@@ -63,7 +65,7 @@ def assert_same_game(env: BatchedEnv, through: Recording) -> None:
             outcome, observed = env.step(track.actions[step])
             for field in ("rewards", "terminated", "truncated", "acting"):
                 same(getattr(outcome, field), getattr(track, field)[step])
-            # An agent that had ended before is only marked again: its final observation was given then.
+            # An agent that ended earlier is marked again, without a new final observation.
             over = (outcome.terminated | outcome.truncated) & ~gone
             same(outcome.final_observations[over], track.final_observations[step][over])
             gone |= over

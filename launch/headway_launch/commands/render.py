@@ -180,7 +180,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
             found,
             root,
             lambda env, observed: acting.act(policy.parameters, observed, None)[0],
-            acting.heed,
+            acting.reset_ended,
         )
     from headway_launch.experiments.compose import compose
 

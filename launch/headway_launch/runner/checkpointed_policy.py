@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.events import Row
-from headway.rollout.episodes import EvaluationRequest, Told, evaluate_policy, nobody_told
+from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
 from headway.store.checkpoint_fit import require_fitting
@@ -53,7 +53,7 @@ def policy_episodes(
     root: int,
     episodes: int,
     greedy: bool,
-    told: Told = nobody_told,
+    told: OnStep = ignore_step,
 ) -> list[Row]:
     """Play `episodes` episodes on the evaluation seeds derived from `root`; return one row per episode."""
     rows: list[Row] = []

@@ -11,7 +11,7 @@ from headway_launch.console.output import print_line
 from headway_launch.console.tables import Cell, print_table
 
 if TYPE_CHECKING:
-    from headway.rollout.episodes import Told
+    from headway.rollout.episodes import OnStep
     from headway.stats import Interval
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.compose import Experiment, PreparedEnv
@@ -75,7 +75,7 @@ def rule_episodes(
     }
 
 
-def counting(counted: "CountedProgress", name: str) -> "Told":
+def counting(counted: "CountedProgress", name: str) -> "OnStep":
     """Return a callback that adds the finished episodes of the controller `name` to the counter."""
     return lambda step, ended: counted.add(ended, f"{name}, step {step:,}")
 

@@ -1,6 +1,6 @@
-"""Energy and CO2 of a session's jobs, measured by CodeCarbon and shared out so that all shares sum to it.
+"""Energy and CO2 of a session's jobs, measured by CodeCarbon; the jobs' shares sum to the session's total.
 
-Importing this imports neither CodeCarbon nor NVML.
+Importing this package imports neither CodeCarbon nor NVML.
 """
 
 from headway.energy.ledger import Energy, JobUsage

@@ -1,4 +1,4 @@
-"""Which job a GPU worked for."""
+"""Division of the GPUs' energy among jobs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,10 +7,10 @@ from headway.energy.ledger import JobUsage
 
 
 def gpu_shares(jobs: Mapping[str, JobUsage], utilization: Mapping[int, float]) -> dict[str, float]:
-    """Share of the GPUs' energy of each job that uses one, summing to 1, or nothing if none does.
+    """Return the share of the GPUs' energy of each job that uses a GPU. The shares sum to 1.
 
-    By the utilisation of its processes (process id -> any scale) where the driver tells it, else all alike
-    (in a container the driver's process ids are not ours).
+    Proportional to `utilization`, on any scale by process id. Equal shares if that is unknown, as in
+    containers, where the driver's process ids differ. Empty if no job uses a GPU.
     """
     users = {job: usage for job, usage in jobs.items() if usage.uses_gpu}
     weights = {
@@ -23,15 +23,18 @@ def gpu_shares(jobs: Mapping[str, JobUsage], utilization: Mapping[int, float]) -
 
 
 class ProcessUtilization:
-    """Utilisation of all NVIDIA GPUs by process, read by NVML since the last reading."""
+    """Reader of all NVIDIA GPUs' utilisation by process, through NVML."""
 
     def __init__(self) -> None:
         self._devices: list[Any] | None = None
         self._since = 0
-        """Microseconds since 1970, as NVML counts."""
+        """Time of the newest sample, in NVML's unit: microseconds since 1970."""
 
     def read(self) -> dict[int, float]:
-        """Process id -> sum of its samples of multiprocessor utilisation; empty where NVML cannot tell."""
+        """Return, by process id, the sum of multiprocessor-utilisation samples since the last call.
+
+        Empty if NVML does not report it.
+        """
         import pynvml
 
         if self._devices is None:

@@ -1,8 +1,9 @@
-"""How a machine's energy is shared out to the jobs that ran on it; all shares sum to the machine's total.
+"""Division of a machine's energy among the jobs that run on it, such that all shares sum to the total.
 
-In each interval a job gets of the CPU's energy its CPU seconds over (wall time x cores), of the RAM's its
-memory over the machine's, of the GPU's its share as reported; the rest is idle. A job may report its CPU
-seconds rarely (once an iteration): what it reports is spread evenly over the time since its last report.
+In each interval a job's share of the CPU energy is its CPU seconds / (wall time x cores), its share of the
+RAM energy is its memory / the machine's memory, and its share of the GPU energy is given. The rest is idle.
+CPU seconds may be reported rarely (once per iteration); they are spread evenly over the time since the last
+report.
 """
 
 from bisect import bisect_right
@@ -19,7 +20,7 @@ _COLUMNS = 1 + len(_PARTS)
 
 @dataclass(frozen=True, slots=True)
 class JobUsage:
-    """What a job has used, as far as known now."""
+    """Usage of a job as of its last report."""
 
     cpu_seconds: float
     """CPU seconds of all its processes since they started."""
@@ -27,29 +28,29 @@ class JobUsage:
     """Proportional memory of all its processes."""
     uses_gpu: bool = False
     process_ids: tuple[int, ...] = ()
-    """Its processes, to tell jobs apart that share a GPU."""
+    """Processes of the job, which identify it among the users of a GPU."""
 
 
 @dataclass(frozen=True, slots=True)
 class Energy:
-    """Energy used by a job, a seed or a machine. None where it could not be measured: never 0 for that."""
+    """Energy used by a job, a seed or a machine. A part that could not be measured is None, never 0."""
 
     cpu_kwh: float | None
     gpu_kwh: float | None
     ram_kwh: float | None
     kg_co2: float | None
-    """kg of CO2 equivalent of the energy that is known."""
+    """Emissions of the known energy, in kg CO2 equivalent."""
     cpu_seconds: float = 0.0
     duration_s: float = 0.0
 
     @property
     def kwh(self) -> float | None:
-        """Sum of the parts that are known; None if none is."""
+        """Sum of the known parts in kWh; None if no part is known."""
         known = [part for part in (self.cpu_kwh, self.gpu_kwh, self.ram_kwh) if part is not None]
         return sum(known) if known else None
 
     def per_seed(self, seeds: int) -> "Energy":
-        """The share of one of so many seeds: all equal, and all as long."""
+        """Return the share of one of `seeds` seeds: an equal part of everything but the duration."""
 
         def share(part: float | None) -> float | None:
             return None if part is None else part / seeds
@@ -64,14 +65,14 @@ class Energy:
         )
 
     def as_row(self) -> dict[str, float]:
-        """The known figures by name, `kwh` included, for logs and summaries."""
+        """Return the known values by name, `kwh` included, for logs and summaries."""
         row = {**asdict(self), "kwh": self.kwh}
         return {name: value for name, value in row.items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True)
 class Increment:
-    """What a machine used in one interval; None for a part that cannot be measured."""
+    """Energy and emissions of a machine in one interval; None for a part that cannot be measured."""
 
     cpu_kwh: float | None
     gpu_kwh: float | None
@@ -80,48 +81,49 @@ class Increment:
 
 
 class _Account:
-    """One job's reports. `memory` and `gpu` are its shares of the machine's by interval."""
+    """The reports of one job. `memory` and `gpu` are its shares of the machine's, by interval."""
 
-    def __init__(self, began: float, cpu_seconds: float = 0.0) -> None:
-        self.began = self.seen = began
-        self.times, self.cpu_seconds = [began], [cpu_seconds]
+    def __init__(self, start: float, cpu_seconds: float = 0.0) -> None:
+        self.start = self.last_report = start
+        self.times, self.cpu_seconds = [start], [cpu_seconds]
         self.memory: dict[int, float] = {}
         self.gpu: dict[int, float] = {}
         self.folded = np.zeros(_COLUMNS)
+        """Sums over the intervals that the ledger no longer keeps."""
         self.known = np.zeros(len(_PARTS), np.bool_)
-        """Which parts were measured in some interval of its time."""
+        """Parts that were measured in at least one interval since the account was opened."""
 
     def report(self, time: float, cpu_seconds: float) -> None:
-        self.seen = time
-        # No news is not idleness: the next report covers this time too.
+        self.last_report = time
+        # An unchanged count means "not reported yet": the next report covers this time too.
         if cpu_seconds > self.cpu_seconds[-1]:
             self.times.append(time)
             self.cpu_seconds.append(cpu_seconds)
 
-    def forget_before(self, time: float) -> None:
-        """Drop reports that no time from `time` on lies between."""
+    def drop_before(self, time: float) -> None:
+        """Drop the reports that are not needed to interpolate at `time` or later."""
         past = max(bisect_right(self.times, time) - 1, 0)
         del self.times[:past], self.cpu_seconds[:past]
 
-    def column(self, by_interval: Mapping[int, float], first: int, count: int) -> _Shares:
+    def values(self, by_interval: Mapping[int, float], first: int, count: int) -> _Shares:
         return np.array([by_interval.get(first + index, 0.0) for index in range(count)])
 
 
 class EnergyLedger:
-    """Intervals of a machine's energy, and the accounts of the jobs that share it.
+    """A machine's energy by interval, and the accounts of the jobs among which it is divided.
 
-    Only the intervals that some job has yet to report on are kept; the rest is folded into sums.
+    Intervals are kept until every job has reported on them and then folded into sums.
     """
 
-    def __init__(self, began: float, cores: int, memory_bytes: int) -> None:
-        self._began = began
-        self._bounds = [began]
+    def __init__(self, start: float, cores: int, memory_bytes: int) -> None:
+        self._start = start
+        self._bounds = [start]
         self._first = 0
         """Number of intervals folded."""
         self._machine = np.zeros((0, _COLUMNS))
         """(intervals, columns): capacity in CPU seconds, kWh of CPU, GPU and RAM, kg CO2eq; 0 if unknown."""
         self._spent = np.zeros((0, _COLUMNS))
-        """The same, of jobs settled since."""
+        """Usage of settled jobs in these intervals, same columns."""
         self._folded = np.zeros(_COLUMNS)
         self._folded_spent = np.zeros(_COLUMNS)
         self._known = np.zeros(len(_PARTS), np.bool_)
@@ -130,11 +132,11 @@ class EnergyLedger:
         self._settled: dict[str, Energy] = {}
 
     def open(self, job: str, cpu_seconds: float) -> None:
-        """Begin a job's account with CPU seconds that it used before now."""
+        """Open a job's account. `cpu_seconds` were used before and are not charged."""
         self._accounts[job] = _Account(self._bounds[-1], cpu_seconds)
 
-    def use(self, time: float, jobs: Mapping[str, JobUsage], gpu_shares: Mapping[str, float]) -> None:
-        """Note what jobs report at `time`, in the interval that is open. GPU shares sum to at most 1."""
+    def record(self, time: float, jobs: Mapping[str, JobUsage], gpu_shares: Mapping[str, float]) -> None:
+        """Record the jobs' reports at `time` in the open interval. GPU shares sum to at most 1."""
         interval = self._first + len(self._machine)
         for job, usage in jobs.items():
             if job in self._settled:
@@ -145,7 +147,7 @@ class EnergyLedger:
             account.gpu[interval] = gpu_shares.get(job, 0.0)
 
     def close_interval(self, time: float, increment: Increment) -> None:
-        """End the open interval with what the machine used in it."""
+        """Close the open interval at `time` with the machine's energy."""
         capacity = max((time - self._bounds[-1]) * self._cores, 1e-12)
         parts = [getattr(increment, part) for part in _PARTS]
         known = np.array([part is not None for part in parts])
@@ -158,62 +160,65 @@ class EnergyLedger:
         self._fold()
 
     def settle(self, job: str) -> Energy:
-        """The energy of a job that has ended; it is fixed from now on."""
+        """Return the energy of a job that has ended. It does not change afterwards."""
         if job not in self._settled:
             if job not in self._accounts:
                 self.open(job, 0.0)
-            used = self._used()[job]
+            used = self._interval_usage()[job]
             self._settled[job] = self._energy_of(job, used)
             self._spent = self._spent + used
             self._folded_spent += self._accounts.pop(job).folded
         return self._settled[job]
 
     def shares(self) -> dict[str, Energy]:
-        """The energy of every job so far."""
-        used = self._used()
+        """Return the energy of every job so far."""
+        used = self._interval_usage()
         return self._settled | {job: self._energy_of(job, used[job]) for job in self._accounts}
 
     def idle(self) -> Energy:
-        """What no job has used."""
-        used = sum(self._used().values(), np.zeros_like(self._spent))
+        """Return the energy that no job has used."""
+        used = sum(self._interval_usage().values(), np.zeros_like(self._spent))
         taken = self._folded_spent + (self._spent + used).sum(axis=0)
         taken += sum((account.folded for account in self._accounts.values()), np.zeros(_COLUMNS))
         rest = np.maximum(self._folded + self._machine.sum(axis=0) - taken, 0.0)
-        return _energy(rest, self._known, 0.0, self._bounds[-1] - self._began)
+        return _energy(rest, self._known, 0.0, self._bounds[-1] - self._start)
 
     def total(self) -> Energy:
-        """What the machine has used."""
+        """Return the energy that the machine has used."""
         whole = self._folded + self._machine.sum(axis=0)
-        return _energy(whole, self._known, 0.0, self._bounds[-1] - self._began)
+        return _energy(whole, self._known, 0.0, self._bounds[-1] - self._start)
 
     def _energy_of(self, job: str, used: _Shares) -> Energy:
         account = self._accounts[job]
         sums = account.folded + used.sum(axis=0)
-        return _energy(sums, account.known, account.cpu_seconds[-1], account.seen - account.began)
+        return _energy(sums, account.known, account.cpu_seconds[-1], account.last_report - account.start)
 
-    def _used(self) -> dict[str, _Shares]:
-        """Of each job not settled, what it used in each interval kept: columns as `_machine`'s."""
+    def _interval_usage(self) -> dict[str, _Shares]:
+        """Return, by unsettled job, its usage per kept interval, with the columns of `_machine`."""
         bounds, machine, count = np.array(self._bounds), self._machine, len(self._machine)
-        wanted = {
+        claimed = {
             job: np.column_stack(
                 [
                     np.diff(np.interp(bounds, account.times, account.cpu_seconds)) / machine[:, 0],
-                    account.column(account.gpu, self._first, count),
-                    account.column(account.memory, self._first, count),
+                    account.values(account.gpu, self._first, count),
+                    account.values(account.memory, self._first, count),
                 ]
             )
             for job, account in self._accounts.items()
         }
-        # Jobs that together claim more than there is (reports are not simultaneous) are cut alike.
-        sums = sum(wanted.values(), np.zeros((count, 3)))
+        # Reports are not simultaneous: claims of more than is left are scaled down by a common factor.
+        sums = sum(claimed.values(), np.zeros((count, 3)))
         parts = machine[:, 1:4]
-        gone = np.divide(self._spent[:, 1:4], parts, out=np.zeros((count, 3)), where=parts > 0)
-        gone[:, 0] = self._spent[:, 0] / machine[:, 0]
-        scale = np.clip((1.0 - gone) / np.maximum(sums, 1e-300), 0.0, 1.0)
-        return {job: self._granted(claims * scale) for job, claims in wanted.items()}
+        spent_share = np.divide(self._spent[:, 1:4], parts, out=np.zeros((count, 3)), where=parts > 0)
+        spent_share[:, 0] = self._spent[:, 0] / machine[:, 0]
+        scale = np.clip((1.0 - spent_share) / np.maximum(sums, 1e-300), 0.0, 1.0)
+        return {job: self._allocate(claims * scale) for job, claims in claimed.items()}
 
-    def _granted(self, shares: _Shares) -> _Shares:
-        """(intervals, columns) of (intervals, 3) shares of the CPU, the GPU and the RAM."""
+    def _allocate(self, shares: _Shares) -> _Shares:
+        """Convert shares of CPU, GPU and RAM, (intervals, 3), to usage, (intervals, columns).
+
+        CO2 is allocated by the share of the total energy.
+        """
         machine = self._machine
         kwh = shares * machine[:, 1:4]
         whole = machine[:, 1:4].sum(axis=1)
@@ -221,12 +226,12 @@ class EnergyLedger:
         return np.column_stack([shares[:, 0] * machine[:, 0], kwh, share * machine[:, 4]])
 
     def _fold(self) -> None:
-        """Sum up the leading intervals on which every job has reported: no later report changes them."""
+        """Fold the leading intervals on which every job has reported, as later reports cannot change them."""
         horizon = min((account.times[-1] for account in self._accounts.values()), default=self._bounds[-1])
         count = int(np.searchsorted(self._bounds[1:], horizon, side="right"))
         if count == 0:
             return
-        used = self._used()
+        used = self._interval_usage()
         for job, account in self._accounts.items():
             account.folded += used[job][:count].sum(axis=0)
             for interval in range(self._first, self._first + count):
@@ -238,7 +243,7 @@ class EnergyLedger:
         self._bounds = self._bounds[count:]
         self._first += count
         for account in self._accounts.values():
-            account.forget_before(self._bounds[0])
+            account.drop_before(self._bounds[0])
 
 
 def _energy(sums: _Shares, known: NDArray[np.bool_], cpu_seconds: float, duration_s: float) -> Energy:

@@ -1,4 +1,4 @@
-"""The meter of a session: CodeCarbon's readings, shared out to the session's jobs."""
+"""The energy meter of a session: divides CodeCarbon's readings among the session's jobs."""
 
 import os
 import queue
@@ -39,9 +39,9 @@ class EnergyReport:
 
 
 class EnergyMeter:
-    """Measures the machine while a session runs, and shares the energy out to its jobs.
+    """Measures the machine's energy while a session runs and divides it among the session's jobs.
 
-    CodeCarbon starts in a thread of its own; until it is ready nothing is measured. Used from one thread.
+    CodeCarbon starts in a separate thread; nothing is measured until it is ready. Not thread-safe.
     """
 
     def __init__(self, config: EnergyConfig) -> None:
@@ -50,18 +50,18 @@ class EnergyMeter:
         self._readings = Readings()
         self._tracker: Any = None
         self._ledger: EnergyLedger | None = None
-        self._before: dict[str, JobUsage] = {}
+        self._early_usage: dict[str, JobUsage] = {}
         self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
-        """From both threads."""
+        """Lines for the user, written by both threads."""
         self._failed = False
-        """CodeCarbon could not be started, and a notice has said so."""
+        """CodeCarbon could not be started; a notice reports it."""
         self._utilization = ProcessUtilization()
         self._starting: threading.Thread | None = None
-        self._missed = False
+        self._notified_miss = False
 
     @classmethod
     def start(cls, config: EnergyConfig) -> Self:
-        """Begin to measure. Raises HeadwayError for a country that CodeCarbon has no energy mix of."""
+        """Start measuring. Raises HeadwayError for a country whose energy mix CodeCarbon lacks."""
         meter = cls(config)
         if config.enabled:
             if config.country is not None:
@@ -71,35 +71,39 @@ class EnergyMeter:
         return meter
 
     def wait(self) -> None:
-        """Wait until it measures, or is known not to: for what is too short to do without."""
-        self._ready(_START_SECONDS)
+        """Wait until measuring has started or failed, for sessions too short to miss the start."""
+        self._wait_for_ledger(_START_SECONDS)
 
     def sample(self, jobs: Mapping[str, JobUsage]) -> dict[str, Energy]:
-        """Measure now, with what the jobs that run have used as far as known, and give each one's energy
-        so far (of the whole stack: see `Energy.per_seed`). To be called every `interval_s` seconds."""
-        ledger = self._ready(0.0)
+        """Measure now, given the usage of the running jobs, and return the energy of each job so far.
+
+        A job is a whole stack of seeds, see `Energy.per_seed`. To be called every `interval_s` seconds.
+        """
+        ledger = self._wait_for_ledger(0.0)
         if ledger is None:
-            self._before.update(jobs)
+            self._early_usage.update(jobs)
             return dict.fromkeys(jobs, _UNKNOWN)
         self._measure(ledger, jobs)
         shares = ledger.shares()
         return {job: shares[job] for job in jobs}
 
     def finish(self, job: str, others: Mapping[str, JobUsage], usage: JobUsage) -> Energy:
-        """Measure now, and give the energy of `job`, which has ended with `usage`; it is fixed from now on.
-        `others` are the jobs that run on."""
-        ledger = self._ready(0.0)
+        """Measure now and return the energy of `job`, which has ended with `usage`.
+
+        It does not change afterwards. `others` are the jobs still running.
+        """
+        ledger = self._wait_for_ledger(0.0)
         if ledger is None:
             return _UNKNOWN
         self._measure(ledger, {**others, job: usage})
         return ledger.settle(job)
 
     def stop(self) -> EnergyReport:
-        """End the measurement; all jobs have ended."""
-        ledger = self._ready(_START_SECONDS)
+        """Stop measuring, after all jobs have ended, and return the report."""
+        ledger = self._wait_for_ledger(_START_SECONDS)
         if ledger is None:
             return EnergyReport({}, _UNKNOWN, _UNKNOWN, _UNKNOWN, self.modes)
-        ledger.use(time.monotonic(), _own_usage(), {})
+        ledger.record(time.monotonic(), _session_usage(), {})
         self._tracker.stop()
         self._close_interval(ledger)
         shares = ledger.shares()
@@ -107,7 +111,7 @@ class EnergyMeter:
         return EnergyReport(shares, session, ledger.idle(), ledger.total(), self.modes)
 
     def notices(self) -> tuple[str, ...]:
-        """Lines for the user since the last call."""
+        """Return the lines for the user since the last call."""
         lines = []
         while not self._notices.empty():
             lines.append(self._notices.get())
@@ -118,43 +122,43 @@ class EnergyMeter:
             self._tracker = make_tracker(self._config, self._readings)
             self._tracker.start()
             self._tracker.flush()
-        except Exception as error:  # whatever CodeCarbon meets must not end the session
+        except Exception as error:  # no failure of CodeCarbon may end the session
             self._failed = True
             self._notices.put(f"energy is not measured: CodeCarbon failed ({error})")
 
-    def _ready(self, seconds: float) -> EnergyLedger | None:
+    def _wait_for_ledger(self, seconds: float) -> EnergyLedger | None:
         if self._starting is not None:
             self._starting.join(seconds)
             if not self._starting.is_alive():
                 self._starting = None
-                self._begin()
+                self._open_ledger()
         return self._ledger
 
-    def _begin(self) -> None:
+    def _open_ledger(self) -> None:
         if self._failed:
             return
         if self._readings.count == 0:
-            self._notices.put("energy is not measured: CodeCarbon gives no reading on this machine")
+            self._notices.put("energy is not measured: CodeCarbon has no readings on this machine")
             return
         self.modes = power_modes(self._tracker)
         for line in self.modes.notices():
             self._notices.put(line)
         cores, memory = os.cpu_count() or 1, psutil.virtual_memory().total
         self._ledger = EnergyLedger(self._readings.time, cores, memory)
-        # What was used before the first reading is none of its energy.
-        for job, usage in {**self._before, **_own_usage()}.items():
+        # CPU seconds used before the first reading are not charged.
+        for job, usage in {**self._early_usage, **_session_usage()}.items():
             self._ledger.open(job, usage.cpu_seconds)
 
     def _measure(self, ledger: EnergyLedger, jobs: Mapping[str, JobUsage]) -> None:
         shares = gpu_shares(jobs, self._utilization.read())
-        ledger.use(time.monotonic(), {**jobs, **_own_usage()}, shares)
+        ledger.record(time.monotonic(), {**jobs, **_session_usage()}, shares)
         count = self._readings.count
         self._tracker.flush()
         if self._readings.count > count:
             self._close_interval(ledger)
-        elif not self._missed:
-            self._missed = True
-            self._notices.put("CodeCarbon missed a reading: its energy is counted with the next")
+        elif not self._notified_miss:
+            self._notified_miss = True
+            self._notices.put("CodeCarbon missed a reading: its energy is counted with the next one")
 
     def _close_interval(self, ledger: EnergyLedger) -> None:
         cpu, gpu, ram, kg = self._readings.increment()
@@ -168,6 +172,6 @@ class EnergyMeter:
         ledger.close_interval(self._readings.time, increment)
 
 
-def _own_usage() -> dict[str, JobUsage]:
+def _session_usage() -> dict[str, JobUsage]:
     memory = psutil.Process().memory_info().rss
     return {_SESSION: JobUsage(time.process_time(), memory)}

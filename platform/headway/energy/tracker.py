@@ -1,4 +1,4 @@
-"""CodeCarbon's own tracker: offline, silent, without files, measuring only when it is told to."""
+"""CodeCarbon's tracker, set up to work offline, without output or files, and to measure only on request."""
 
 import importlib.util
 import json
@@ -14,63 +14,64 @@ from headway.contracts import HeadwayError
 
 _NEVER = 10 * 365 * 86400.0
 _ANY_COUNTRY = "FRA"
-"""A placeholder: CodeCarbon requires a country even if its CO2 is not used."""
+"""Placeholder, as CodeCarbon requires a country even if the CO2 is not used."""
 _COUNTERS = {"intel_rapl": "RAPL", "windows_emi": "EMI", "intel_power_gadget": "Power Gadget"}
+"""Name of the energy counter by CodeCarbon's CPU mode."""
 NOT_MEASURED = "not measured"
 
 
 class Readings:
-    """An output of CodeCarbon (its public way to be told totals): keeps the latest."""
+    """Output handler of CodeCarbon, its public interface to the totals. Keeps the latest totals."""
 
     def __init__(self) -> None:
         self.count = 0
         self.time = 0.0
-        """When the latest came, `time.monotonic`."""
-        self._totals = self._taken = (0.0, 0.0, 0.0, 0.0)
+        """Time of the latest totals, by `time.monotonic`."""
+        self._totals = self._reported = (0.0, 0.0, 0.0, 0.0)
 
     def out(self, total: Any, delta: Any) -> None:  # noqa: ANN401 - CodeCarbon's record
-        """Called at each `flush` and `stop`."""
+        """Store the totals. CodeCarbon calls this at each `flush` and `stop`."""
         self._totals = (total.cpu_energy, total.gpu_energy, total.ram_energy, total.emissions)
         self.time = time.monotonic()
         self.count += 1
 
     def live_out(self, total: Any, delta: Any) -> None:  # noqa: ANN401
-        """Never called: there are no periodic measurements."""
+        """Do nothing: without periodic measurements this is never called."""
 
     def task_out(self, data: Any, experiment_name: str) -> None:  # noqa: ANN401
-        """Never called: there are no tasks."""
+        """Do nothing: without tasks this is never called."""
 
     def exit(self) -> None:
-        """Called at the end."""
+        """Do nothing. CodeCarbon calls this at the end."""
 
     def increment(self) -> tuple[float, float, float, float]:
-        """kWh of CPU, GPU and RAM and kg CO2eq since the last call, the first time since the start."""
-        cpu, gpu, ram, kg = (now - before for now, before in zip(self._totals, self._taken, strict=True))
-        self._taken = self._totals
+        """Return kWh of CPU, GPU and RAM, and kg CO2eq, since the last call or the start."""
+        cpu, gpu, ram, kg = (now - before for now, before in zip(self._totals, self._reported, strict=True))
+        self._reported = self._totals
         return cpu, gpu, ram, kg
 
 
 @dataclass(frozen=True)
 class PowerModes:
-    """How each part's power is known: `measured (...)`, `estimated (...)` or `not measured`."""
+    """Source of each part's power: `measured (...)`, `estimated (...)` or `not measured`."""
 
     cpu: str = NOT_MEASURED
     gpu: str = NOT_MEASURED
     ram: str = NOT_MEASURED
 
     def as_tags(self) -> dict[str, str]:
-        """Tags of a run."""
+        """Return the tags of a run."""
         return {"energy.cpu": self.cpu, "energy.gpu": self.gpu, "energy.ram": self.ram}
 
     def notices(self) -> tuple[str, ...]:
-        """One line for each part that is not measured by a counter, but for the RAM, which never is."""
+        """Return one line per part that is not measured, except RAM, which never is."""
         lines = []
         if self.cpu == NOT_MEASURED:
             lines.append("the CPU's energy is not measured on this machine and is left out")
         elif not self.cpu.startswith("measured"):
             lines.append(
-                f"the CPU's energy is {self.cpu}: its counters (RAPL) cannot be read here; the machine's "
-                "power at full load can be given by energy.cpu_power_w=WATTS"
+                f"the CPU's energy is {self.cpu}: its counters (RAPL) cannot be read here; the power at "
+                "full load can be set by energy.cpu_power_w=WATTS"
             )
         if self.gpu == NOT_MEASURED and _has_gpu():
             lines.append("the GPU's energy is not measured (NVML does not answer) and is left out")
@@ -78,16 +79,16 @@ class PowerModes:
 
 
 def make_tracker(config: EnergyConfig, readings: Readings) -> Any:  # noqa: ANN401 - CodeCarbon is not typed
-    """A tracker that hands its totals to `readings` at each `flush`.
+    """Return a tracker that passes its totals to `readings` at each `flush`.
 
-    All that would reach the network or the disk is given here, so that no configuration file of CodeCarbon's
-    can turn it on; what those say of the hardware (power, PUE) holds.
+    All settings that concern network and disk are given explicitly, so that a user's CodeCarbon configuration
+    file cannot switch them on. Its settings of the hardware (power, PUE) stay in effect.
     """
     from codecarbon import OfflineEmissionsTracker
 
-    # It warns while it is being made, before it looks at its log_level.
+    # The constructor logs warnings before it applies its log_level.
     logging.getLogger("codecarbon").setLevel(logging.CRITICAL)
-    # Absent, not None: None would hide a power that a configuration file of CodeCarbon's gives.
+    # Left out if unset: an explicit None would override the power in a CodeCarbon configuration file.
     power = {} if config.cpu_power_w is None else {"force_cpu_power": config.cpu_power_w}
     return OfflineEmissionsTracker(
         **power,
@@ -101,7 +102,7 @@ def make_tracker(config: EnergyConfig, readings: Readings) -> Any:  # noqa: ANN4
         output_methods=[],
         output_handlers=[readings],
         api_call_interval=-1,
-        # Its own timer would measure beside ours, in another thread, and count some energy twice.
+        # CodeCarbon's own timer would measure in another thread and count some energy twice.
         measure_power_secs=_NEVER,
         tracking_mode="machine",
         allow_multiple_runs=True,
@@ -110,7 +111,7 @@ def make_tracker(config: EnergyConfig, readings: Readings) -> Any:  # noqa: ANN4
 
 
 def power_modes(tracker: Any) -> PowerModes:  # noqa: ANN401
-    """How a started tracker knows its powers. CodeCarbon tells it nowhere but in its hardware records."""
+    """Return the power sources of a started tracker, from CodeCarbon's private hardware records."""
     modes = {}
     for part in getattr(tracker, "_hardware", ()):
         match type(part).__name__:
@@ -135,7 +136,7 @@ def _cpu_mode(part: Any) -> str:  # noqa: ANN401
 
 
 def check_country(country: str) -> None:
-    """Raises HeadwayError for a code that CodeCarbon would silently take for the world's average."""
+    """Raise HeadwayError for an unknown code, for which CodeCarbon would silently use the world's average."""
     package = importlib.util.find_spec("codecarbon")
     if package is None or not package.submodule_search_locations:
         return
@@ -149,7 +150,7 @@ def check_country(country: str) -> None:
     named = names.get(country.lower()) or (country.upper() if country.upper() in codes else None)
     nearest = [named] if named else get_close_matches(country.upper(), codes, n=1, cutoff=0.0)
     raise HeadwayError(
-        f"energy.country {country!r} is no three-letter code of a country with a known energy mix: "
+        f"energy.country {country!r} is not the three-letter code of a country with a known energy mix: "
         f"did you mean {nearest[0]}?"
     )
 

@@ -1,1 +1,1 @@
-"""Collecting experience: samplers, worker processes and the shared memory between them."""
+"""Sampling of experience: collectors, samplers, worker processes and the memory that they share."""

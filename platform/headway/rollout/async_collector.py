@@ -1,5 +1,4 @@
-"""Backends of the asynchronous mode: workers that learn from their own rollouts. While they do, evaluation
-has a place of its own."""
+"""Backends of asynchronous training: workers that compute contributions from their own rollouts."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -8,104 +7,112 @@ from typing import Any
 from headway.contracts import HeadwayError
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import Collector, evaluation_requests, joined, restart_purpose
+from headway.rollout.collector import Collector, concatenate_blocks, evaluation_requests, restart_purpose
 from headway.rollout.episodes import evaluate_policy
 from headway.rollout.plan import process_holds
-from headway.rollout.workers.async_worker import AsynchronousPlan, Contributing
+from headway.rollout.workers.async_worker import AsynchronousPlan, ContributionService
 from headway.rollout.workers.process_workers import process_collector
 from headway.rollout.workers.worker import Begin, Contribute, Done, Restore
-from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, standing
+from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
 
 
 class PoolContributors:
-    """Workers of a crew, one a block of copies. They go on with what they do whatever the others do, also
-    where one died and its replacement repeats its rollout. Evaluation is one worker's work, and whoever
-    asks for it waits."""
+    """Contributors in a pool of workers, one per block of copies.
+
+    Workers do not wait for each other, even while the replacement of a worker that died repeats its rollout.
+    A separate worker evaluates; `evaluate` waits for it.
+    """
 
     in_turns = False
 
     def __init__(
-        self, plan: AsynchronousPlan, workplace: WorkerLauncher, evaluating: Collector, notify: Notify
+        self, plan: AsynchronousPlan, launcher: WorkerLauncher, evaluator: Collector, notify: Notify
     ) -> None:
-        """`evaluating`: is never begun; this closes it, also where it cannot start."""
-        self.plan, self.evaluating = plan, evaluating
+        """`evaluator` never begins training episodes. It is closed with this object or if the start fails."""
+        self.plan, self.evaluator = plan, evaluator
         self.tasks: dict[int, Contribute] = {}
-        self.arrived: deque[int] = deque()
-        """Workers that have answered, or died, and were not heard yet; first come, first heard."""
+        """Current task by worker."""
+        self.ready: deque[int] = deque()
+        """Workers that have answered or died and whose answer was not yet received, in order of arrival."""
         try:
-            self.crew = WorkerPool(workplace, len(plan.shards), notify)
+            self.pool = WorkerPool(launcher, len(plan.shards), notify)
         except BaseException:
-            evaluating.close()
+            evaluator.close()
             raise
 
     @property
     def number(self) -> int:
-        """See `Contributors`."""
-        return len(self.crew.workers)
+        """Number of workers."""
+        return len(self.pool.workers)
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self.crew.all([Begin("env")] * self.number)
+        self.pool.all([Begin("env")] * self.number)
 
     def idle(self) -> list[int]:
-        """See `Contributors`."""
+        """Return the workers without a task, in order."""
         return [worker for worker in range(self.number) if worker not in self.tasks]
 
     def assign(self, worker: int, task: Contribute) -> None:
-        """See `Contributors`."""
+        """Send a task to an idle worker."""
         self.tasks[worker] = task
-        self.crew.send(worker, task)
+        self.pool.send(worker, task)
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """See `Contributors`; a worker that died is replaced, and contributes again while others go on."""
+        """Wait for a contribution, see `Contributors.next_done`.
+
+        A worker that dies is replaced and repeats its contribution while the others continue.
+        """
         while True:
-            worker = self._first_come() if turn is None else turn
-            # By the contribution, as a fast worker makes, and may die in, several of one iteration.
-            self.crew.anew = f"env restart for contribution {self.tasks[worker].number}"
-            done = self.crew.hear(worker, self.tasks[worker])
+            worker = self._next_ready() if turn is None else turn
+            # Named by contribution: a fast worker may make, and die in, several contributions per iteration.
+            self.pool.restart_purpose = f"env restart for contribution {self.tasks[worker].number}"
+            done = self.pool.receive(worker, self.tasks[worker])
             if done is not None:
                 return worker, self.tasks.pop(worker), done
 
-    def _first_come(self) -> int:
-        unheard = [worker for worker in self.tasks if worker not in self.arrived]
-        self.arrived += self.crew.answered(unheard, 0 if self.arrived else None)
-        return self.arrived.popleft()
+    def _next_ready(self) -> int:
+        """Return the worker whose answer arrived first; wait for one if none has arrived."""
+        waiting = [worker for worker in self.tasks if worker not in self.ready]
+        self.ready += self.pool.answered(waiting, 0 if self.ready else None)
+        return self.ready.popleft()
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, by a worker of its own."""
-        return self.evaluating.evaluate(root, episodes, greedy, parameters)
+        """Play evaluation episodes in the separate worker."""
+        return self.evaluator.evaluate(root, episodes, greedy, parameters)
 
     def snapshot(self) -> list[Any]:
-        """Of each worker: where it stood before what it does now, and what that is."""
-        states = [worker.snapshot for worker in self.crew.workers]
+        """Return, per worker, its state before its current task, and that task."""
+        states = [worker.snapshot for worker in self.pool.workers]
         return [_with_task(state, self.tasks.get(worker)) for worker, state in enumerate(states)]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Have everyone begin again with what it was doing; where there are no snapshots, start anew."""
+        """Restore every worker and send it its task again; workers without a snapshot start new episodes."""
         self.plan.require_workers(snapshots)
         states = [None if snapshot is None else snapshot["worker"] for snapshot in snapshots]
-        self.crew.all([standing(state, restart_purpose(iteration)) for state in states])
+        self.pool.all([resume_command(state, restart_purpose(iteration)) for state in states])
         for worker, task in _tasks_of(snapshots).items():
             self.assign(worker, task)
 
     def process_ids(self) -> list[int]:
-        """Of all workers."""
-        return self.crew.process_ids() + self.evaluating.process_ids()
+        """Return the process ids of contributing and evaluating workers."""
+        return self.pool.process_ids() + self.evaluator.process_ids()
 
     def usage(self) -> Usage:
-        """Of all workers, with what they do now: a rollout under way may never be heard of."""
-        return self.crew.usage(self.tasks) + self.evaluating.usage()
+        """Return the usage of all workers, current tasks included."""
+        # The rollout of a busy worker may never be reported, as training ends without it.
+        return self.pool.usage(self.tasks) + self.evaluator.usage()
 
     def close(self) -> None:
-        """End all workers: at once, as nobody waits for what they are doing."""
+        """Kill busy workers, whose results are no longer needed, and end the others."""
         try:
-            self.crew.close(hastily=self.tasks)
+            self.pool.close(killed=self.tasks)
         finally:
-            self.evaluating.close()
+            self.evaluator.close()
 
 
 class SerialContributors:
-    """Workers that the training process plays itself, always in turns: for debugging and tests."""
+    """Contributors in the training process, one after another in a fixed order, for debugging and tests."""
 
     in_turns = True
 
@@ -117,73 +124,75 @@ class SerialContributors:
                 f"{process_holds(self.plan.spec, limit)}, and this one would hold "
                 f"{self.plan.copies}; set backend=process, or rollout.copies={limit}"
             )
-        self.workers = [Contributing(plan, shard) for shard in plan.shards]
+        self.workers = [ContributionService(plan, shard) for shard in plan.shards]
         self.tasks: dict[int, Contribute] = {}
-        apart = self.plan.evaluating_apart
-        self.apart = None if limit is None else process_collector(apart, [apart.whole], notify)
+        """Current task by worker, in order of assignment."""
+        evaluation = self.plan.evaluation_plan
+        self.evaluator = None if limit is None else process_collector(evaluation, [evaluation.whole], notify)
+        """Separate evaluation process; None: evaluate in this process."""
 
     @property
     def number(self) -> int:
-        """See `Contributors`."""
+        """Number of workers."""
         return len(self.workers)
 
     def begin(self) -> None:
         """Start the first episodes."""
         for worker in self.workers:
-            worker.carry_out(Begin("env"))
+            worker.execute(Begin("env"))
 
     def idle(self) -> list[int]:
-        """See `Contributors`."""
+        """Return the workers without a task, in order."""
         return [worker for worker in range(self.number) if worker not in self.tasks]
 
     def assign(self, worker: int, task: Contribute) -> None:
-        """See `Contributors`."""
+        """Store the task of an idle worker until `next_done` executes it."""
         self.tasks[worker] = task
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """See `Contributors`; what comes first is what was assigned first."""
+        """Execute a task, see `Contributors.next_done`; without `turn` the one assigned first."""
         worker = next(iter(self.tasks)) if turn is None else turn
         task = self.tasks.pop(worker)
-        return worker, task, self.workers[worker].carry_out(task)
+        return worker, task, self.workers[worker].execute(task)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, here or, where a process may hold few copies, in one of its own."""
-        if self.apart is not None:
-            return self.apart.evaluate(root, episodes, greedy, parameters)
+        """Play evaluation episodes, in a separate process if the environment limits copies per process."""
+        if self.evaluator is not None:
+            return self.evaluator.evaluate(root, episodes, greedy, parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
-        return joined([evaluate_policy(self.plan, parameters, request) for request in requests])
+        return concatenate_blocks([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:
-        """Of each worker: where it stands, and what it is to do next."""
+        """Return, per worker, its state and its next task."""
         states = [worker.snapshot() for worker in self.workers]
         return [_with_task(state, self.tasks.get(worker)) for worker, state in enumerate(states)]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """As for processes, which may have made the checkpoint."""
+        """Restore every worker and its task from a checkpoint of either backend."""
         self.asynchronous.require_workers(snapshots)
         for worker, snapshot in zip(self.workers, snapshots, strict=True):
-            anew = snapshot is None
-            worker.carry_out(Begin(restart_purpose(iteration)) if anew else Restore(snapshot["worker"]))
+            restarts = snapshot is None
+            worker.execute(Begin(restart_purpose(iteration)) if restarts else Restore(snapshot["worker"]))
         self.tasks = _tasks_of(snapshots)
 
     def process_ids(self) -> list[int]:
-        """None but evaluation's, if it has one."""
-        return [] if self.apart is None else self.apart.process_ids()
+        """Return the id of the evaluation process, if there is one."""
+        return [] if self.evaluator is None else self.evaluator.process_ids()
 
     def usage(self) -> Usage:
-        """Nothing beside this process but evaluation's."""
-        return Usage() if self.apart is None else self.apart.usage()
+        """Return the usage of the evaluation process, if there is one."""
+        return Usage() if self.evaluator is None else self.evaluator.usage()
 
     def close(self) -> None:
-        """Close the environments."""
+        """Close the environments and end the evaluation process."""
         for worker in self.workers:
             worker.sampler.env.close()
-        if self.apart is not None:
-            self.apart.close()
+        if self.evaluator is not None:
+            self.evaluator.close()
 
 
 def _with_task(state: Any, task: Contribute | None) -> Any:  # noqa: ANN401 - opaque
-    """For a checkpoint, which holds plain values; None where the environment keeps no snapshots."""
+    """Return a worker's checkpoint entry of plain values; None if the environment has no snapshots."""
     if state is None:
         return None
     plain = None if task is None else [task.number, task.updates, dict(task.published)]
@@ -191,6 +200,6 @@ def _with_task(state: Any, task: Contribute | None) -> Any:  # noqa: ANN401 - op
 
 
 def _tasks_of(snapshots: Sequence[Any]) -> dict[int, Contribute]:
-    """What workers were doing, by worker, the earliest begun first."""
-    told = {w: snapshot["task"] for w, snapshot in enumerate(snapshots) if snapshot and snapshot["task"]}
-    return {w: Contribute(*told[w]) for w in sorted(told, key=lambda worker: (told[worker][0], worker))}
+    """Return the stored task of each worker, by contribution number."""
+    stored = {w: snapshot["task"] for w, snapshot in enumerate(snapshots) if snapshot and snapshot["task"]}
+    return {w: Contribute(*stored[w]) for w in sorted(stored, key=lambda worker: (stored[worker][0], worker))}

@@ -1,4 +1,4 @@
-"""Backends by name. Every one gives the same trajectory bit for bit."""
+"""Registry of the backends. All of them produce the same trajectory, bit for bit."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -15,68 +15,80 @@ from headway.rollout.workers.worker_pool import Notify, WorkerLauncher
 
 
 def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
-    """The backend of that name, with its workers started. Where a process may hold few copies, which
-    training needs, evaluation has workers of its own, beside the serial backend too.
+    """Start the configured backend of synchronous training.
 
-    Raises HeadwayError where it cannot be had.
+    If the environment limits the copies per process, evaluation gets separate workers, with the serial
+    backend too. Raises HeadwayError if the backend cannot start.
     """
     shards = [plan.whole] if backend.name == "serial" else plan.shards(workers)
     collector = _COLLECTORS[backend.name](backend, plan, shards, notify)
     if plan.spec.max_copies_per_process is None:
         return collector
     try:
-        return SeparateEvaluation(collector, _evaluating(backend, plan, workers, notify))
+        return SeparateEvaluation(collector, _open_evaluator(backend, plan, workers, notify))
     except BaseException:
         collector.close()
         raise
 
 
 def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Contributors:
-    """The same for the asynchronous mode."""
+    """Start the configured backend of asynchronous training, with a separate worker for evaluation.
+
+    Raises HeadwayError if the backend cannot start.
+    """
     if backend.name == "serial":
         return SerialContributors(plan, notify)
-    evaluating = _evaluating(backend, plan.rollout, len(plan.shards), notify)
+    evaluator = _open_evaluator(backend, plan.rollout, len(plan.shards), notify)
     try:
-        workplace = _WORKPLACES[backend.name](backend, plan, notify)
+        launcher = _LAUNCHERS[backend.name](backend, plan, notify)
     except BaseException:
-        evaluating.close()
+        evaluator.close()
         raise
-    return PoolContributors(plan, workplace, evaluating, notify)
+    return PoolContributors(plan, launcher, evaluator, notify)
 
 
-def _evaluating(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
-    """Workers that only evaluate: one, or, where training has the replicas in groups, as many as one group
-    has for training, since a stack counts for so many cores where several trainings share a machine."""
+def _open_evaluator(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
+    """Start the workers that only evaluate.
+
+    As many as one replica group has for training, but at most one per group: the cores reserved for a stack
+    are those of one group.
+    """
     name = "process" if backend.name == "serial" else backend.name
     groups = len(plan.groups)
-    apart, number = plan.evaluating_apart, min(groups, max(1, workers // groups))
+    evaluation, number = plan.evaluation_plan, min(groups, max(1, workers // groups))
     if name == "ray" and backend.cpus_per_worker:
-        number = 1  # each would keep its place in the cluster while training goes on
-    # Whoever only evaluates may be told to for any replicas: its shard is never used.
-    return _COLLECTORS[name](backend, apart, [apart.whole] * number, notify)
+        number = 1  # an evaluation worker occupies its CPUs of the cluster during training too
+    # Evaluation tasks name their replicas, so the shard of an evaluation worker is never used.
+    return _COLLECTORS[name](backend, evaluation, [evaluation.whole] * number, notify)
 
 
-def _serial(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
+def _serial_collector(
+    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+) -> Collector:
     return SerialCollector(plan)
 
 
-def _process(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
+def _process_collector(
+    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+) -> Collector:
     return process_collector(plan, shards, notify)
 
 
-def _ray(backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> Collector:
-    from headway.rollout.workers.ray_workers import ray_collector  # which imports Ray, an extra
+def _ray_collector(
+    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+) -> Collector:
+    from headway.rollout.workers.ray_workers import ray_collector  # imports Ray, an optional extra
 
     return ray_collector(backend, plan, shards, notify)
 
 
-def _processes(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
+def _process_launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
     pickled = SharedPickle.of(plan)
     setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
     return ProcessLauncher(setups, [*plan.rollout.preload, *plan.preload], pickled)
 
 
-def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
+def _ray_launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
     from headway.rollout.workers.ray_workers import RayLauncher, pickled_whole
 
     pickled = pickled_whole(plan)
@@ -85,11 +97,11 @@ def _actors(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> W
 
 
 _COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, Sequence[Shard], Notify], Collector]] = {
-    "serial": _serial,
-    "process": _process,
-    "ray": _ray,
+    "serial": _serial_collector,
+    "process": _process_collector,
+    "ray": _ray_collector,
 }
-_WORKPLACES: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], WorkerLauncher]] = {
-    "process": _processes,
-    "ray": _actors,
+_LAUNCHERS: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], WorkerLauncher]] = {
+    "process": _process_launcher,
+    "ray": _ray_launcher,
 }

@@ -1,4 +1,4 @@
-"""What every backend is: a collector of experience and evaluations."""
+"""Protocols of the backends: collectors of experience, and workers that contribute gradients."""
 
 from collections.abc import Iterable
 from typing import Any, Protocol
@@ -13,93 +13,99 @@ from headway.rollout.workers.worker import Contribute, Done
 
 
 class Backend(Protocol):
-    """Where environments are stepped."""
+    """A set of workers that step environments."""
 
     def begin(self) -> None:
         """Start the first episodes."""
         ...
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes: one list a replica, one row an episode."""
+        """Play evaluation episodes; return one list per replica, with one row per episode.
+
+        `root` is the root of the evaluation seeds.
+        """
         ...
 
     def snapshot(self) -> list[Any]:
-        """Where every shard stands, for a checkpoint; entries are None where the environment cannot tell."""
+        """Return one snapshot per shard, for a checkpoint; None for environments without snapshots."""
         ...
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Go on from the snapshots of a checkpoint after `iteration`; where they are None, start anew.
+        """Continue from the snapshots of a checkpoint written after `iteration`.
 
-        Raises HeadwayError if they are those of another number of workers.
+        A shard whose snapshot is None starts new episodes. Raises HeadwayError if the snapshots belong to a
+        different number of workers.
         """
         ...
 
     def process_ids(self) -> list[int]:
-        """Worker processes alive."""
+        """Return the ids of the worker processes on this machine."""
         ...
 
     def usage(self) -> Usage:
-        """Of all workers, as far as known."""
+        """Return the usage that the workers reported last, summed."""
         ...
 
     def close(self) -> None: ...
 
 
 class Collector(Backend, Protocol):
-    """Rollouts and evaluations with given parameters."""
+    """A backend of synchronous training: samples and evaluates with given parameters."""
 
     trajectory: Trajectory
-    """Where `collect` leaves the experience; overwritten by the next one."""
+    """Experience of the last `collect`, which overwrites it."""
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
-        """Sample one iteration; the episodes that ended in it, by replica, copy and time."""
+        """Sample one iteration; return the episodes that ended in it, by replica, copy and time."""
         ...
 
 
 class Contributors(Backend, Protocol):
-    """Workers that learn from rollouts of their own, each on one block of the copies."""
+    """A backend of asynchronous training: each worker computes contributions from one block of copies."""
 
     in_turns: bool
-    """Whatever is asked for, they contribute one after another."""
+    """Workers contribute one after another, in a fixed order."""
 
     @property
     def number(self) -> int:
-        """Workers; an iteration is one contribution of each, on average."""
+        """Number of workers, and of contributions per iteration."""
         ...
 
     def idle(self) -> list[int]:
-        """Workers with nothing to do, in order."""
+        """Return the workers without a task, in order."""
         ...
 
     def assign(self, worker: int, task: Contribute) -> None:
-        """Have an idle worker make a contribution."""
+        """Start a contribution on an idle worker."""
         ...
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """Wait for a contribution: of the worker `turn`, or None, whichever comes first. Which worker's it
-        is, which is idle now; what it had to do, and what it did."""
+        """Wait for a contribution; return the worker, which is idle again, its task and the result.
+
+        `turn` names the worker to wait for; None: the first one to finish.
+        """
         ...
 
 
 def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:
-    """An evaluation in the blocks in which every backend plays it."""
+    """Split an evaluation into the blocks that every backend plays it in."""
     return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec))
 
 
-def joined(parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
-    """The blocks of an evaluation, each one list a replica, one after another."""
+def concatenate_blocks(parts: Iterable[list[list[Row]]]) -> list[list[Row]]:
+    """Concatenate the blocks of an evaluation, each a list of rows per replica."""
     return [[row for rows in of_replica for row in rows] for of_replica in zip(*parts, strict=True)]
 
 
 def require_shards(snapshots: list[Any], shards: int) -> None:
-    """Raise HeadwayError unless a checkpoint has one snapshot a shard."""
+    """Raise HeadwayError unless a checkpoint has one snapshot per shard."""
     if len(snapshots) != shards:
         raise HeadwayError(
             f"the checkpoint was made with {len(snapshots)} workers, not with {shards}; "
-            f'let "workers" in the run\'s plan.json be {len(snapshots)}, and backend.name what it was'
+            f'set "workers" in the run\'s plan.json to {len(snapshots)}, and backend.name as it was'
         )
 
 
 def restart_purpose(iteration: int) -> str:
-    """Purpose of the seeds of episodes that start anew after an iteration: not those of an earlier start."""
+    """Return the seed purpose of episodes that restart after `iteration`, distinct for every iteration."""
     return f"env restart {iteration}"

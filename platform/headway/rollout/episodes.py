@@ -1,4 +1,4 @@
-"""Whole episodes on given seeds: evaluation of policies and rules."""
+"""Evaluation of policies and rules: complete episodes on given seeds."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -16,11 +16,11 @@ from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
 from headway.rollout.policy_player import PolicyPlayer
 from headway.rollout.sampler import Tally
 
-Told = Callable[[int, int], None]
-"""Called after each step of episodes played at once: with the step, and how many of them ended at it."""
+OnStep = Callable[[int, int], None]
+"""Callback after each step of a batch of episodes, given the step and the number of episodes it ended."""
 _NOISE_STEPS = 256
-MOST_STEPS = 1_000_000
-"""Steps after which an episode is taken for one that never ends."""
+MAX_STEPS = 1_000_000
+"""Steps after which an episode counts as endless."""
 
 
 @dataclass(frozen=True)
@@ -37,27 +37,27 @@ class EvaluationRequest:
     def split(
         cls, root: int, episodes: int, greedy: bool, block: int = EVALUATION_BLOCK
     ) -> list["EvaluationRequest"]:
-        """Requests of one evaluation block each: the same pieces on every backend."""
+        """Split an evaluation into requests of at most `block` episodes, the same on every backend."""
         starts = range(0, episodes, block)
         return [cls(root, first, min(block, episodes - first), greedy) for first in starts]
 
     @property
     def seeds(self) -> NDArray[np.uint64]:
-        """Seeds of its episodes, (count,)."""
+        """Seeds of the episodes, shape (count,)."""
         return evaluation_seeds(self.root, self.first, self.count)
 
     def name_copy(self, row: int) -> str:
-        """What to call a row of a batch that holds these episodes, once or for every replica."""
+        """Return the name, for messages, of a row of the batch that plays these episodes."""
         return f"evaluation episode {self.first + row % self.count}"
 
 
 def evaluation_seeds(root: int, first: int, count: int) -> NDArray[np.uint64]:
-    """Seeds of evaluation episodes, the same for every run, algorithm and rule."""
+    """Return the seeds of evaluation episodes, the same for every run, algorithm and rule."""
     return child_seeds(root, "evaluation", first, count)
 
 
-def nobody_told(step: int, ended: int) -> None:
-    """The `Told` of whoever need not know how far things are."""
+def ignore_step(step: int, ended: int) -> None:
+    """`OnStep` callback that does nothing."""
 
 
 def run_episodes(
@@ -65,13 +65,13 @@ def run_episodes(
     seeds: NDArray[np.uint64],
     act: Callable[[Observations, int], NDArray[Any]],
     name_copy: NameCopy,
-    heed: Callable[[StepResult], None] = lambda outcome: None,
-    told: Told = nobody_told,
+    on_outcome: Callable[[StepResult], None] = lambda outcome: None,
+    on_step: OnStep = ignore_step,
 ) -> list[Row]:
-    """Play the first episode of every copy; one row a copy. `act` is given what is observed and the step,
-    `heed` what the step led to, `told` how far things are.
+    """Play the first episode of every copy; return one row per copy.
 
-    Raises HeadwayError where the environment gives a NaN or an infinity, or an episode does not end.
+    `act` returns the actions for the current observations and step; `on_outcome` receives each step's
+    result. Raises HeadwayError if the environment returns NaN or infinity, or if an episode does not end.
     """
     observed = env.reset(seeds)
     check_finite(env.spec, None, observed, 0, name_copy)
@@ -79,20 +79,20 @@ def run_episodes(
     rows: dict[int, Row] = {}
     step = 0
     while len(rows) < env.num_copies:
-        if step == MOST_STEPS:
+        if step == MAX_STEPS:
             copy = min(set(range(env.num_copies)) - rows.keys())
             raise HeadwayError(
                 f"environment {env.spec.name}: {name_copy(copy)} has not ended in {step:,} steps; "
-                "its episodes must end by themselves or be truncated"
+                "every episode must terminate or be truncated"
             )
         outcome, observed = env.step(act(observed, step))
         step += 1
         check_finite(env.spec, outcome, observed, step, name_copy)
-        heed(outcome)
+        on_outcome(outcome)
         before = len(rows)
         for copy, row in tally.add(outcome):
             rows.setdefault(copy, row)
-        told(step, len(rows) - before)
+        on_step(step, len(rows) - before)
     return [rows[copy] for copy in range(env.num_copies)]
 
 
@@ -100,19 +100,22 @@ def evaluate_policy(
     plan: RolloutPlan,
     parameters: Parameters,
     request: EvaluationRequest,
-    told: Told = nobody_told,
+    on_step: OnStep = ignore_step,
 ) -> list[list[Row]]:
-    """Episodes of every replica: one list a replica, one row an episode, with its `episode_seed` index."""
+    """Play one request's episodes with a policy; return one list per replica, with one row per episode.
+
+    The column `episode_seed` is the index of the episode's evaluation seed.
+    """
     env = plan.make(request.count)
-    acting = PolicyPlayer(plan, request.count, request.count)
+    player = PolicyPlayer(plan, request.count, request.count)
     noise = None if request.greedy else _EvaluationNoise(plan, request)
 
     def act(observed: Observations, step: int) -> NDArray[Any]:
-        return acting.act(parameters, observed, None if noise is None else noise.at(step))[0]
+        return player.act(parameters, observed, None if noise is None else noise.at(step))[0]
 
     with closing(env):
         seeds = np.tile(request.seeds, plan.replicas)
-        rows = run_episodes(env, seeds, act, request.name_copy, acting.heed, told)
+        rows = run_episodes(env, seeds, act, request.name_copy, player.reset_ended, on_step)
     labelled: list[Row] = [
         {"episode_seed": request.first + i % request.count, **row} for i, row in enumerate(rows)
     ]
@@ -120,7 +123,7 @@ def evaluate_policy(
 
 
 class _EvaluationNoise:
-    """Action noise of sampled evaluation, a stream for each (seed, episode)."""
+    """Action noise of sampled evaluation, from one random stream per (seed, episode)."""
 
     def __init__(self, plan: RolloutPlan, request: EvaluationRequest) -> None:
         episodes = range(request.first, request.first + request.count)
@@ -142,24 +145,27 @@ def evaluate_rule(
     prepared: object,
     root: int,
     episodes: int,
-    told: Told = nobody_told,
+    on_step: OnStep = ignore_step,
 ) -> list[Row]:
-    """Episodes of a rule (an entry's `make`, and that of its rule) on the evaluation seeds, one row each."""
+    """Play a rule on the evaluation seeds; return one row per episode.
+
+    `make_env` and `make_rule` are the `make` of the environment's entry and of the rule's entry.
+    """
     rows: list[Row] = []
-    rule = make_rule(prepared)  # one for all blocks: a rule that draws must not draw the same in each
+    rule = make_rule(prepared)  # one for all blocks, so that a random rule continues its random stream
     with closing(make_env(prepared, 1)) as env:
         block = evaluation_block(env.spec)
     for request in EvaluationRequest.split(root, episodes, True, block):
         env = make_env(prepared, request.count)
-        act = _RuleActing(env, rule)
+        act = _RuleActor(env, rule)
         with closing(env):
-            played = run_episodes(env, request.seeds, act, request.name_copy, told=told)
+            played = run_episodes(env, request.seeds, act, request.name_copy, on_step=on_step)
         rows += [{"episode_seed": request.first + i, **row} for i, row in enumerate(played)]
     return rows
 
 
 @dataclass(frozen=True)
-class _RuleActing:
+class _RuleActor:
     env: BatchedEnv
     rule: Rule
 

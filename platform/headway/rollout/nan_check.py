@@ -1,4 +1,4 @@
-"""NaN and infinity are caught where they come in, with the place named."""
+"""Check of environment outputs for NaN and infinity, with an error that names copy, agent and step."""
 
 from collections.abc import Callable, Iterator
 from math import isfinite
@@ -9,43 +9,47 @@ from numpy.typing import NDArray
 from headway.contracts import EnvSpec, HeadwayError, Observations, StepResult
 
 NameCopy = Callable[[int], str]
-"""What to call a copy of a batch, by its row: "copy 3 of seed 7", say."""
+"""Function from a row of a batch to the name of its copy, for instance "copy 3 of seed 7"."""
 
 
-def _copy(row: int) -> str:
+def _default_name(row: int) -> str:
     return f"copy {row}"
 
 
 @np.errstate(over="ignore")
 def check_finite(
-    spec: EnvSpec, outcome: StepResult | None, observed: Observations, step: int, name_copy: NameCopy = _copy
+    spec: EnvSpec,
+    outcome: StepResult | None,
+    observed: Observations,
+    step: int,
+    name_copy: NameCopy = _default_name,
 ) -> None:
-    """Raise HeadwayError for a NaN or infinity where a learner looks: observations of live agents, final
-    observations of agents whose stream ends, states, and all rewards (who gets nothing gets 0).
+    """Raise HeadwayError for NaN or infinity in any value that a learner reads.
 
-    Whole arrays are tested first, so a step without fault costs a few microseconds. `outcome` is None
-    where nothing was done yet.
+    These are observations of live agents, final observations of streams that end, states and all rewards.
+    `outcome` is None after a reset.
     """
-    for what, values, present, remedy in _looked_at(outcome, observed):
+    for quantity, values, valid, hint in _checked_arrays(outcome, observed):
+        # One test of the whole array first: a step without fault costs a few microseconds.
         if _surely_finite(values):
             continue
-        bad = ~np.isfinite(values).all(axis=-1) & present()
+        bad = ~np.isfinite(values).all(axis=-1) & valid()
         if bad.any():
-            raise HeadwayError(_line(spec, what, values, bad, step, name_copy) + remedy)
+            raise HeadwayError(_error_line(spec, quantity, values, bad, step, name_copy) + hint)
 
 
-def _looked_at(
+def _checked_arrays(
     outcome: StepResult | None, observed: Observations
 ) -> Iterator[tuple[str, NDArray[np.float32], Callable[[], NDArray[np.bool_]], str]]:
-    """What is looked at by name: (C, N or 1, size), where it counts (C, N or 1; asked for where a fault is
-    suspected), and how to mend it."""
-    alone = ", or mark the agent as not alive there"
-    yield "observation", observed.observations, lambda: observed.alive, alone
+    """Yield the name of a quantity, its values (C, N or 1, size), a function that returns the mask of valid
+    rows (C, N or 1), and a hint that ends the error line."""
+    absent = ", or mark the agent as not alive there"
+    yield "observation", observed.observations, lambda: observed.alive, absent
     yield "state", observed.states[:, None], lambda: np.ones((len(observed.states), 1), np.bool_), ""
     if outcome is None:
         return
-    idle = "; who gets nothing gets 0"
-    yield "reward", outcome.rewards[..., None], lambda: np.ones_like(observed.alive), idle
+    unpaid = "; an agent without a reward gets 0"
+    yield "reward", outcome.rewards[..., None], lambda: np.ones_like(observed.alive), unpaid
     if not (np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated)):
         return
     ends = outcome.terminated | outcome.truncated
@@ -54,23 +58,26 @@ def _looked_at(
 
 
 def _surely_finite(values: NDArray[np.float32]) -> bool:
-    """One product, several times faster than looking at each number; false too where squares overflow."""
+    """Return whether the sum of squares is finite, which implies that all values are.
+
+    Several times faster than testing each value; also False if the sum overflows.
+    """
     flat = values.reshape(-1)
     return isfinite(flat.dot(flat))
 
 
-def _line(
+def _error_line(
     spec: EnvSpec,
-    what: str,
+    quantity: str,
     values: NDArray[np.float32],
     bad: NDArray[np.bool_],
     step: int,
     name_copy: NameCopy,
 ) -> str:
     copy, agent = (int(i) for i in np.argwhere(bad)[0])
-    who = "" if what.endswith("state") else f" of agent {spec.agents[agent]}"
+    of_agent = "" if quantity.endswith("state") else f" of agent {spec.agents[agent]}"
     value = values[copy, agent][~np.isfinite(values[copy, agent])][0]
     return (
-        f"environment {spec.name} gave {value} as {what}{who} in {name_copy(copy)} at step {step}; "
-        "mend the environment"
+        f"environment {spec.name} gave {value} as {quantity}{of_agent} in {name_copy(copy)} at step {step}; "
+        "fix the environment"
     )

@@ -1,88 +1,94 @@
-"""Rollouts by a crew of workers, each with a shard of the copies."""
+"""Rollouts in a pool of workers, one shard of the copies per worker."""
 
 from typing import Any, Protocol
 
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import evaluation_requests, joined, require_shards, restart_purpose
+from headway.rollout.collector import concatenate_blocks, evaluation_requests, require_shards, restart_purpose
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.sampler import Episode, in_order
+from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Begin, Collect, Evaluate
-from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, standing
+from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
 
 
 class SamplingTransport(WorkerLauncher, Protocol):
-    """A workplace of workers that sample, with the ways there and back: parameters and experience."""
+    """A launcher of sampling workers that also moves parameters to them and experience back."""
 
     @property
     def trajectory(self) -> Trajectory:
-        """Where the experience of all workers is once they have answered."""
+        """Experience of all workers, complete once they have answered."""
         ...
 
     def publish(self, parameters: Parameters) -> None:
-        """Give out the parameters that all workers use from now on."""
+        """Send the parameters that all workers use from now on."""
         ...
 
     def close(self) -> None:
-        """Give up what is held for this, when all workers are gone."""
+        """Release the memory of parameters and experience, after all workers have ended."""
         ...
 
 
 class PoolCollector:
-    """Workers that fill one trajectory with one set of parameters."""
+    """A collector whose workers fill one trajectory, all with the same parameters."""
 
-    def __init__(self, plan: RolloutPlan, exchange: SamplingTransport, number: int, notify: Notify) -> None:
-        self.plan, self.exchange, self.trajectory = plan, exchange, exchange.trajectory
+    def __init__(self, plan: RolloutPlan, transport: SamplingTransport, number: int, notify: Notify) -> None:
+        self.plan, self.transport, self.trajectory = plan, transport, transport.trajectory
         try:
-            self.crew = WorkerPool(exchange, number, notify)
+            self.pool = WorkerPool(transport, number, notify)
         except BaseException:
-            exchange.close()
+            transport.close()
             raise
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self.crew.all([Begin("env")] * len(self.crew.workers))
+        self.pool.all([Begin("env")] * len(self.pool.workers))
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
-        self.exchange.publish(parameters)
-        done = self.crew.all([Collect(iteration)] * len(self.crew.workers))
-        self.crew.anew = restart_purpose(iteration)
-        return in_order(episode for part in done for episode in part.episodes)
+        self.transport.publish(parameters)
+        done = self.pool.all([Collect(iteration)] * len(self.pool.workers))
+        self.pool.restart_purpose = restart_purpose(iteration)
+        return sort_episodes(episode for part in done for episode in part.episodes)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, blocks of as many replicas as a process can hold dealt out to the workers in
-        turn."""
-        self.exchange.publish(parameters)
+        """Play evaluation episodes.
+
+        Each task is one block of episodes of one replica group; the workers take the tasks in turn.
+        """
+        self.transport.publish(parameters)
         requests = evaluation_requests(self.plan, root, episodes, greedy)
         tasks = [Evaluate(request, *group) for group in self.plan.groups for request in requests]
         played: list[list[list[Row]]] = []
-        for start in range(0, len(tasks), len(self.crew.workers)):
-            done = self.crew.all(tasks[start : start + len(self.crew.workers)])
+        for start in range(0, len(tasks), len(self.pool.workers)):
+            done = self.pool.all(tasks[start : start + len(self.pool.workers)])
             played += [each.evaluation for each in done]
-        starts = range(0, len(tasks), len(requests))  # of the groups
-        return [rows for start in starts for rows in joined(played[start : start + len(requests)])]
+        group_starts = range(0, len(tasks), len(requests))
+        return [
+            rows
+            for start in group_starts
+            for rows in concatenate_blocks(played[start : start + len(requests)])
+        ]
 
     def snapshot(self) -> list[Any]:
-        """One a worker, as of the end of the last iteration."""
-        return [worker.snapshot for worker in self.crew.workers]
+        """Return one snapshot per worker, taken at the end of the last iteration."""
+        return [worker.snapshot for worker in self.pool.workers]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Go on from a checkpoint, or start afresh where it holds no snapshots."""
-        require_shards(snapshots, len(self.crew.workers))
-        self.crew.anew = restart_purpose(iteration)
-        self.crew.all([standing(snapshot, self.crew.anew) for snapshot in snapshots])
+        """Continue from a checkpoint; workers without a snapshot start new episodes."""
+        require_shards(snapshots, len(self.pool.workers))
+        self.pool.restart_purpose = restart_purpose(iteration)
+        self.pool.all([resume_command(snapshot, self.pool.restart_purpose) for snapshot in snapshots])
 
     def process_ids(self) -> list[int]:
-        """Worker processes of this machine, by id."""
-        return self.crew.process_ids()
+        """Return the ids of the worker processes on this machine."""
+        return self.pool.process_ids()
 
     def usage(self) -> Usage:
-        """As the workers last reported."""
-        return self.crew.usage()
+        """Return the usage that the workers reported last."""
+        return self.pool.usage()
 
     def close(self) -> None:
-        """End the workers, busy ones after some seconds of grace."""
-        self.crew.close()
-        self.exchange.close()
+        """End the workers, busy ones after a grace period of some seconds."""
+        self.pool.close()
+        self.transport.close()

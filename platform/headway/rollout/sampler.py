@@ -1,4 +1,4 @@
-"""Stepping environments with policies: the loop that workers, and the serial backend, run."""
+"""The sampler: the loop that steps environments with policies, in workers and in the serial backend."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -24,14 +24,16 @@ class Episode:
     """`copy`, `length`, `return` (the mean over agents of their summed rewards) and the metrics."""
 
 
-def in_order(episodes: Iterable[Episode]) -> list[Episode]:
-    """By replica, copy and time, given each copy's in the order of time: so that the last bits of their
-    means are the same on every backend."""
+def sort_episodes(episodes: Iterable[Episode]) -> list[Episode]:
+    """Sort episodes by replica and copy; episodes of one copy keep their order, which is that of time.
+
+    With a fixed order, means over episodes have the same last bits on every backend.
+    """
     return sorted(episodes, key=lambda episode: (episode.replica, episode.row["copy"]))
 
 
 class Tally:
-    """Lengths and returns of the episodes that C copies are in."""
+    """Running lengths and returns of the current episodes of C copies."""
 
     def __init__(self, copies: int, metric_names: Sequence[str]) -> None:
         self.metric_names = metric_names
@@ -39,9 +41,9 @@ class Tally:
         self.returns = np.zeros(copies)
 
     def add(self, outcome: StepResult) -> list[tuple[int, dict[str, float | int | str]]]:
-        """Count a step; (copy, row) of each episode that ended with it."""
+        """Add a step; return (copy, row) of each episode that ended with it."""
         self.lengths += 1
-        # What `mean` and `any` come to, without what they cost where copies are few.
+        # Equivalent to `mean`, and `count_nonzero` to `any`, at less overhead for small arrays.
         self.returns += np.add.reduce(outcome.rewards, axis=1, dtype=np.float64) / outcome.rewards.shape[1]
         if not np.count_nonzero(outcome.episode_ended):
             return []
@@ -59,60 +61,62 @@ class Tally:
 
 
 class Sampler:
-    """The copies of one shard, and their part of the trajectory."""
+    """Steps the copies of one shard and writes their part of the trajectory."""
 
     def __init__(self, plan: RolloutPlan, shard: Shard, trajectory: Trajectory, own: bool = False) -> None:
-        """`plan`: of all replicas; `own`: the trajectory is of this shard alone, and not of all copies."""
-        self.plan_of_all, self.shard = plan, shard
+        """`plan` covers all replicas. `own`: the trajectory holds this shard only, instead of all copies."""
+        self.full_plan, self.shard = plan, shard
         self.plan = plan.of_replicas(shard.first_replica, shard.replicas)
         self.env = self.plan.make_for_training(shard.count)
-        self.acting = PolicyPlayer(self.plan, shard.count, plan.block)
+        self.player = PolicyPlayer(self.plan, shard.count, plan.block)
         if own:
-            self.views = part_of(trajectory, shard.replicas, Shard(0, shard.replicas, 0, shard.count))
+            self.views = shard_views(trajectory, shard.replicas, Shard(0, shard.replicas, 0, shard.count))
         else:
-            self.views = part_of(trajectory, plan.replicas, shard)
+            self.views = shard_views(trajectory, plan.replicas, shard)
         self.observed: Observations | None = None
         self.tally = Tally(shard.replicas * shard.count, plan.spec.metrics)
 
     def begin(self, purpose: str = "env") -> None:
-        """Start the first episodes, on seeds of the global copies."""
+        """Start new episodes, with seeds derived from (seed, purpose, global copy index)."""
         seeds = [child_seeds(seed, purpose, self.shard.first, self.shard.count) for seed in self.plan.seeds]
         self.observed = self.env.reset(np.concatenate(seeds))
-        self.acting.forget()
+        self.player.reset()
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
-        """Where this sampler stands between two iterations, or None if the environment cannot tell."""
+        """Return the state between two iterations; None if the environment has no snapshots."""
         if not self.plan.spec.snapshots:
             return None
         return {
             "env": self.env.snapshot(),
             "lengths": self.tally.lengths.copy(),
             "returns": self.tally.returns.copy(),
-            **self.acting.snapshot(),
+            **self.player.snapshot(),
         }
 
     def restore(self, snapshot: Any) -> None:  # noqa: ANN401
-        """Go on from a snapshot."""
+        """Continue from a snapshot."""
         self.observed = self.env.restore(snapshot["env"])
         self.tally.lengths[:] = snapshot["lengths"]
         self.tally.returns[:] = snapshot["returns"]
-        self.acting.restore(snapshot)
+        self.player.restore(snapshot)
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
-        """Fill this sampler's part of the trajectory, by the parameters of all replicas; the episodes that
-        ended meanwhile."""
+        """Fill this shard's part of the trajectory; return the episodes that ended.
+
+        `parameters` are those of all replicas.
+        """
         assert self.observed is not None, "begin or restore first"
-        parameters = self.plan_of_all.parameters_of(parameters, self.shard.first_replica, self.shard.replicas)
+        parameters = self.full_plan.parameters_of(parameters, self.shard.first_replica, self.shard.replicas)
         observed, views, spec = self.observed, self.views, self.plan.spec
         noise = self._noise(iteration)
         episodes = []
         check_finite(spec, None, observed, 0, self._name_copy)
-        if self.acting.memory is not None:
-            views["hidden_states"][0] = self._by_replica(self.acting.memory)
-            views["begins"][0] = self._by_replica(self.acting.begins)
+        if self.player.hidden_states is not None:
+            views["hidden_states"][0] = self._by_replica(self.player.hidden_states)
+            views["begins"][0] = self._by_replica(self.player.begins)
         for t in range(self.plan.steps):
             self._store_observed(t, observed)
-            actions, log_probs = self.acting.act(parameters, observed, noise[t])
+            actions, log_probs = self.player.act(parameters, observed, noise[t])
             views["actions"][t] = self._by_replica(actions)
             views["log_probs"][t] = self._by_replica(log_probs)
             outcome, observed = self.env.step(actions)
@@ -122,14 +126,17 @@ class Sampler:
             if np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated):
                 views["final_observations"][t] = self._by_replica(outcome.final_observations)
                 views["final_states"][t] = self._by_replica(outcome.final_states)
-            self.acting.heed(outcome)
+            self.player.reset_ended(outcome)
             episodes += [self._episode(copy, row) for copy, row in self.tally.add(outcome)]
         self._store_observed(self.plan.steps, observed)
         self.observed = observed
         return episodes
 
     def _noise(self, iteration: int) -> NDArray[np.float64]:
-        """(T, C, N, ...), from streams of (seed, copy, iteration): a repeated iteration repeats its draws."""
+        """Draw action noise (T, C, N, ...) from one random stream per (seed, copy, iteration).
+
+        A repeated iteration therefore repeats its draws.
+        """
         draws = [
             self.plan.policy.noise(generator(seed, "action", copy, iteration), self.plan.steps)
             for seed in self.plan.seeds
@@ -156,14 +163,16 @@ class Sampler:
         return Episode(replica, {"copy": self.shard.first + copy % self.shard.count, **row})
 
 
-def part_of(trajectory: Trajectory, replicas: int, shard: Shard) -> dict[str, NDArray[Any]]:
-    """Writable views (T, shard.replicas, shard.count, ...) of the arrays of a trajectory of so many
-    replicas."""
-    of_replicas = slice(shard.first_replica, shard.first_replica + shard.replicas)
-    of_copies = slice(shard.first, shard.first + shard.count)
+def shard_views(trajectory: Trajectory, replicas: int, shard: Shard) -> dict[str, NDArray[Any]]:
+    """Return writable views (T, shard.replicas, shard.count, ...) of a trajectory's arrays by name.
+
+    `replicas` is the number of replicas in the trajectory.
+    """
+    replica_slice = slice(shard.first_replica, shard.first_replica + shard.replicas)
+    copy_slice = slice(shard.first, shard.first + shard.count)
     views = {}
     for field in fields(trajectory):
         array = getattr(trajectory, field.name)
         split = array.reshape(array.shape[0], replicas, array.shape[1] // replicas, *array.shape[2:])
-        views[field.name] = split[:, of_replicas, of_copies]
+        views[field.name] = split[:, replica_slice, copy_slice]
     return views

@@ -1,4 +1,4 @@
-"""Evaluation in processes of its own, for environments of which a process may hold few copies."""
+"""Evaluation in separate processes, for environments that limit the copies per process."""
 
 from typing import Any
 
@@ -9,10 +9,13 @@ from headway.rollout.sampler import Episode
 
 
 class SeparateEvaluation:
-    """Trains with one collector and evaluates with another, which is never begun."""
+    """A collector that samples with one collector and evaluates with another.
 
-    def __init__(self, training: Collector, evaluating: Collector) -> None:
-        self.training, self.evaluating = training, evaluating
+    The evaluating collector never begins training episodes.
+    """
+
+    def __init__(self, training: Collector, evaluator: Collector) -> None:
+        self.training, self.evaluator = training, evaluator
         self.trajectory = training.trajectory
 
     def begin(self) -> None:
@@ -24,28 +27,28 @@ class SeparateEvaluation:
         return self.training.collect(iteration, parameters)
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, elsewhere."""
-        return self.evaluating.evaluate(root, episodes, greedy, parameters)
+        """Play evaluation episodes in the evaluating collector."""
+        return self.evaluator.evaluate(root, episodes, greedy, parameters)
 
     def snapshot(self) -> list[Any]:
-        """Training's."""
+        """Return the snapshots of the training collector's shards."""
         return self.training.snapshot()
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Go on from a checkpoint."""
+        """Continue from a checkpoint."""
         self.training.restore(snapshots, iteration)
 
     def process_ids(self) -> list[int]:
-        """Workers of both."""
-        return self.training.process_ids() + self.evaluating.process_ids()
+        """Return the worker processes of both collectors."""
+        return self.training.process_ids() + self.evaluator.process_ids()
 
     def usage(self) -> Usage:
-        """Of both."""
-        return self.training.usage() + self.evaluating.usage()
+        """Return the usage of both collectors."""
+        return self.training.usage() + self.evaluator.usage()
 
     def close(self) -> None:
-        """End both."""
+        """Close both collectors."""
         try:
             self.training.close()
         finally:
-            self.evaluating.close()
+            self.evaluator.close()

@@ -1,21 +1,21 @@
-"""Rollouts in the training process itself: for debugging and tests."""
+"""Rollouts in the training process, for debugging and tests."""
 
 from typing import Any
 
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import evaluation_requests, joined, require_shards, restart_purpose
+from headway.rollout.collector import concatenate_blocks, evaluation_requests, require_shards, restart_purpose
 from headway.rollout.episodes import evaluate_policy
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.sampler import Episode, Sampler, in_order
+from headway.rollout.sampler import Episode, Sampler, sort_episodes
 
 
 class SerialCollector:
-    """Everything in this process: for debugging and tests."""
+    """A collector that samples and evaluates in the calling process."""
 
     def __init__(self, plan: RolloutPlan) -> None:
-        """Raises HeadwayError where one process may not hold all copies."""
+        """Raise HeadwayError if all copies exceed the environment's limit per process."""
         plan.require_one_process()
         self.plan = plan
         self.trajectory = Trajectory.allocate(plan.layout)
@@ -27,19 +27,19 @@ class SerialCollector:
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration."""
-        return in_order(self.sampler.collect(iteration, parameters))
+        return sort_episodes(self.sampler.collect(iteration, parameters))
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Evaluation episodes, block after block."""
+        """Play evaluation episodes, one block after another."""
         requests = evaluation_requests(self.plan, root, episodes, greedy)
-        return joined([evaluate_policy(self.plan, parameters, request) for request in requests])
+        return concatenate_blocks([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:
-        """One shard."""
+        """Return the snapshot of the only shard."""
         return [self.sampler.snapshot()]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Go on from a checkpoint, or start afresh where it holds no snapshot."""
+        """Continue from a checkpoint; start new episodes if it holds no snapshot."""
         require_shards(snapshots, 1)
         if snapshots[0] is None:
             self.sampler.begin(restart_purpose(iteration))
@@ -47,11 +47,11 @@ class SerialCollector:
             self.sampler.restore(snapshots[0])
 
     def process_ids(self) -> list[int]:
-        """None: this process does the work."""
+        """Return an empty list: there are no worker processes."""
         return []
 
     def usage(self) -> Usage:
-        """Nothing beside this process."""
+        """Return no usage besides that of this process."""
         return Usage()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The training loop: collect, learn, evaluate, checkpoint; the same for every algorithm."""
+"""The training loop of every algorithm: sample, learn, evaluate and write checkpoints."""
 
 import os
 import time
@@ -59,11 +59,11 @@ class TrainingJob:
     make_env: Callable[[Any, int], BatchedEnv]
     """The environment entry's `make`."""
     preload: tuple[str, ...]
-    """The environment entry's."""
+    """The environment entry's `preload`."""
     prepared: Any
-    """What the environment entry's `prepare` gave for the experiment's arguments."""
+    """Result of the environment entry's `prepare` for the evaluation environment."""
     spec: EnvSpec
-    """What is learned from: the training environment's."""
+    """Specification of the training environment."""
     make_policy: Callable[[Any, EnvSpec], ActingPolicy]
     """The algorithm entry's `acting_policy`."""
     make_learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
@@ -73,30 +73,30 @@ class TrainingJob:
     config: ExperimentConfig
     workers: int
     directories: tuple[str, ...]
-    """Run folders, one a seed."""
+    """Run folders, one per seed."""
     gates: tuple[str, ...] = ()
-    """Through which the run folders are written, one a seed (see `headway.store.fencing`); empty: there are
-    none."""
+    """Gates through which the run folders are written, one per seed (see `headway.store.fencing`); empty: no
+    gates."""
     resume: bool = False
     training_prepared: Any = None
-    """What `prepare` gave for the training arguments; None: the same."""
+    """Result of `prepare` for the training environment; None: same as `prepared`."""
     make_contributor: MakeContributor | None = None
-    """The algorithm entry's `contributor`; None: it learns in step."""
+    """The algorithm entry's `contributor`; None: training is synchronous."""
     contributor_preload: tuple[str, ...] = ()
     """The algorithm entry's `preload`."""
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
-        """Folders of checkpoints, one a seed."""
+        """Checkpoint folders, one per seed."""
         return tuple(Path(directory, CHECKPOINTS) for directory in self.directories)
 
     @property
-    def ways(self) -> tuple[Path | None, ...]:
-        """Its gates, one a seed; None where there are none."""
+    def gate_paths(self) -> tuple[Path | None, ...]:
+        """Paths of the gates, one per seed; None for a seed without a gate."""
         return tuple(map(Path, self.gates)) or (None,) * len(self.directories)
 
     def plan(self) -> RolloutPlan:
-        """What decides this job's draws."""
+        """Return the job's rollout plan."""
         policy = self.make_policy(self.algo_config, self.spec)
         return RolloutPlan.of(
             self.config.rollout, self.make_env, self.preload, self.prepared, self.spec, policy, self.seeds,
@@ -105,33 +105,36 @@ class TrainingJob:
 
 
 def train(job: TrainingJob, report: Callable[[Event], None], should_stop: Callable[[], bool]) -> None:
-    """Train one job to its budget, or until `should_stop`; every step of the way is reported.
+    """Train one job until its budget is used or `should_stop` returns True, and report every event.
 
-    Raises HeadwayError for what the user can mend.
+    Raises HeadwayError for errors that the user can correct.
     """
     import torch
 
-    # Two torch threads on two busy cores were seen to be 4 to 12 times slower than one: they spin.
+    # On two busy cores two torch threads were measured 4 to 12 times slower than one, because they spin.
     torch.set_num_threads(1)
     training = _Training(job, report)
     try:
         training.run(should_stop)
     finally:
-        training.collector.close()
+        training.backend.close()
 
 
 class _Training:
-    """The state of a training process."""
+    """The training loop's state."""
 
     def __init__(self, job: TrainingJob, report: Callable[[Event], None]) -> None:
         self.job, self.config, self.report = job, job.config, report
-        folders = zip(job.directories, job.ways, strict=True)
+        folders = zip(job.directories, job.gate_paths, strict=True)
         self.logs = [RunLog(Path(directory), gate) for directory, gate in folders]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
-        self.collector, self.mode = _opened(job, self.learner, lambda line: report(Notice(line)))
+        self.backend, self.mode = _open_mode(job, self.learner, lambda line: report(Notice(line)))
         self.iteration = 0
+        """Iterations finished."""
         self.saved_iteration = -1
+        """Iteration of the newest checkpoint; -1: none."""
         self.seconds_before = 0.0
+        """Wall time of earlier sessions of the run."""
         self.episodes_restarted = False
         self.store_s = 0.0
         self.started = time.monotonic()
@@ -139,24 +142,24 @@ class _Training:
 
     @property
     def env_steps(self) -> int:
-        """Environment steps of each seed so far."""
+        """Environment steps per seed so far."""
         return self.iteration * self.config.rollout.copies * self.config.rollout.steps
 
     def run(self, should_stop: Callable[[], bool]) -> None:
-        """From the start, or the newest checkpoint, to the budget or a request to stop."""
+        """Train from the start or the newest checkpoint until the budget is used or a stop is requested."""
         total = self.config.iterations
         if self.job.resume:
             self._resume()
         else:
-            # Rows of a session that died before its first checkpoint, if there was one.
+            # Drop the rows of a session that died before its first checkpoint.
             for log in self.logs:
                 log.rewind(-1)
-            self.collector.begin()
+            self.backend.begin()
         give_back_memory()
-        process_ids = (os.getpid(), *self.collector.process_ids())
+        process_ids = (os.getpid(), *self.backend.process_ids())
         self.report(Started(self.iteration, process_ids, self.episodes_restarted))
         if self.saved_iteration < 0:
-            self._write_curve(self._labelled([{} for _ in self.job.seeds]), self._evaluate(final=False))
+            self._write_curve(self._with_labels([{} for _ in self.job.seeds]), self._evaluate(final=False))
         while self.iteration < total and not should_stop():
             self._iterate(total)
             if self.iteration % self.config.store.checkpoint_every == 0 or self.iteration == total:
@@ -164,8 +167,8 @@ class _Training:
         if self.saved_iteration < self.iteration:
             self._checkpoint()
         if self.iteration >= total:
-            # Here, and not with the last checkpoint: the session before may have died just after that.
-            remove_experience(self.job.checkpoints[0], self.job.ways[0])
+            # Not part of the last checkpoint: an earlier session may have died just after writing that.
+            remove_experience(self.job.checkpoints[0], self.job.gate_paths[0])
         stopped = self.iteration < total
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
@@ -173,14 +176,14 @@ class _Training:
         done = self.mode.iterate(self.iteration + 1, self.iteration / total)
         self.iteration += 1
         seconds = {"time/collect_s": done.collect_s, "time/learn_s": done.learn_s}
-        rows = self._labelled(self._training_rows(done.metrics, done.episodes, seconds))
+        rows = self._with_labels(self._training_rows(done.metrics, done.episodes, seconds))
         self._log_episodes(done.episodes)
         self.report(IterationFinished(self.iteration, self.env_steps, self._usage(), tuple(rows)))
-        due = self.iteration == total or self._reached(self.config.evaluation.every)
+        due = self.iteration == total or self._passed_multiple_of(self.config.evaluation.every)
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
 
-    def _reached(self, steps: int) -> bool:
-        """Whether the last iteration reached or passed a multiple of `steps` environment steps."""
+    def _passed_multiple_of(self, steps: int) -> bool:
+        """Return whether the last iteration reached or passed a multiple of `steps` environment steps."""
         rollout = self.config.rollout
         return self.env_steps // steps > (self.env_steps - rollout.copies * rollout.steps) // steps
 
@@ -190,12 +193,14 @@ class _Training:
         rows = []
         for r in range(len(self.job.seeds)):
             row: dict[str, float | int | str] = {name: float(value[r]) for name, value in metrics.items()}
-            row.update(_means("training", [episode.row for episode in episodes if episode.replica == r]))
+            row.update(
+                _episode_means("training", [episode.row for episode in episodes if episode.replica == r])
+            )
             row.update(seconds)
             rows.append(row)
         return rows
 
-    def _labelled(self, rows: list[dict[str, float | int | str]]) -> list[dict[str, float | int | str]]:
+    def _with_labels(self, rows: list[dict[str, float | int | str]]) -> list[dict[str, float | int | str]]:
         label = {
             "iteration": self.iteration,
             "env_steps": self.env_steps,
@@ -204,20 +209,20 @@ class _Training:
         return [{**label, **row} for row in rows]
 
     def _evaluate(self, final: bool) -> list[dict[str, float | int | str]]:
-        """Evaluate in every mode, report, log the episodes; one row of means a seed."""
+        """Evaluate in every mode, log the episodes and report; return one row of means per seed."""
         evaluation, parameters = self.config.evaluation, self.learner.acting_parameters()
         count = evaluation.last_episodes if final else evaluation.episodes
         means: list[dict[str, float | int | str]] = [{} for _ in self.job.seeds]
         for mode in evaluation.modes:
-            episodes = self.collector.evaluate(evaluation.seed, count, mode == "greedy", parameters)
+            episodes = self.backend.evaluate(evaluation.seed, count, mode == "greedy", parameters)
             curve = []
             for log, mean, played in zip(self.logs, means, episodes, strict=True):
                 label = {"iteration": self.iteration, "env_steps": self.env_steps, "mode": mode}
                 log.append("evaluation", [{**label, "final": int(final), **row} for row in played])
-                # A curve's points are means over the same days, also where the last one has more.
-                of_mode = _means(f"evaluation_{mode}", played[: evaluation.episodes])
-                mean.update(of_mode)
-                curve.append(self._labelled([of_mode])[0])
+                # Every point of a curve is a mean over the same episodes; the last evaluation has more.
+                mode_means = _episode_means(f"evaluation_{mode}", played[: evaluation.episodes])
+                mean.update(mode_means)
+                curve.append(self._with_labels([mode_means])[0])
             self.report(
                 EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), tuple(curve))
             )
@@ -239,18 +244,20 @@ class _Training:
         self.store_s += time.monotonic() - began
 
     def _checkpoint(self) -> None:
-        """All logs first: a checkpoint never knows more than they hold. Each seed's folder gets the same
-        one, of the whole stack, and one may be all there is when a stack is killed between two writes. What
-        a learner replays is written once, before the checkpoint that needs it, and goes when training is
-        over."""
+        """Commit the logs, then write the same checkpoint of the whole stack to every seed's folder.
+
+        Replay data are written once per stack, before the checkpoint that needs them. The order matters if
+        the process is killed between two writes: a checkpoint must not be ahead of the logs, and the copy in
+        any one folder is enough to resume.
+        """
         began = time.monotonic()
         learner = self.learner
-        going_on = self.iteration < self.config.iterations
-        experience = learner.experience() if isinstance(learner, LearnerWithReplay) and going_on else None
+        unfinished = self.iteration < self.config.iterations
+        experience = learner.experience() if isinstance(learner, LearnerWithReplay) and unfinished else None
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
-            "snapshots": self.collector.snapshot(),
+            "snapshots": self.backend.snapshot(),
             "iteration": self.iteration,
             "seconds": self.seconds_before + time.monotonic() - self.started,
             "has_experience": experience is not None,
@@ -260,8 +267,8 @@ class _Training:
         content = checkpoint_bytes(state)
         if experience is not None:
             kept = checkpoint_bytes(experience)
-            write_experience(self.job.checkpoints[0], self.iteration, kept, self.job.ways[0])
-        for directory, gate in zip(self.job.checkpoints, self.job.ways, strict=True):
+            write_experience(self.job.checkpoints[0], self.iteration, kept, self.job.gate_paths[0])
+        for directory, gate in zip(self.job.checkpoints, self.job.gate_paths, strict=True):
             write_checkpoint(directory, self.iteration, content, gate)
         self.saved_iteration = self.iteration
         self.store_s += time.monotonic() - began
@@ -279,23 +286,30 @@ class _Training:
         self.learner.load_state_dict(state["learner"])
         if isinstance(self.learner, LearnerWithReplay) and state["experience"] is not None:
             self.learner.load_experience(state["experience"])
-        if not self.mode.repeats:
-            line = "its workers' contributions are applied as they come, and never twice in the same order"
-            self.report(Notice(f"{line}: after {iteration} its curve is not that of a run never stopped"))
-        self.collector.restore(state["snapshots"], iteration)
+        if not self.mode.deterministic:
+            line = "workers' contributions are applied in order of arrival, which differs from run to run"
+            self.report(
+                Notice(f"{line}: after iteration {iteration} its curve is not that of a run never stopped")
+            )
+        self.backend.restore(state["snapshots"], iteration)
         self.episodes_restarted = any(snapshot is None for snapshot in state["snapshots"])
         if self.episodes_restarted:
             name = self.job.spec.name
-            self.report(Notice(f"{name} keeps no snapshots: its episodes start anew after {iteration}"))
+            self.report(
+                Notice(f"{name} has no snapshots: its episodes start anew after iteration {iteration}")
+            )
         for log in self.logs:
             log.rewind(iteration)
 
     def _usage(self) -> Usage:
-        return self.own_usage.read() + self.collector.usage()
+        return self.own_usage.read() + self.backend.usage()
 
 
-def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -> tuple[Backend, Mode]:
-    """Workers, started, and how they and the learner go together."""
+def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -> tuple[Backend, Mode]:
+    """Start the workers; return the backend and the mode in which it works with the learner.
+
+    Raises HeadwayError if the algorithm's contributor and learner do not match.
+    """
     backend, plan = job.config.backend, job.plan()
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
@@ -303,15 +317,15 @@ def _opened(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
             f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is no "
-            "headway.contracts.AsynchronousLearner; give it what is missing, or leave the contributor out"
+            "headway.contracts.AsynchronousLearner; add the missing methods, or leave the contributor out"
         )
-    together = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
-    contributors = open_contributors(backend, together, notify)
+    asynchronous = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
+    contributors = open_contributors(backend, asynchronous, notify)
     return contributors, AsynchronousMode(learner, contributors, job.config.iterations)
 
 
-def _means(group: str, rows: list[Row]) -> dict[str, float | int | str]:
-    """Means of an episode table's numbers, named `group/column`; nothing where there are no episodes."""
+def _episode_means(group: str, rows: list[Row]) -> dict[str, float | int | str]:
+    """Return the means of an episode table's metrics by `group/column`; empty without episodes."""
     if not rows:
         return {}
     columns = [name for name in rows[0] if name not in LABELS]

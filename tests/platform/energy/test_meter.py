@@ -1,4 +1,4 @@
-"""Energy is shared out wholly, honestly, and measured by the real CodeCarbon."""
+"""Division of energy among jobs, and measurements with the real CodeCarbon."""
 
 import json
 import os
@@ -32,10 +32,10 @@ def test_all_shares_sum_to_the_total(seed: int) -> None:
     for _ in range(40):
         now += generator.exponential(5)
         for job in sorted(running):
-            # More than two cores can give, and often no news: both must be borne.
+            # Reports may exceed the two cores' capacity, and often repeat the last one.
             used[job] += generator.choice([0.0, generator.exponential(6)])
         jobs = {job: JobUsage(used[job], int(generator.integers(0, 4 * GIB))) for job in sorted(running)}
-        ledger.use(now, jobs, {"a": 0.7} if "a" in running else {})
+        ledger.record(now, jobs, {"a": 0.7} if "a" in running else {})
         ledger.close_interval(now, _increment(*generator.exponential(1, 3)))
         if running and generator.random() < 0.1:
             job = sorted(running)[0]
@@ -47,12 +47,12 @@ def test_all_shares_sum_to_the_total(seed: int) -> None:
         assert min(values) >= 0
         assert sum(values) == pytest.approx(getattr(total, part))
     for job, energy in ended.items():
-        assert shares[job] == energy  # later reports of others change nothing that was told
+        assert shares[job] == energy  # later reports of other jobs do not change it
 
 
 def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
     ledger = EnergyLedger(0.0, cores=4, memory_bytes=8 * GIB)
-    ledger.use(10.0, {"busy": JobUsage(20.0, 2 * GIB), "light": JobUsage(4.0, 0)}, {"busy": 1.0})
+    ledger.record(10.0, {"busy": JobUsage(20.0, 2 * GIB), "light": JobUsage(4.0, 0)}, {"busy": 1.0})
     ledger.close_interval(10.0, _increment(40.0, 3.0, 8.0))
     busy, light, idle = *(ledger.shares()[job] for job in ("busy", "light")), ledger.idle()
     assert [getattr(busy, part) for part in PARTS[:3]] == pytest.approx([20, 3, 2])
@@ -62,28 +62,28 @@ def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
     assert (busy.cpu_seconds, busy.duration_s) == (20.0, 10.0)
 
 
-def test_rare_reports_cost_a_job_nothing() -> None:
+def test_rare_reports_do_not_change_a_job_s_share() -> None:
     often, rarely = (EnergyLedger(0.0, cores=1, memory_bytes=GIB) for _ in range(2))
     for second in range(1, 31):
-        often.use(second, {"job": JobUsage(0.9 * second, 0)}, {})
-        rarely.use(second, {"job": JobUsage(0.9 * (second // 10 * 10), 0)}, {})
+        often.record(second, {"job": JobUsage(0.9 * second, 0)}, {})
+        rarely.record(second, {"job": JobUsage(0.9 * (second // 10 * 10), 0)}, {})
         for ledger in (often, rarely):
             ledger.close_interval(second, _increment(1.0, 0.0, 0.0))
     assert often.settle("job").cpu_kwh == pytest.approx(27)
     assert rarely.settle("job").cpu_kwh == pytest.approx(27)
 
 
-def test_what_was_used_before_the_measurement_is_not_charged() -> None:
+def test_cpu_seconds_before_the_measurement_are_not_charged() -> None:
     ledger = EnergyLedger(100.0, cores=1, memory_bytes=GIB)
     ledger.open("job", 50.0)
-    ledger.use(110.0, {"job": JobUsage(55.0, 0)}, {})
+    ledger.record(110.0, {"job": JobUsage(55.0, 0)}, {})
     ledger.close_interval(110.0, _increment(10.0, 0.0, 0.0))
     assert ledger.settle("job").cpu_kwh == pytest.approx(5)
 
 
-def test_the_unknown_is_never_zero() -> None:
+def test_an_unknown_part_is_none_and_never_zero() -> None:
     ledger = EnergyLedger(0.0, cores=1, memory_bytes=GIB)
-    ledger.use(1.0, {"job": JobUsage(1.0, GIB)}, {"job": 1.0})
+    ledger.record(1.0, {"job": JobUsage(1.0, GIB)}, {"job": 1.0})
     ledger.close_interval(1.0, Increment(None, None, 2.0, 0.2))
     energy = ledger.settle("job")
     assert (energy.cpu_kwh, energy.gpu_kwh, energy.ram_kwh, energy.kwh) == (None, None, 2.0, 2.0)
@@ -96,7 +96,7 @@ def test_seeds_of_a_stack_share_equally() -> None:
     assert whole.per_seed(4) == Energy(2.0, None, 1.0, 0.5, cpu_seconds=25.0, duration_s=60.0)
 
 
-def test_a_gpu_is_shared_by_the_work_of_each_process() -> None:
+def test_gpu_energy_is_divided_by_the_utilisation_of_each_job_s_processes() -> None:
     jobs = {
         "a": JobUsage(0, 0, uses_gpu=True, process_ids=(1, 2)),
         "b": JobUsage(0, 0, uses_gpu=True, process_ids=(3,)),
@@ -126,7 +126,7 @@ def test_without_a_country_energy_is_known_and_its_co2_is_not() -> None:
     assert "kg_co2" not in total.as_row()
 
 
-def test_a_failure_is_a_notice_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_of_codecarbon_is_a_notice_and_no_value(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(config: object, readings: object) -> None:
         raise OSError("no sensors")
 
@@ -179,7 +179,7 @@ print(json.dumps({
 
 
 def test_real_codecarbon_offline_and_quiet(tmp_path: Path) -> None:
-    # Settings of the user's own that would send data away must not take effect.
+    # A user's settings that would send data over the network must not take effect.
     (tmp_path / ".codecarbon.config").write_text(
         "[codecarbon]\nemissions_endpoint=http://127.0.0.1:9\nsave_to_api=true\nco2_signal_api_token=x\n"
         "save_to_file=true\nlog_level=debug\ncloud_provider=aws\ncloud_region=us-east-1\n"
@@ -195,13 +195,13 @@ def test_real_codecarbon_offline_and_quiet(tmp_path: Path) -> None:
     )
     assert session.returncode == 0, session.stderr
     assert session.stderr == ""
-    told = json.loads(session.stdout)
-    assert told["files"] == [".codecarbon.config"]
-    for name, value in told["tracker"].items():
-        assert told["total"][name] == pytest.approx(value)
-        assert sum(part[name] for part in told["parts"]) == pytest.approx(value)
-    job, own, _ = told["parts"]
+    result = json.loads(session.stdout)
+    assert result["files"] == [".codecarbon.config"]
+    for name, value in result["tracker"].items():
+        assert result["total"][name] == pytest.approx(value)
+        assert sum(part[name] for part in result["parts"]) == pytest.approx(value)
+    job, own, _ = result["parts"]
     assert 0 < job["cpu_kwh"] < own["cpu_kwh"]
-    # France's grid: tens of grams a kWh, not the hundreds of the world's average.
-    assert 0.01 < told["tracker"]["kg_co2"] / told["tracker"]["kwh"] < 0.1
-    assert told["modes"]["energy.ram"].startswith("estimated")
+    # France's grid: tens of grams per kWh, not the hundreds of the world's average.
+    assert 0.01 < result["tracker"]["kg_co2"] / result["tracker"]["kwh"] < 0.1
+    assert result["modes"]["energy.ram"].startswith("estimated")

@@ -1,4 +1,4 @@
-"""No backend, no number of workers and no company of other seeds changes what a run sees."""
+"""The sampled data do not depend on the backend, the number of workers or the other seeds of the stack."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def _collected(plan: RolloutPlan, name: str, workers: int = 1, iterations: int =
 
 @pytest.mark.parametrize("toy", TOYS)
 @pytest.mark.parametrize("seeds", [(5,), (5, 6, 7)])
-def test_every_backend_and_number_of_workers_gives_the_same_trajectory(
+def test_every_backend_and_number_of_workers_samples_the_same_trajectory(
     toy: str, seeds: tuple[int, ...]
 ) -> None:
     plan = plan_of_toy(toy, seeds=seeds, copies=5)
@@ -43,13 +43,13 @@ def test_every_backend_and_number_of_workers_gives_the_same_trajectory(
 
 
 @pytest.mark.parametrize("block", [1, 2, 4])
-def test_whole_blocks_go_to_workers_and_change_nothing(block: int) -> None:
+def test_any_block_is_sampled_alike_on_both_backends(block: int) -> None:
     plan = plan_of_toy("visitors", copies=4, block=block)
     assert_same(_collected(plan, "serial"), _collected(plan, "process", 4))
 
 
 @pytest.mark.parametrize("toy", TOYS)
-def test_a_seed_in_a_stack_sees_what_it_sees_alone(toy: str) -> None:
+def test_a_seed_samples_the_same_in_a_stack_as_alone(toy: str) -> None:
     stacked = _collected(plan_of_toy(toy, seeds=(5, 6, 7), block=2), "serial")
     for replica, seed in enumerate((5, 6, 7)):
         alone = _collected(plan_of_toy(toy, seeds=(seed,), block=2), "serial")
@@ -61,8 +61,8 @@ def test_a_seed_in_a_stack_sees_what_it_sees_alone(toy: str) -> None:
             assert ours == single.episodes
 
 
-def test_seeds_copies_and_iterations_have_draws_of_their_own() -> None:
-    plan = plan_of_toy("trivial", seeds=(5, 6), copies=2, steps=7)  # one episode an iteration
+def test_seeds_copies_and_iterations_have_different_draws() -> None:
+    plan = plan_of_toy("trivial", seeds=(5, 6), copies=2, steps=7)  # one episode per iteration
     first, second = _collected(plan, "serial", iterations=2)
     rows = [taken.arrays["observations"][:-1, c].tobytes() for taken in (first, second) for c in range(4)]
     assert len(set(rows)) == 8
@@ -103,10 +103,10 @@ def test_a_process_never_holds_more_copies_than_the_environment_allows(seeds: tu
 
 
 @pytest.mark.parametrize(("make", "groups", "workers"), [(LoneVisitors, 3, 6), (RareVisitors, 2, 4)])
-def test_a_stack_of_which_a_process_holds_a_part_sees_what_any_stack_sees(
+def test_a_stack_divided_among_processes_samples_the_same_as_an_undivided_one(
     make: type[RareVisitors], groups: int, workers: int
 ) -> None:
-    """Of three seeds a process holds one, or two of them; of each it holds one copy."""
+    """Each process holds one copy of one seed, or of two, out of three seeds."""
     seeds = (5, 6, 7)
     plan = plan_of(make, VISITORS, seeds, copies=2)
     parameters = parameters_of(plan)
@@ -128,7 +128,7 @@ def test_a_stack_of_which_a_process_holds_a_part_sees_what_any_stack_sees(
         assert_same(taken[2:], iterations_of(collector, parameters, 3, 3))
 
 
-def test_serially_such_a_stack_is_refused_in_one_line() -> None:
+def test_a_stack_beyond_the_limit_of_a_process_is_refused_by_the_serial_backend() -> None:
     plan = plan_of(LoneVisitors, VISITORS, (5, 6), copies=1)
     line = (
         "a process can hold 1 copy of visitors, and with backend=serial one would hold more; set "
@@ -136,12 +136,12 @@ def test_serially_such_a_stack_is_refused_in_one_line() -> None:
     )
     with pytest.raises(HeadwayError, match=f"^{line}$"), collector_of(plan, "serial", 1):
         pass
-    with collector_of(plan, "process", 2) as collector:  # as it says
+    with collector_of(plan, "process", 2) as collector:  # the settings that the line names
         collector.begin()
         assert collector.collect(1, parameters_of(plan))
 
 
-def test_evaluation_takes_nothing_from_training() -> None:
+def test_evaluation_does_not_change_training() -> None:
     plan = plan_of_toy("visitors")
     parameters, undisturbed = parameters_of(plan), _collected(plan_of_toy("visitors"), "serial")
     for name in ("serial", "process"):
@@ -154,7 +154,7 @@ def test_evaluation_takes_nothing_from_training() -> None:
             assert_same(undisturbed, collected)
 
 
-def test_workers_use_the_parameters_of_the_moment() -> None:
+def test_workers_use_the_parameters_of_the_iteration() -> None:
     plan = plan_of_toy("visitors")
     early, late = parameters_of(plan), parameters_of(replace(plan, seeds=(99,)))
     taken = []
@@ -168,7 +168,7 @@ def test_workers_use_the_parameters_of_the_moment() -> None:
 
 @pytest.mark.parametrize("toy", TOYS)
 @pytest.mark.parametrize("name", ["serial", "process"])
-def test_a_snapshot_goes_on_bit_for_bit(toy: str, name: str) -> None:
+def test_restoring_a_snapshot_continues_bit_for_bit(toy: str, name: str) -> None:
     plan = plan_of_toy(toy, seeds=(5, 6))
     parameters = parameters_of(plan)
     with collector_of(plan, name) as collector:

@@ -1,4 +1,4 @@
-"""Actors on a cluster of several nodes, of which one is lost. The nodes are Ray's, on this one machine."""
+"""Ray workers on a cluster that loses nodes. All nodes run on this machine."""
 
 import importlib.util
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ pytestmark = [
 
 @pytest.fixture
 def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
-    """A head without CPUs and three nodes of two."""
+    """A cluster of a head without CPUs and three nodes with two CPUs each."""
     from ray.cluster_utils import Cluster
 
     settings = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": 10**8}
@@ -42,10 +42,10 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
 
 
 @pytest.mark.parametrize("lost", [1, 2])
-def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(
+def test_nodes_lost_in_mid_iteration_do_not_change_the_data(
     nodes: "Cluster", tmp_path: Path, lost: int
 ) -> None:
-    """Nor does a second one, to which its work went. The other worker is lost with a node that it is on."""
+    """The second node lost is the one that took over the work. A node may be lost with both workers."""
 
     def plan(times: int) -> RolloutPlan:
         return plan_of(FaultyVisitors, FaultConfig("kill parent", str(tmp_path), 30, copies=2, times=times))
@@ -63,4 +63,4 @@ def test_a_node_lost_in_mid_iteration_leaves_no_trace_in_the_data(
     assert lost <= len(notices) <= 2 * lost
     for notice in notices:
         assert "node" in notice
-        assert notice.endswith("replaced, repeating its part from where it stood")
+        assert notice.endswith("replaced, repeating its part from the last snapshot")

@@ -1,4 +1,4 @@
-"""Shared memory, shards, the watch for NaN, and the accounts of a process."""
+"""Shared memory, shards, the NaN check, and the usage of a process."""
 
 import ctypes
 import subprocess
@@ -39,7 +39,7 @@ def test_a_block_is_zeros_and_of_its_size() -> None:
     assert array[7] == 9  # arrays outlive the descriptor
 
 
-def test_an_empty_block_is_one_too() -> None:
+def test_a_block_may_be_empty() -> None:
     SharedBlock.create(0).close()
 
 
@@ -50,11 +50,11 @@ def test_blocks_leave_no_descriptors() -> None:
     assert _open_descriptors() == before
 
 
-def test_what_is_loaded_from_a_shared_pickle_lies_in_its_memory_and_is_ones_own() -> None:
+def test_arrays_of_a_loaded_pickle_lie_in_shared_memory_and_are_private_when_written() -> None:
     large, fortran = np.arange(100_000.0), np.asfortranarray(np.arange(6).reshape(2, 3))
     value = {"large": large, "again": large, "fortran": fortran, "none": np.zeros((0, 3)), "word": "bus"}
     shared = SharedPickle.of(value)
-    large[0] = -1.0  # too late
+    large[0] = -1.0  # has no effect: the block is a copy
     one, other = shared.load(), shared.load()
     assert one["large"] is one["again"]
     one["large"][1] = -2.0
@@ -71,7 +71,7 @@ def test_what_is_loaded_from_a_shared_pickle_lies_in_its_memory_and_is_ones_own(
     shared.block.close()
 
 
-def test_a_shared_pickle_says_whether_the_main_module_is_in_it() -> None:
+def test_a_shared_pickle_records_whether_it_refers_to_the_main_module() -> None:
     for value, mentioned in ((max, False), ("__main__", True)):
         shared = SharedPickle.of(value)
         assert shared.mentions_main is mentioned
@@ -86,7 +86,9 @@ def test_a_shared_pickle_says_whether_the_main_module_is_in_it() -> None:
         ("the environment", r"its size \(env\.args\)"),
     ],
 )
-def test_more_memory_than_there_is_is_refused_in_one_line(content: Content, lower: str) -> None:
+def test_a_block_larger_than_the_available_memory_is_refused_in_one_line(
+    content: Content, lower: str
+) -> None:
     available = available_memory()
     assert available is not None
     with pytest.raises(HeadwayError, match=rf"MiB of shared memory for {content} .*lower {lower}") as refusal:
@@ -94,7 +96,7 @@ def test_more_memory_than_there_is_is_refused_in_one_line(content: Content, lowe
     assert "\n" not in str(refusal.value)
 
 
-def test_an_environment_without_room_to_be_shared_is_what_the_refusal_names(
+def test_the_refusal_of_a_pickle_names_the_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("headway.rollout.workers.shared_memory.available_memory", lambda: MEBIBYTE)
@@ -104,14 +106,14 @@ def test_an_environment_without_room_to_be_shared_is_what_the_refusal_names(
         SharedPickle.of(np.zeros(2 * MEBIBYTE, np.uint8))
 
 
-def test_what_was_freed_between_what_is_in_use_is_given_back() -> None:
-    """Where the C library has no malloc_trim nothing happens, and that is no error."""
+def test_freed_memory_between_blocks_in_use_is_returned_to_the_system() -> None:
+    """A C library without malloc_trim is no error."""
     least = 40 * MEBIBYTE if hasattr(ctypes.CDLL(None), "malloc_trim") else -MEBIBYTE
     code = f"""
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway.rollout.workers.usage import proportional_memory
 blocks = [bytes(1000) for _ in range(60_000)]
-del blocks[:-1]  # the last holds on to all before it
+del blocks[:-1]  # the last one keeps the memory before it from being returned
 kept = proportional_memory()
 give_back_memory()
 assert kept - proportional_memory() > {least}, kept
@@ -119,7 +121,7 @@ assert kept - proportional_memory() > {least}, kept
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_memory_that_the_system_refuses_is_told_in_one_line_and_leaves_nothing_open() -> None:
+def test_memory_refused_by_the_system_is_reported_in_one_line_and_leaves_nothing_open() -> None:
     code = f"""
 import resource
 from pathlib import Path
@@ -138,7 +140,7 @@ assert len(list(Path("/proc/self/fd").iterdir())) == before
     assert done.stdout.count("\n") == 1
 
 
-def test_available_memory_heeds_the_control_group(tmp_path: Path) -> None:
+def test_available_memory_is_limited_by_the_control_group(tmp_path: Path) -> None:
     (tmp_path / "meminfo").write_text("MemTotal: 900 kB\nMemAvailable:     500 kB\n")
     assert available_memory(tmp_path, tmp_path / "none") == 500 * 1024
     (tmp_path / "memory.max").write_text("max\n")
@@ -149,7 +151,7 @@ def test_available_memory_heeds_the_control_group(tmp_path: Path) -> None:
     assert available_memory(tmp_path / "none", tmp_path / "none") is None
 
 
-def test_a_process_knows_what_it_used() -> None:
+def test_cpu_seconds_and_memory_of_this_process_are_read() -> None:
     before = cpu_seconds()
     while cpu_seconds() == before:
         pass
@@ -184,7 +186,7 @@ def test_parameters_lie_one_after_another() -> None:
         (12, 3, 1, [12]),
     ],
 )
-def test_shards_are_whole_blocks_as_equal_as_can_be(
+def test_shards_are_whole_blocks_as_equal_as_possible(
     copies: int, block: int, workers: int, counts: list[int]
 ) -> None:
     shards = plan_of_toy("visitors", copies=copies, block=block).shards(workers)
@@ -224,7 +226,7 @@ def test_too_many_copies_for_a_process_are_refused_with_settings_that_work(
     assert sorted(held) == [(replica, copy) for replica in range(len(seeds)) for copy in range(copies)]
 
 
-def test_a_collector_is_closed_where_its_companion_cannot_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_collector_is_closed_if_its_evaluator_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
     class Full:
         def __init__(self, *_: object) -> None:
             raise HeadwayError("no room")
@@ -238,7 +240,7 @@ def test_a_collector_is_closed_where_its_companion_cannot_open(monkeypatch: pyte
     assert len(closed) == 1
 
 
-def test_memory_is_not_read_at_every_glance(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_read_only_every_few_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     reads: list[int] = []
 
     def read() -> int:
@@ -261,7 +263,7 @@ def test_memory_is_not_read_at_every_glance(monkeypatch: pytest.MonkeyPatch) -> 
         (2, 4, 8, [(0, 2), (2, 2)]),
     ],
 )
-def test_replicas_are_held_together_unless_one_copy_of_each_is_too_many(
+def test_replicas_form_one_group_unless_one_copy_of_each_exceeds_the_limit(
     limit: int | None, seeds: int, workers: int, groups: list[tuple[int, int]]
 ) -> None:
     plan = plan_of_toy("visitors", seeds=range(seeds))
@@ -269,7 +271,7 @@ def test_replicas_are_held_together_unless_one_copy_of_each_is_too_many(
     shards = plan.shards(workers)
     assert sorted({(shard.first_replica, shard.replicas) for shard in shards}) == plan.groups == groups
     assert len(shards) == workers
-    assert len(plan.shards(workers + len(groups) - 1)) == workers  # no group has more than another
+    assert len(plan.shards(workers + len(groups) - 1)) == workers  # equally many for every group
 
 
 def _limited(plan: RolloutPlan, limit: int) -> RolloutPlan:
@@ -280,18 +282,18 @@ SPEC = EnvSpec("bridge", ("north", "south"), 2, Discrete(3), state_size=1)
 
 
 def _step(copies: int = 3) -> tuple[StepResult, Observations]:
-    """A step of which nothing is wrong: (C, 2) agents, of whom copy 0's second is absent."""
+    """A valid step of (C, 2) agents, in which the second agent of copy 0 is not alive."""
     observed = Observations(
         np.zeros((copies, 2, 2), np.float32),
         np.zeros((copies, 1), np.float32),
         np.ones((copies, 2), np.bool_),
     )
-    nobody = np.zeros((copies, 2), np.bool_)
+    none = np.zeros((copies, 2), np.bool_)
     outcome = StepResult(
         rewards=np.zeros((copies, 2), np.float32),
-        terminated=nobody.copy(),
-        truncated=nobody.copy(),
-        acting=~nobody,
+        terminated=none.copy(),
+        truncated=none.copy(),
+        acting=~none,
         episode_ended=np.zeros(copies, np.bool_),
         final_observations=np.full((copies, 2, 2), np.nan, np.float32),
         final_states=np.full((copies, 1), np.nan, np.float32),
@@ -306,7 +308,7 @@ def _name(row: int) -> str:
     return f"copy {row + 10}"
 
 
-def test_rows_that_nobody_reads_may_hold_anything() -> None:
+def test_rows_that_learners_do_not_read_may_hold_anything() -> None:
     outcome, observed = _step()
     outcome.truncated[2, 1] = True
     outcome.final_observations[2, 1] = 0
@@ -326,7 +328,9 @@ def test_rows_that_nobody_reads_may_hold_anything() -> None:
     ],
 )
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_named(field: str, place: tuple[int, ...], line: str, value: float) -> None:
+def test_a_value_that_is_not_finite_is_reported(
+    field: str, place: tuple[int, ...], line: str, value: float
+) -> None:
     outcome, observed = _step()
     outcome.truncated[2] = True
     outcome.episode_ended[2] = True
@@ -336,7 +340,7 @@ def test_what_is_not_finite_is_named(field: str, place: tuple[int, ...], line: s
     getattr(observed if hasattr(observed, field) else outcome, field)[place] = value
     with pytest.raises(HeadwayError) as failure:
         check_finite(SPEC, outcome, observed, 4, _name)
-    assert f"environment bridge gave {value} as {line}; mend the environment" in str(failure.value)
+    assert f"environment bridge gave {value} as {line}; fix the environment" in str(failure.value)
 
 
 def test_large_numbers_are_not_taken_for_infinity() -> None:

@@ -1,4 +1,4 @@
-"""The sampler's books: what stands in which row, whose episode ended when, and with which seed."""
+"""The sampler: rows of the trajectory, ends of episodes, seeds and noise."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -34,8 +34,10 @@ AGENTS = 2
 
 
 class Clock:
-    """Shows (copy, episode, step) and pays the action plus the agent's number. Copy c's episodes last
-    c + 2 steps and end by truncation where the episode is even, else by termination."""
+    """Observations are (copy, episode, step), rewards the action plus the agent's index.
+
+    Episodes of copy c last c + 2 steps; even episodes are truncated, odd ones terminated.
+    """
 
     def __init__(self, prepared: object, copies: int) -> None:
         self.seeds = np.zeros(copies, np.uint64)
@@ -96,7 +98,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class StepPolicy:
-    """Acts by the step that it is shown, so that actions can be checked; counts the rows it is given."""
+    """Acts by the step in the observation, so that actions can be checked; records the batch sizes."""
 
     rows: list[int]
 
@@ -133,7 +135,7 @@ def _sampled(
     return plan, trajectories, episodes
 
 
-def test_a_row_is_what_was_faced_before_its_action_and_the_last_what_comes_next() -> None:
+def test_row_t_is_observed_before_action_t_and_the_last_row_after_the_last_step() -> None:
     _, (first, second), _ = _sampled((5,), 2, 7, iterations=2)
     # Copy 0's episodes last two steps, copy 1's three.
     assert first.observations[:, 0, 0, 2].tolist() == [0, 1, 0, 1, 0, 1, 0, 1]
@@ -146,7 +148,7 @@ def test_a_row_is_what_was_faced_before_its_action_and_the_last_what_comes_next(
         np.testing.assert_array_equal(getattr(second, name)[0], getattr(first, name)[-1], err_msg=name)
 
 
-def test_ends_are_told_apart_and_final_rows_come_before_the_reset() -> None:
+def test_truncation_and_termination_are_distinct_and_final_observations_precede_the_reset() -> None:
     _, (first,), _ = _sampled((5,), 2, 7)
     assert first.truncated[:, 0].all(axis=1).tolist() == [False, True, False, False, False, True, False]
     assert first.terminated[:, 0].all(axis=1).tolist() == [False, False, False, True, False, False, False]
@@ -159,7 +161,7 @@ def test_ends_are_told_apart_and_final_rows_come_before_the_reset() -> None:
 
 def test_episode_rows_count_across_iterations() -> None:
     _, _, (first, second) = _sampled((5, 6), 2, 4, iterations=2)
-    # Row c of the batch lasts c + 2 steps: those of replica 1 last four and five.
+    # Episodes of batch row c last c + 2 steps: those of replica 1 four and five.
     assert [(e.replica, e.row["copy"], e.row["length"], e.row["episode"]) for e in first] == [
         (0, 0, 2, 0), (0, 1, 3, 0), (0, 0, 2, 1), (1, 0, 4, 0),
     ]  # fmt: skip
@@ -185,7 +187,7 @@ def test_seeds_and_noise_belong_to_global_copies() -> None:
     for row, seed, copy in ((1, 5, 1), (2, 5, 2), (4, 6, 1), (5, 6, 2)):
         drawn = plan.policy.noise(generator(seed, "action", copy, 9), 4)
         np.testing.assert_array_equal(trajectory.log_probs[:, row], drawn)
-    for row in (0, 3):  # another worker's
+    for row in (0, 3):  # rows of another worker
         assert not trajectory.log_probs[:, row].any()
         assert not trajectory.alive[:, row].any()
 
@@ -203,7 +205,7 @@ def test_actions_are_computed_in_blocks_of_all_replicas(copies: int, block: int,
     np.testing.assert_array_equal(log_probs, noise)
 
 
-def test_blocks_are_cut_where_there_is_no_state_too() -> None:
+def test_blocks_are_cut_without_a_state_too() -> None:
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5, 6), 4, 4, 2)
     shown = np.arange(8 * AGENTS * 3, dtype=np.float32).reshape(-1, AGENTS, 3)
     observed = Observations(shown, np.zeros((8, 0), np.float32), np.ones(shown.shape[:2], np.bool_))
@@ -230,13 +232,13 @@ def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
             return np.zeros(observed.alive.shape, np.int64)
 
     made.clear()
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     played = evaluate_rule(
-        make, lambda prepared: Still(), None, 77, 24, lambda step, ended: told.append((step, ended))
+        make, lambda prepared: Still(), None, 77, 24, lambda step, ended: steps.append((step, ended))
     )
-    assert told == [(step, int(step > 1)) for copies in (10, 10, 4) for step in range(1, copies + 2)]
+    assert steps == [(step, int(step > 1)) for copies in (10, 10, 4) for step in range(1, copies + 2)]
     assert [row["episode_seed"] for row in played] == list(range(24))
-    made.pop(0)  # the one asked how many copies it allows
+    made.pop(0)  # made to read the limit of copies
     assert (
         np.concatenate([env.seeds for env in made]).tolist() == child_seeds(77, "evaluation", 0, 24).tolist()
     )
@@ -249,7 +251,7 @@ def test_evaluation_is_split_into_the_same_blocks_everywhere(episodes: int, coun
     assert [request.first for request in requests] == [sum(counts[:i]) for i in range(len(counts))]
 
 
-def test_training_arguments_are_learned_from_and_never_reported_on() -> None:
+def test_training_arguments_are_used_for_sampling_and_never_for_evaluation() -> None:
     made: list[object] = []
 
     def make(prepared: object, copies: int) -> BatchedEnv:
@@ -267,7 +269,7 @@ def test_training_arguments_are_learned_from_and_never_reported_on() -> None:
 
 
 def test_sampled_evaluation_depends_on_the_seed_and_greedy_does_not_draw() -> None:
-    # Both replicas have the same parameters, so only their noise can tell them apart.
+    # Both replicas have the same parameters, so only their noise differs.
     plan = plan_of_toy("visitors", seeds=(5, 6))
     alone = parameters_of(plan_of_toy("visitors", seeds=(5,)))
     parameters = {name: np.concatenate([array, array]) for name, array in alone.items()}
@@ -279,7 +281,7 @@ def test_sampled_evaluation_depends_on_the_seed_and_greedy_does_not_draw() -> No
 
 
 class NanAtThree(TrivialParallel):
-    """The second agent is paid NaN at step 3."""
+    """The second agent's reward is NaN at step 3."""
 
     def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401 - as PettingZoo has it
         observations, rewards, *rest = super().step(actions)
@@ -288,7 +290,7 @@ class NanAtThree(TrivialParallel):
         return observations, rewards, *rest
 
 
-def test_nan_of_an_adapted_environment_is_named_by_its_global_copy_and_seed() -> None:
+def test_nan_of_an_adapted_environment_is_reported_with_global_copy_and_seed() -> None:
     def make(prepared: object, copies: int) -> BatchedEnv:
         return ParallelEnvBatch(
             lambda: NanAtThree(TrivialConfig(agents=3)), copies, "trivial", shared_reward=True
@@ -305,7 +307,7 @@ def test_nan_of_an_adapted_environment_is_named_by_its_global_copy_and_seed() ->
         sampler.collect(1, parameters_of(plan))
 
 
-def test_a_rule_that_draws_draws_anew_in_every_block() -> None:
+def test_a_random_rule_does_not_repeat_its_draws_in_the_next_block() -> None:
     drawn: list[float] = []
 
     class Drawing:
@@ -320,8 +322,8 @@ def test_a_rule_that_draws_draws_anew_in_every_block() -> None:
     assert len(set(drawn)) == len(drawn) > 2
 
 
-def test_an_episode_that_never_ends_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(episodes, "MOST_STEPS", 6)
+def test_an_endless_episode_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(episodes, "MAX_STEPS", 6)
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5,), 8, 4, 1)
     with pytest.raises(HeadwayError, match=r"evaluation episode 5 has not ended in 6 steps; .*truncated"):
         evaluate_policy(plan, {}, EvaluationRequest(77, first=0, count=8, greedy=True))

@@ -1,4 +1,4 @@
-"""Workers that learn by themselves: exact where the order is fixed, as good as it can be where it is not."""
+"""Asynchronous training: reproducible with a fixed order of workers, and complete in order of arrival."""
 
 import multiprocessing
 import pickle
@@ -56,7 +56,7 @@ def _job(
     core: Literal["none", "gru"] = "none",
     **choices: Any,  # noqa: ANN401 - those of `job_of`
 ) -> TrainingJob:
-    """As `job_of`; a3c has a worker for each block of its four copies."""
+    """A job of `job_of`, but of any algorithm; a3c has one worker per block of its four copies."""
     entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, gru_size=4, sequence_length=6)
     more: dict[str, Any] = {"application": application} if algorithm == "a3c" else {}
     return replace(
@@ -84,7 +84,7 @@ def _without_staleness(log: Log) -> Log:
 
 
 def _staleness(log: Log) -> list[tuple[float, float]]:
-    """(mean, max) of each iteration."""
+    """(mean, max) staleness per iteration."""
     rows = log["curve"][1:]
     return [(float.fromhex(row["staleness/mean"]), float.fromhex(row["staleness/max"])) for row in rows]
 
@@ -99,10 +99,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
     ("toy", "core", "backend"),
     [("visitors", "none", "process"), ("visitors", "gru", "serial"), ("tracking", "none", "serial")],
 )
-def test_one_worker_alone_is_synchronous_a2c_of_the_same_batches(
+def test_a_single_worker_equals_synchronous_a2c_on_the_same_batches(
     tmp_path: Path, toy: str, core: Literal["none", "gru"], backend: Backend
 ) -> None:
-    """To the last bit: parameters, normalisers, metrics and evaluations."""
+    """Parameters, normalisers, metrics and evaluations agree to the last bit."""
     choices: dict[str, Any] = {"env": TOYS[toy], "core": core, "block": COPIES}
     synchronous = _log(_job("ia2c", tmp_path / "ia2c", **choices))
     alone = _log(_job("a3c", tmp_path / "a3c", backend=backend, **choices))
@@ -110,12 +110,14 @@ def test_one_worker_alone_is_synchronous_a2c_of_the_same_batches(
     assert _staleness(alone) == [(0.0, 0.0)] * 6
 
 
-def test_workers_in_turns_give_the_same_on_every_backend_and_again(whole: Log, tmp_path: Path) -> None:
+def test_workers_in_turns_give_the_same_log_on_every_backend_and_in_a_rerun(
+    whole: Log, tmp_path: Path
+) -> None:
     assert _log(_job("a3c", tmp_path / "again")) == whole
     assert _log(_job("a3c", tmp_path / "process", backend="process")) == whole
 
 
-def test_gradients_of_workers_in_turns_are_as_stale_as_there_are_others(whole: Log, tmp_path: Path) -> None:
+def test_the_staleness_of_workers_in_turns_is_the_number_of_other_workers(whole: Log, tmp_path: Path) -> None:
     assert _staleness(whole) == [(0.5, 1.0)] + [(1.0, 1.0)] * 5
     four = _log(_job("a3c", tmp_path / "four", block=1))
     assert _staleness(four) == [(1.5, 3.0)] + [(3.0, 3.0)] * 5
@@ -127,37 +129,37 @@ def test_gradients_of_workers_in_turns_are_as_stale_as_there_are_others(whole: L
 def test_stopped_and_resumed_equals_never_stopped(
     tmp_path: Path, core: Literal["none", "gru"], stop: int
 ) -> None:
-    """With the rollouts under way, their old parameters, and what critics with a memory remembered."""
+    """Including the rollouts in progress, their old parameters, and the critics' hidden states."""
     undisturbed = _log(_job("a3c", tmp_path / "whole", core=core))
     trained(job := _job("a3c", tmp_path / "stopped", core=core), stop_after=stop)
     assert _notices(trained(replace(job, resume=True))) == []
     assert logs_of(job) == [undisturbed]
 
 
-def test_processes_go_on_where_the_serial_backend_stopped(whole: Log, tmp_path: Path) -> None:
+def test_the_process_backend_resumes_a_checkpoint_of_the_serial_backend(whole: Log, tmp_path: Path) -> None:
     trained(_job("a3c", tmp_path), stop_after=3)
     assert _log(_job("a3c", tmp_path, backend="process", resume=True)) == whole
 
 
-def test_without_snapshots_a_resumed_run_says_so_and_goes_on(tmp_path: Path) -> None:
+def test_without_snapshots_a_resumed_run_notifies_and_continues(tmp_path: Path) -> None:
     faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
     trained(job := _job("a3c", tmp_path, env=faulty), stop_after=2)
     events = trained(replace(job, resume=True))
     assert "start anew" in _notices(events)[0]
     started = [event for event in events if isinstance(event, Started)]
     assert started[0].episodes_restarted
-    assert _staleness(logs_of(job)[0])[2:] == [(0.5, 1.0)] + [(1.0, 1.0)] * 3  # all begin with one version
+    assert _staleness(logs_of(job)[0])[2:] == [(0.5, 1.0)] + [(1.0, 1.0)] * 3  # all start with one version
 
 
 def _faulty(folder: Path, fault: Fault, times: int = 1) -> tuple[type[FaultyVisitors], FaultConfig]:
     return FaultyVisitors, FaultConfig(fault, str(folder), at=41, copies=2, times=times)
 
 
-def test_a_worker_killed_in_mid_rollout_leaves_no_trace_in_the_curve(whole: Log, tmp_path: Path) -> None:
+def test_a_worker_killed_in_mid_rollout_does_not_change_the_curve(whole: Log, tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, env=_faulty(tmp_path, "kill"), backend="process")
     (notice,) = _notices(trained(job))
     assert "killed by signal 9" in notice
-    assert "replaced, repeating its part from where it stood" in notice
+    assert "replaced, repeating its part from the last snapshot" in notice
     assert logs_of(job) == [whole]
 
 
@@ -172,7 +174,7 @@ def test_a_worker_killed_in_mid_rollout_leaves_no_trace_in_the_curve(whole: Log,
         ("kill", WorkerFailedError, r"worker [01] failed twice \(killed by signal 9\)"),
     ],
 )
-def test_what_cannot_go_on_ends_in_one_line_and_leaves_no_worker(
+def test_a_run_that_cannot_continue_ends_in_one_line_and_leaves_no_worker(
     tmp_path: Path, fault: Fault, kind: type[HeadwayError], line: str
 ) -> None:
     events: list[Event] = []
@@ -184,13 +186,11 @@ def test_what_cannot_go_on_ends_in_one_line_and_leaves_no_worker(
     assert not any(psutil.pid_exists(process_id) for process_id in started.process_ids[1:])
 
 
-def test_what_goes_on_as_gradients_come_says_that_it_is_not_the_run_it_would_have_been(
-    tmp_path: Path,
-) -> None:
+def test_a_resumed_run_in_order_of_arrival_notifies_that_its_curve_differs(tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, "arrival", backend="process")
     trained(job, stop_after=3)
     (notice,) = _notices(trained(replace(job, resume=True)))
-    assert "after 3 its curve is not that of a run never stopped" in notice
+    assert "after iteration 3 its curve is not that of a run never stopped" in notice
     (log,) = logs_of(job)
     assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
 
@@ -209,15 +209,17 @@ def test_a_process_holds_no_more_copies_than_the_environment_allows(
         trained(_job("a3c", tmp_path / "large", env=rare, backend="process", block=4))
 
 
-def test_a_checkpoint_of_other_workers_is_refused_and_the_block_that_it_had_is_told(tmp_path: Path) -> None:
+def test_a_checkpoint_of_other_workers_is_refused_with_the_block_to_set(tmp_path: Path) -> None:
     trained(_job("a3c", tmp_path), stop_after=1)
     for backend in ("serial", "process"):
-        with pytest.raises(HeadwayError, match=r"with 2 workers, not with 4, .* plan\.json be 2$") as refusal:
+        with pytest.raises(HeadwayError, match=r"with 2 workers, not with 4, .* plan\.json to 2$") as refusal:
             trained(_job("a3c", tmp_path, block=1, backend=backend, resume=True))
         assert "backend.name" not in str(refusal.value)
 
 
-def test_a_contributor_whose_learner_applies_nothing_is_refused_by_its_entry_s_name(tmp_path: Path) -> None:
+def test_a_contributor_with_a_synchronous_learner_is_refused_by_the_name_of_its_entry(
+    tmp_path: Path,
+) -> None:
     job = _job("a3c", tmp_path)
     config = replace(job.config, algo={"name": "theirs"})
     learning = ENTRIES["ippo"].learner
@@ -237,18 +239,18 @@ def _opened(job: TrainingJob, notices: list[str]) -> Iterator[PoolContributors]:
         yield contributors
 
 
-def test_who_evaluates_is_closed_where_contributors_cannot_be_had(tmp_path: Path) -> None:
-    def nobody(config: object, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
+def test_the_evaluator_is_closed_if_contributors_cannot_start(tmp_path: Path) -> None:
+    def unpicklable(config: object, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
         raise AssertionError("no worker is started")
 
-    plan = AsynchronousPlan(_job("a3c", tmp_path).plan(), nobody, None)
+    plan = AsynchronousPlan(_job("a3c", tmp_path).plan(), unpicklable, None)
     before = set(multiprocessing.active_children())
-    with pytest.raises((pickle.PicklingError, AttributeError), match="nobody"):
+    with pytest.raises((pickle.PicklingError, AttributeError), match="unpicklable"):
         open_contributors(BackendConfig("process"), plan, print)
     assert set(multiprocessing.active_children()) == before
 
 
-def test_workers_fill_trajectories_of_their_own_copies_with_what_these_always_do(tmp_path: Path) -> None:
+def test_workers_sample_the_same_as_the_serial_collector_on_their_copies(tmp_path: Path) -> None:
     plan = _job("a3c", tmp_path).plan()
     acting = parameters_of(plan)
     together = SerialCollector(plan)
@@ -264,36 +266,36 @@ def test_workers_fill_trajectories_of_their_own_copies_with_what_these_always_do
             whole = getattr(together.trajectory, each.name)
             if not each.name.startswith("final"):  # valid in few rows
                 np.testing.assert_array_equal(done.arrays[each.name], whole[:, 2 * worker : 2 * worker + 2])
-            # Memory of its own alone: a part of a larger one would have gaps.
+            # A view of a larger trajectory would have gaps.
             assert getattr(contributors.workers[worker].trajectory, each.name).flags.c_contiguous
 
 
-def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: Path) -> None:
+def test_a_worker_that_hangs_delays_no_other_and_workers_stay_small(tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, "arrival")
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
-        first, second = map(psutil.Process, contributors.crew.process_ids())
+        first, second = map(psutil.Process, contributors.pool.process_ids())
         mode = AsynchronousMode(learner, contributors)
         mode.iterate(1, 0.0)
         first.suspend()
-        went_on = [mode.iterate(i, 0.0) for i in range(2, 5)]
+        meanwhile = [mode.iterate(i, 0.0) for i in range(2, 5)]
         first.resume()
         later = (mode.iterate(i, 0.0) for i in range(5, 500))
-        assert any(done.metrics["staleness/max"][0] >= 4 for done in later)  # what hung is not lost
+        assert any(done.metrics["staleness/max"][0] >= 4 for done in later)  # its contribution is not lost
         sizes = [process.memory_info().rss for process in (first, second)]
         threads = [process.num_threads() for process in (first, second)]
-    most = [float(done.metrics["staleness/max"][0]) for done in went_on]
-    assert most[-1] == 0  # once what the other had ready is applied, all is its own
+    most = [float(done.metrics["staleness/max"][0]) for done in meanwhile]
+    assert most[-1] == 0  # only the second worker still contributes
     assert max(sizes) < 450 * MEBIBYTE
-    assert max(threads) <= 3  # its own, and the one that ends it with its parent
+    assert max(threads) <= 3  # the worker's own, and the one that ends it with its parent
 
 
-def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_end(tmp_path: Path) -> None:
-    """A whole one takes 8 CPU seconds."""
+def test_usage_includes_rollouts_in_progress_and_closing_does_not_wait_for_them(tmp_path: Path) -> None:
+    """A complete rollout takes 8 CPU seconds."""
     job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
-        processes = [psutil.Process(process_id) for process_id in contributors.crew.process_ids()]
+        processes = [psutil.Process(process_id) for process_id in contributors.pool.process_ids()]
         idle = contributors.usage().cpu_seconds
         for worker in range(2):
             contributors.assign(worker, Contribute(worker + 1, 0, learner.published()))
@@ -308,19 +310,19 @@ def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_en
     assert not any(psutil.pid_exists(process.pid) for process in processes)
 
 
-def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_path: Path) -> None:
-    """And a checkpoint of then has where it began."""
+def test_other_workers_continue_while_the_rollout_of_a_dead_worker_is_repeated(tmp_path: Path) -> None:
+    """A checkpoint written meanwhile holds the state before the rollout."""
     job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     with _opened(job, []) as contributors:
-        before = contributors.crew.workers[0].snapshot
-        dies = psutil.Process(contributors.crew.process_ids()[0])
-        dies.suspend()
+        before = contributors.pool.workers[0].snapshot
+        killed = psutil.Process(contributors.pool.process_ids()[0])
+        killed.suspend()
         contributors.assign(0, Contribute(1, 0, acting))
-        dies.kill()
-        while contributors.crew.process_ids()[0] == dies.pid:
-            contributors.crew.hear(0, contributors.tasks[0])
-        replacement = psutil.Process(contributors.crew.process_ids()[0])
+        killed.kill()
+        while contributors.pool.process_ids()[0] == killed.pid:
+            contributors.pool.receive(0, contributors.tasks[0])
+        replacement = psutil.Process(contributors.pool.process_ids()[0])
         replacement.suspend()
         for number in (2, 3, 4):
             contributors.assign(1, Contribute(number, 0, acting))
@@ -332,14 +334,14 @@ def test_others_go_on_while_the_rollout_of_a_worker_that_died_is_repeated(tmp_pa
         assert contributors.idle() == [0, 1]
 
 
-def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_iteration(tmp_path: Path) -> None:
+def test_restarted_episodes_differ_after_every_death_of_a_worker(tmp_path: Path) -> None:
     faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
     job = replace(_job("a3c", tmp_path, "arrival", env=faulty), make_contributor=Showing)
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     faced = []
     with _opened(job, notices := []) as contributors:
         for number in (1, 2, 3):
-            process = psutil.Process(contributors.crew.process_ids()[0])
+            process = psutil.Process(contributors.pool.process_ids()[0])
             process.suspend()
             contributors.assign(0, Contribute(number, 0, acting))
             process.kill()
@@ -354,7 +356,7 @@ def test_episodes_begun_anew_are_others_each_time_that_a_worker_dies_in_an_itera
 
 @dataclass
 class _Counting:
-    """A learner that learns nothing and counts the contributions of `Showing` workers."""
+    """A learner stub that records the numbers of `Showing` workers' contributions."""
 
     acting: dict[str, NDArray[Any]]
     in_turns: bool = False
@@ -368,24 +370,24 @@ class _Counting:
         self.applied.append(int(contribution.arrays["number"]))
 
 
-def test_gradients_that_come_as_they_like_are_each_applied_once(
+def test_contributions_in_order_of_arrival_are_each_applied_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two an iteration; also where a worker dies with one, and one hangs for a while."""
+    """Two per iteration, although a worker hangs for a while and then dies with a contribution."""
     job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     learner: Any = _Counting(acting)
-    heard: list[tuple[int, int]] = []
+    results: list[tuple[int, int]] = []
     with _opened(job, notices := []) as contributors:
-        hear = contributors.next_done
+        receive = contributors.next_done
 
         def next_done(turn: int | None) -> tuple[int, Contribute, Done]:
-            worker, task, done = hear(turn)
-            heard.append((worker, task.number))
+            worker, task, done = receive(turn)
+            results.append((worker, task.number))
             return worker, task, done
 
         monkeypatch.setattr(contributors, "next_done", next_done)
-        first = psutil.Process(contributors.crew.process_ids()[0])
+        first = psutil.Process(contributors.pool.process_ids()[0])
         mode = AsynchronousMode(learner, contributors, iterations=12)
         mode.iterate(1, 0.0)
         first.suspend()
@@ -395,14 +397,14 @@ def test_gradients_that_come_as_they_like_are_each_applied_once(
         for iteration in range(6, 13):
             mode.iterate(iteration, 0.0)
     assert len(notices) == 1
-    assert learner.applied == [number for _, number in heard]
+    assert learner.applied == [number for _, number in results]
     assert sorted(learner.applied) == list(range(1, 2 * 12 + 1))
-    assert {worker for worker, _ in heard} == {0, 1}
+    assert {worker for worker, _ in results} == {0, 1}
 
 
 @dataclass
 class _Recorder:
-    """A learner that learns nothing and writes down what it is given."""
+    """A learner stub that records the arguments of `apply`."""
 
     in_turns: bool
     applied: list[tuple[str, int, float]] = field(default_factory=list)
@@ -440,12 +442,12 @@ class _Scripted:
         return worker, task, Done([], [], None, Usage(), Contribution(given, metrics))
 
 
-def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> None:
+def test_staleness_is_the_number_of_updates_since_the_parameters_were_published() -> None:
     learner: Any = _Recorder(in_turns=False)
     scripted: Any = _Scripted([2, 2, 0, 2, 1, 1])
     contributors: Contributors = scripted
     mode = AsynchronousMode(learner, contributors)
-    assert not mode.repeats
+    assert not mode.deterministic
     one, two = mode.iterate(1, 0.0), mode.iterate(2, 0.5)
     assert [of for of, _, _ in learner.applied] == ["2@0", "2@1", "0@0", "2@2", "1@0", "1@5"]
     assert [(i, progress) for _, i, progress in learner.applied] == [(1, 0.0)] * 3 + [(2, 0.5)] * 3
@@ -458,7 +460,7 @@ def test_staleness_is_the_number_of_updates_that_a_gradient_has_not_seen() -> No
 
 
 @pytest.mark.parametrize(("in_turns", "order"), [(False, [2, 2, 0, 1, 0, 2]), (True, [])])
-def test_nobody_begins_with_what_the_budget_does_not_hold(in_turns: bool, order: list[int]) -> None:
+def test_no_contribution_beyond_the_budget_is_assigned(in_turns: bool, order: list[int]) -> None:
     learner: Any = _Recorder(in_turns)
     scripted: Any = _Scripted(order)
     mode = AsynchronousMode(learner, scripted, iterations=2)
@@ -477,11 +479,11 @@ sys.path[:0] = sys.argv[1:3]
 from headway.training.loop import train
 from test_asynchronous import _job
 
-def told(event):
+def show(event):
     print(type(event).__name__, flush=True)
 
 if __name__ == "__main__":
-    train(_job("a3c", Path(sys.argv[3]), "arrival", backend="process", iterations=10**6), told, lambda: False)
+    train(_job("a3c", Path(sys.argv[3]), "arrival", backend="process", iterations=10**6), show, lambda: False)
 """
 
 

@@ -1,4 +1,4 @@
-"""One seed, one curve: whatever the backend, the company, the interruptions and the accidents."""
+"""One seed gives one curve, whatever the backend, the other seeds, interruptions and failures."""
 
 import multiprocessing
 from dataclasses import replace
@@ -87,7 +87,7 @@ def test_evaluations_come_after_the_iteration_that_reaches_a_multiple(
     assert [event.env_steps for event in _of(EvaluationFinished, events)] == evaluated
 
 
-def test_a_curve_s_last_point_is_of_the_same_episodes_as_the_others(tmp_path: Path) -> None:
+def test_the_last_point_of_a_curve_is_the_mean_of_the_same_episodes_as_the_others(tmp_path: Path) -> None:
     events = trained(job := job_of(tmp_path, iterations=2))
     last = _of(EvaluationFinished, events)[-1]
     assert last.final
@@ -111,20 +111,20 @@ def test_events_come_in_order(tmp_path: Path) -> None:
     assert [(e.iteration, e.final) for e in _of(EvaluationFinished, events)[::2]] == [
         (0, False), (2, False), (4, False), (6, True),
     ]  # fmt: skip
-    told = [e for e in events if isinstance(e, IterationFinished | EvaluationFinished | Finished)]
-    cpu = [e.usage.cpu_seconds for e in told if e.usage]
-    assert len(cpu) == len(told)
+    reports = [e for e in events if isinstance(e, IterationFinished | EvaluationFinished | Finished)]
+    cpu = [e.usage.cpu_seconds for e in reports if e.usage]
+    assert len(cpu) == len(reports)
     assert cpu == sorted(cpu)
     assert cpu[0] > 0
 
 
-def test_the_last_word_counts_the_last_evaluation_and_checkpoint(tmp_path: Path) -> None:
+def test_the_last_event_includes_the_usage_of_the_last_evaluation_and_checkpoint(tmp_path: Path) -> None:
     events = trained(job_of(tmp_path, iterations=1))
     before, after = (event.usage.cpu_seconds for event in (_of(IterationFinished, events)[0], events[-1]))  # type: ignore[union-attr]
     assert after - before > 0.002
 
 
-def test_the_same_again_is_the_same(whole: Log, tmp_path: Path) -> None:
+def test_a_rerun_gives_the_same_log(whole: Log, tmp_path: Path) -> None:
     trained(job := job_of(tmp_path))
     assert logs_of(job) == [whole]
 
@@ -182,7 +182,7 @@ def test_evaluation_seeds_are_the_same_for_all_runs_and_apart_from_training() ->
 
 
 @pytest.mark.parametrize("fault", ["kill", "raise"])
-def test_a_worker_lost_in_mid_iteration_leaves_no_trace_in_the_curve(
+def test_a_worker_lost_in_mid_iteration_does_not_change_the_curve(
     whole: Log, tmp_path: Path, fault: Fault
 ) -> None:
     events = trained(job := job_of(tmp_path, _faulty(tmp_path, fault), backend="process"))
@@ -190,7 +190,7 @@ def test_a_worker_lost_in_mid_iteration_leaves_no_trace_in_the_curve(
     assert logs_of(job) == [whole]
 
 
-def test_a_run_that_cannot_go_on_raises_and_leaves_no_worker(tmp_path: Path) -> None:
+def test_a_run_that_cannot_continue_raises_and_leaves_no_worker(tmp_path: Path) -> None:
     events: list[Event] = []
     job = job_of(tmp_path, _faulty(tmp_path, "raise", times=9), backend="process")
     with pytest.raises(WorkerFailedError, match="the bridge is out"):
@@ -214,20 +214,20 @@ def test_stopped_and_resumed_equals_never_stopped(
     assert logs_of(job) == [whole]
 
 
-def test_a_stack_of_which_a_process_holds_one_seed_trains_and_resumes_as_any_stack(tmp_path: Path) -> None:
+def test_a_stack_with_one_seed_per_process_trains_and_resumes_like_any_stack(tmp_path: Path) -> None:
     seeds = (5, 6)
-    anywhere = job_of(tmp_path / "anywhere", seeds=seeds, block=1)
-    # It evaluates apart as well, but four episodes of each seed at once, where the other plays one.
-    anywhere = replace(anywhere, spec=replace(anywhere.spec, max_copies_per_process=8))
-    trained(anywhere)
+    unlimited = job_of(tmp_path / "unlimited", seeds=seeds, block=1)
+    # Also evaluates separately, but with four episodes per seed at once, where the other job plays one.
+    unlimited = replace(unlimited, spec=replace(unlimited.spec, max_copies_per_process=8))
+    trained(unlimited)
     job = job_of(tmp_path, (LoneVisitors, VISITORS), seeds, "process", workers=8, block=1)
     assert _end(trained(job, stop_after=3)) == (3, True)
     events = trained(replace(job, resume=True))
     assert _of(Started, events)[0].iteration == 3
     tables: tuple[Table, ...] = ("curve", "episodes", "evaluation")
-    for ours, theirs in zip(logs_of(job), logs_of(anywhere), strict=True):
+    for log, expected in zip(logs_of(job), logs_of(unlimited), strict=True):
         for table in tables:
-            assert ours[table] == theirs[table]
+            assert log[table] == expected[table]
 
 
 def test_stopped_before_the_first_iteration_and_resumed(whole: Log, tmp_path: Path) -> None:
@@ -257,7 +257,7 @@ def _train_in_a_process(job: TrainingJob) -> int | None:
 
 
 def test_a_killed_training_process_resumes_to_the_same_curve(whole: Log, tmp_path: Path) -> None:
-    # On the serial backend the environment that kills is in the training process: in iteration 4.
+    # On the serial backend the fault kills the training process itself, in iteration 4.
     job = job_of(tmp_path, _faulty(tmp_path, at=3 * 16 + 9, copies=4))
     assert _train_in_a_process(job) == -9
     events = trained(replace(job, resume=True))
@@ -314,11 +314,10 @@ def test_rows_of_a_session_that_died_before_its_first_checkpoint_are_not_doubled
 
 
 @pytest.mark.parametrize("asked", [0, 1, 3, 4, 5])
-def test_a_training_that_was_taken_over_changes_nothing_when_it_goes_on(
+def test_a_training_process_that_was_taken_over_can_change_nothing(
     whole: Log, tmp_path: Path, asked: int
 ) -> None:
-    """As on a machine that was cut off, given up for lost, and still works: it goes on when the other has
-    ended."""
+    """A machine cut off and given up for lost continues after its replacement has ended."""
     (tmp_path / "5").mkdir()
     job = job_of(tmp_path)
 
@@ -341,7 +340,7 @@ def test_a_training_that_was_taken_over_changes_nothing_when_it_goes_on(
     assert latest_iteration(job.checkpoints[0]) == 6
 
 
-def test_a_stack_resumes_from_whichever_of_its_folders_holds_the_newest_whole_checkpoint(
+def test_a_stack_resumes_from_the_folder_with_the_newest_intact_checkpoint(
     tmp_path: Path,
 ) -> None:
     trained(undisturbed := job_of(tmp_path / "whole", seeds=(5, 6)))

@@ -1,1 +1,1 @@
-"""Worker processes and Ray actors, and what they share with the training process."""
+"""Worker processes and Ray workers, and their exchange of data with the training process."""

@@ -1,4 +1,4 @@
-"""What a worker of the asynchronous mode does: roll out, and say what the learner is to make of it."""
+"""Workers of asynchronous training: each samples and computes contributions for the learner."""
 
 import pickle
 from collections.abc import Callable, Sequence
@@ -18,20 +18,20 @@ MakeContributor = Callable[[Any, EnvSpec, Sequence[int]], Contributor]
 
 @dataclass(frozen=True)
 class AsynchronousPlan:
-    """What decides what the workers do. Picklable."""
+    """The rollout plan of one seed and its algorithm's contributor. Picklable."""
 
     rollout: RolloutPlan
-    """Of one seed."""
+    """Plan of a single seed."""
     make_contributor: MakeContributor
     algo_config: Any
     preload: tuple[str, ...] = ()
-    """The algorithm entry's."""
+    """The algorithm entry's `preload`."""
 
     @property
     def shards(self) -> list[Shard]:
-        """What each worker holds: one block of the copies, so that every rollout is as long.
+        """Shards of one block each, so that all rollouts have the same size.
 
-        Raises HeadwayError where a block is more than the environment allows in a process.
+        Raises HeadwayError if a block exceeds the environment's limit of copies per process.
         """
         rollout, limit = self.rollout, self.rollout.spec.max_copies_per_process
         if limit is not None and rollout.block > limit:
@@ -43,33 +43,33 @@ class AsynchronousPlan:
         return rollout.shards(rollout.copies // rollout.block)
 
     def require_workers(self, snapshots: Sequence[Any]) -> None:
-        """Raise HeadwayError unless a checkpoint has one snapshot a worker."""
+        """Raise HeadwayError unless a checkpoint has one snapshot per worker."""
         rollout, workers = self.rollout, len(snapshots)
         if workers != len(self.shards):
             raise HeadwayError(
                 f"the checkpoint was made with {workers} workers, not with {len(self.shards)}, and a worker "
-                f'has a block of the copies; let "block" of "rollout" in the run\'s plan.json be '
+                f'has a block of the copies; set "block" of "rollout" in the run\'s plan.json to '
                 f"{rollout.copies // max(workers, 1)}"
             )
 
 
 @dataclass(frozen=True)
 class ContributorSetup:
-    """All that such a worker is given when it starts."""
+    """Setup of a worker that contributes."""
 
     plan: SharedPickle[AsynchronousPlan] | bytes
-    """An `AsynchronousPlan`; pickled, where memory cannot be shared."""
+    """A pickled `AsynchronousPlan`, in shared memory if the worker is on this machine."""
     shard: Shard
 
-    def open(self) -> "Contributing":
-        """The service of a worker that contributes."""
+    def open(self) -> "ContributionService":
+        """Return the contribution service."""
         pickled = self.plan
         plan: AsynchronousPlan = pickle.loads(pickled) if isinstance(pickled, bytes) else pickled.load()
-        return Contributing(plan, self.shard)
+        return ContributionService(plan, self.shard)
 
 
-class Contributing:
-    """Some copies of one seed, and a contributor that learns from them."""
+class ContributionService:
+    """The service of a worker that contributes: a sampler of one seed's copies and a contributor."""
 
     def __init__(self, plan: AsynchronousPlan, shard: Shard) -> None:
         self.trajectory = Trajectory.allocate(replace(plan.rollout, copies=shard.count).layout)
@@ -78,12 +78,12 @@ class Contributing:
         self.own_usage = OwnUsage()
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
-        """Where it stands between two contributions, or None if the environment cannot tell."""
+        """Return the state between two contributions; None if the environment has no snapshots."""
         sampler = self.sampler.snapshot()
         return None if sampler is None else {"sampler": sampler, "learned": self.contributor.snapshot()}
 
-    def carry_out(self, command: Command) -> Done:
-        """Do as told."""
+    def execute(self, command: Command) -> Done:
+        """Execute a command."""
         done = Done([], [], None, self.own_usage.read())
         match command:
             case Begin(purpose=purpose):
@@ -96,5 +96,5 @@ class Contributing:
                 contribution = self.contributor.contribute(self.trajectory, number)
                 done = replace(done, episodes=episodes, contribution=contribution)
             case Collect() | Evaluate():
-                raise TypeError(f"a worker that contributes was told to {command}")
+                raise TypeError(f"a contributing worker cannot execute {command}")
         return replace(done, snapshot=self.snapshot(), usage=self.own_usage.read())

@@ -1,4 +1,4 @@
-"""Workers in processes of this machine, which share memory with it."""
+"""Worker processes on this machine, and the memory that the training process shares with them."""
 
 import multiprocessing
 import sys
@@ -15,8 +15,8 @@ from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
 from headway.rollout.workers.worker import (
-    Broken,
     Command,
+    CommandFailed,
     Done,
     Setup,
     WorkerSetup,
@@ -27,41 +27,40 @@ from headway.rollout.workers.worker import (
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 GRACE_S = 5.0
-"""How long workers that are told to end may finish what they do, and that hung up may take to die."""
+"""Seconds that workers may take to finish their command on closing, or to die after closing their pipe."""
 
 
 def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> PoolCollector:
-    """Worker processes, one a shard, that write into one shared trajectory and read one shared set of
-    parameters."""
-    return PoolCollector(plan, SharedMemory(plan, shards), len(shards), notify)
+    """Start one worker process per shard; all share one trajectory and one set of parameters."""
+    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify)
 
 
 class ProcessLauncher:
-    """Worker processes, forked from a light server."""
+    """Starts worker processes with multiprocessing's forkserver."""
 
     def __init__(self, setups: Sequence[Setup], preload: Sequence[str], plan: SharedPickle[Any]) -> None:
-        """`preload`: modules that they share; `plan`: what the setups hold in common."""
+        """`setups` has one entry per shard, all with the same `plan`; the forkserver imports `preload`."""
         self.setups, self.plan = setups, plan
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload(["headway.rollout.workers.worker", *preload])
 
     def start(self, shard: int) -> "ProcessConnection":
-        """See `WorkerLauncher`."""
+        """Start the worker process of a shard."""
         ours, theirs = self.context.Pipe()
         process = self.context.Process(
             target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
-        with nullcontext() if self.plan.mentions_main else _main_left_out():
+        with nullcontext() if self.plan.mentions_main else _without_main_module():
             process.start()
         theirs.close()
         return ProcessConnection(process, ours)
 
     def wait(self, waitables: Sequence[Any], timeout_s: float | None) -> list[Any]:
-        """See `WorkerLauncher`."""
+        """Return the pipes that are ready, see `WorkerLauncher.wait`."""
         return connection.wait(waitables, timeout_s)
 
     def dismiss(self, links: Sequence[WorkerConnection]) -> None:
-        """See `WorkerLauncher`; the seconds of grace are for all together."""
+        """End the workers, with one grace period for all of them."""
         ours = [link for link in links if isinstance(link, ProcessConnection)]
         for link in ours:
             link.pipe.close()
@@ -73,8 +72,8 @@ class ProcessLauncher:
         self.plan.block.close()
 
 
-class SharedMemory(ProcessLauncher):
-    """Worker processes that sample into, and by the parameters in, memory that they share with this one."""
+class SharedMemoryTransport(ProcessLauncher):
+    """Starts sampling worker processes whose trajectory and parameters lie in shared memory."""
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
         pickled, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
@@ -88,12 +87,12 @@ class SharedMemory(ProcessLauncher):
         super().__init__(setups, plan.preload, pickled)
 
     def publish(self, parameters: Parameters) -> None:
-        """See `SamplingTransport`."""
+        """Copy the parameters to shared memory."""
         for name, array in self.parameters.items():
             array[...] = parameters[name]
 
     def close(self) -> None:
-        """See `SamplingTransport`."""
+        """Close the shared blocks."""
         for block in self.blocks:
             block.close()
 
@@ -102,32 +101,32 @@ class ProcessConnection:
     """A worker process and the pipe to it."""
 
     lost_with_machine = False
-    """See `WorkerConnection`: this process would be lost, too."""
+    """False: the worker runs on this machine."""
 
     def __init__(self, process: ForkServerProcess, pipe: connection.Connection) -> None:
         self.process, self.pipe = process, pipe
 
     @property
     def process_id(self) -> int | None:
-        """See `WorkerConnection`."""
+        """Id of the worker process."""
         return self.process.pid
 
     @property
     def waitable(self) -> connection.Connection:
-        """See `WorkerConnection`."""
+        """The pipe."""
         return self.pipe
 
     def send(self, command: Command) -> None:
-        """See `WorkerConnection`."""
+        """Send a command, if the worker is alive."""
         try:
             self.pipe.send(command)
         except OSError:
-            return  # it is dead: `receive` says so
+            return  # the worker is dead, which `receive` reports
 
-    def receive(self) -> Done | Broken | str:
-        """See `WorkerConnection`."""
+    def receive(self) -> Done | CommandFailed | str:
+        """Return the answer, or how the process ended."""
         try:
-            answer: Done | Broken = self.pipe.recv()
+            answer: Done | CommandFailed = self.pipe.recv()
         except (EOFError, OSError):
             self.process.join(GRACE_S)
             code = self.process.exitcode
@@ -137,16 +136,16 @@ class ProcessConnection:
         return answer
 
     def kill(self) -> None:
-        """See `WorkerConnection`."""
+        """Kill the process."""
         self.process.kill()
         self.process.join()
         self.pipe.close()
 
 
 @contextmanager
-def _main_left_out() -> Iterator[None]:
-    """Start processes without the main module, which each would otherwise run again: it may import torch,
-    or train when imported. Multiprocessing finds it by these two attributes."""
+def _without_main_module() -> Iterator[None]:
+    """Start processes that do not import the main module, which may import torch or train on import."""
+    # Multiprocessing finds the main module by these two attributes.
     main = sys.modules["__main__"]
     hidden: dict[str, Any] = {
         name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)

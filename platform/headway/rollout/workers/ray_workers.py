@@ -1,7 +1,7 @@
-"""Workers as actors of a Ray cluster, on whatever of its machines there is room.
+"""Ray workers: rollout workers that run as actors of a Ray cluster, on any machine with free CPUs.
 
-Parameters go through Ray's object store, once an iteration and once a machine, and are read where they lie.
-Experience comes back through it, and is copied once, to its place in the trajectory.
+Parameters are sent through Ray's object store, once per iteration and machine, and read there without a copy.
+Experience returns through the object store and is copied once, to its place in the trajectory.
 """
 
 import os
@@ -24,15 +24,23 @@ from headway.contracts.acting_policy import Parameters
 from headway.events import Usage
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
-from headway.rollout.sampler import part_of
+from headway.rollout.sampler import shard_views
 from headway.rollout.workers.ray_cluster import connect, disconnect
-from headway.rollout.workers.worker import Broken, Collect, Command, Done, Sampling, Serving, Setup
+from headway.rollout.workers.worker import (
+    Collect,
+    Command,
+    CommandFailed,
+    CommandServer,
+    Done,
+    SamplingService,
+    Setup,
+)
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 PATIENCE_S = 10.0
-"""How long a worker may wait for a place in the cluster before the user is told."""
-_SAME_EVERYWHERE = ("headway", "numpy", "numba")
-"""Packages whose versions decide what a worker gives."""
+"""Seconds that a worker may wait for free CPUs before the user gets a notice."""
+_VERSIONED_PACKAGES = ("headway", "numpy", "numba")
+"""Packages whose versions affect a worker's results and must agree on all machines."""
 
 _BECAUSE = re.compile(r"because (.+?)\.(?= |$)")
 _EXIT_CODE = re.compile(r"exits with an exit code (\d+)")
@@ -44,58 +52,56 @@ Experience = Mapping[str, NDArray[Any]]
 def ray_collector(
     backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
 ) -> PoolCollector:
-    """Actors, one a shard, that are given the parameters and give back the experience of their copies.
-
-    Raises HeadwayError where there is no cluster.
-    """
-    return PoolCollector(plan, Broadcast(backend, plan, shards, notify), len(shards), notify)
+    """Start one Ray worker per shard. Raises HeadwayError if the cluster cannot be used."""
+    return PoolCollector(plan, RaySamplingTransport(backend, plan, shards, notify), len(shards), notify)
 
 
 def pickled_whole(plan: object) -> bytes:
-    """A plan pickled with what is defined in the main module, which actors do not have."""
+    """Return a plan pickled together with its definitions from the main module, which workers lack."""
     pickled: bytes = ray.cloudpickle.dumps(plan)
     return pickled
 
 
 @dataclass(frozen=True)
 class ShardSetup:
-    """All that an actor is given that samples."""
+    """Setup of a Ray worker that samples."""
 
     plan: bytes
-    """A `RolloutPlan`, pickled."""
+    """A pickled `RolloutPlan`."""
     shard: Shard
     parameters: dict[str, NDArray[Any]] = field(default_factory=dict)
-    """Filled before each command."""
+    """Parameters of all replicas, updated before each command."""
 
-    def open(self) -> Sampling:
-        """The service of an actor that samples, into a trajectory of its own."""
+    def open(self) -> SamplingService:
+        """Return the sampling service, with a trajectory of the shard only."""
         plan: RolloutPlan = pickle.loads(self.plan)
-        ours = plan.of_replicas(self.shard.first_replica, self.shard.replicas)
-        trajectory = Trajectory.allocate(replace(ours, copies=self.shard.count).layout)
-        return Sampling(plan, self.shard, trajectory, self.parameters, own=True)
+        shard_plan = plan.of_replicas(self.shard.first_replica, self.shard.replicas)
+        trajectory = Trajectory.allocate(replace(shard_plan, copies=self.shard.count).layout)
+        return SamplingService(plan, self.shard, trajectory, self.parameters, own=True)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where an actor is, and with what."""
+    """Machine, process and package versions of a Ray worker."""
 
     machine: str
-    """The same for processes that share a machine's cores, whatever Ray calls a node."""
+    """Identifier of the physical machine, which may run several Ray nodes."""
     host: str
     process_id: int
     versions: Mapping[str, str]
+    """Installed version by package; empty if unknown."""
 
     @classmethod
     def here(cls) -> "Place":
-        """Of this process."""
-        booted = Path("/proc/sys/kernel/random/boot_id")
+        """Return the place of this process."""
+        boot_id = Path("/proc/sys/kernel/random/boot_id")
         host = socket.gethostname()
-        machine = booted.read_text().strip() if booted.exists() else host
+        machine = boot_id.read_text().strip() if boot_id.exists() else host
         return cls(machine, host, os.getpid(), dict(_versions()))
 
 
 def _versions() -> list[tuple[str, str]]:
-    installed = dict.fromkeys(_SAME_EVERYWHERE, "")
+    installed = dict.fromkeys(_VERSIONED_PACKAGES, "")
     for name in installed:
         try:
             installed[name] = metadata.version(name)
@@ -105,101 +111,106 @@ def _versions() -> list[tuple[str, str]]:
 
 
 class RayRolloutWorker:
-    """What runs in the cluster: a worker as any other, told by Ray's calls instead of a pipe."""
+    """The Ray actor class: a rollout worker that receives commands as remote calls."""
 
     def __init__(self, setup: bytes) -> None:
         self.setup: Setup = pickle.loads(setup)
-        self.serving = Serving(self.setup)
+        self.server = CommandServer(self.setup)
 
     def place(self) -> Place:
-        """Where it is."""
+        """Return the place of the worker."""
         return Place.here()
 
-    def carry_out(self, told: bytes, parameters: Parameters | None) -> tuple[bytes, Experience | None]:
-        """The answer to a command, pickled, and what was experienced, which Ray moves without pickling."""
-        command: Command = pickle.loads(told)
+    def execute(self, pickled: bytes, parameters: Parameters | None) -> tuple[bytes, Experience | None]:
+        """Execute a pickled command; return the pickled answer and, after `Collect`, the experience.
+
+        The experience is returned as arrays, which Ray moves without pickling.
+        """
+        command: Command = pickle.loads(pickled)
         if isinstance(self.setup, ShardSetup) and parameters is not None:
             self.setup.parameters.update(parameters)
-        answer = bytes(self.serving.answer(command))
-        service = self.serving.service
-        if isinstance(command, Collect) and isinstance(service, Sampling):
+        answer = bytes(self.server.answer(command))
+        service = self.server.service
+        if isinstance(command, Collect) and isinstance(service, SamplingService):
             return answer, experience_of(service.trajectory)
         return answer, None
 
 
 class RayLauncher:
-    """A workplace of actors, spread over the cluster's nodes."""
+    """Starts Ray workers, spread over the cluster's nodes."""
 
     def __init__(self, backend: BackendConfig, setups: Sequence[Setup], notify: Notify) -> None:
-        """Connects to the cluster. Raises HeadwayError where that fails."""
+        """Connect to the cluster. Raises HeadwayError if that fails."""
         self.notify, self.here = notify, Place.here()
         self.setups = [pickle.dumps(setup) for setup in setups]
         self.cpus = backend.cpus_per_worker
-        self.elsewhere: set[str] = set()
-        """Other machines that workers were seen on."""
+        self.other_machines: set[str] = set()
+        """Identifiers of other machines that workers run on."""
         self.published: Any = None
-        """Ray's reference to the parameters of the moment."""
+        """Ray's reference to the current parameters."""
         connect(backend.address)
 
     def start(self, shard: int) -> "RayConnection":
-        """See `WorkerLauncher`. The actor may have to wait for a place."""
-        # Neither is restarted nor repeats a call by itself: it would not know where it stood.
+        """Start the worker of a shard, which may have to wait for free CPUs."""
+        # Ray must neither restart a worker nor repeat a call: the worker's state would be lost.
         options = {"max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD"}
-        made = ray.remote(RayRolloutWorker).options(num_cpus=self.cpus, **options)
-        return RayConnection(self, shard, made.remote(self.setups[shard]))
+        actor_class = ray.remote(RayRolloutWorker).options(num_cpus=self.cpus, **options)
+        return RayConnection(self, shard, actor_class.remote(self.setups[shard]))
 
     def wait(self, waitables: Sequence[Any], timeout_s: float | None) -> list[Any]:
-        """See `WorkerLauncher`."""
+        """Return the Ray references that are ready, see `WorkerLauncher.wait`."""
         ray.wait(waitables, num_returns=1, timeout=timeout_s)
         ready: list[Any] = ray.wait(waitables, num_returns=len(waitables), timeout=0)[0]
         return ready
 
     def dismiss(self, links: Sequence[WorkerConnection]) -> None:
-        """See `WorkerLauncher`; there is no grace, as an actor leaves nothing behind."""
+        """Kill the workers at once and disconnect."""
         for link in links:
             link.kill()
         self.published = None
         disconnect()
 
-    def take(self, shard: int, experience: Experience) -> None:
-        """Take in what a worker brings besides its answer."""
-        raise TypeError(f"worker {shard} brought experience that nobody asked for")
+    def store_experience(self, shard: int, experience: Experience) -> None:
+        """Store the experience that came with an answer; overridden by launchers of sampling workers."""
+        raise TypeError(f"worker {shard} returned experience unexpectedly")
 
-    def welcome(self, shard: int, place: Place) -> None:
-        """Look at where a worker has come to be, and with what. Raises HeadwayError where it would not give
-        the same as one here."""
+    def check_place(self, shard: int, place: Place) -> None:
+        """Raise HeadwayError if a worker's package versions differ from those of this process.
+
+        Notify the user of the first worker on another machine.
+        """
         for name, version in self.here.versions.items():
-            theirs = place.versions[name]
-            if theirs != version:
+            other = place.versions[name]
+            if other != version:
                 raise HeadwayError(
-                    f"worker {shard} on {place.host} has {name} {theirs or 'of no known version'}, and this "
-                    f"machine {version or 'one of no known version'}; install the same on all machines"
+                    f"worker {shard} on {place.host} has {name} {other or 'of unknown version'}, and this "
+                    f"machine has {version or 'an unknown version'}; install the same on all machines"
                 )
-        if place.machine != self.here.machine and place.machine not in self.elsewhere:
-            if not self.elsewhere:
+        if place.machine != self.here.machine and place.machine not in self.other_machines:
+            if not self.other_machines:
                 self.notify(
-                    f"workers run on other machines, such as {place.host}: the CPU time and energy that they "
-                    "use there are not in this run's figures"
+                    f"workers run on other machines, such as {place.host}: this run's CPU time and energy "
+                    "leave out what they use there"
                 )
-            self.elsewhere.add(place.machine)
+            self.other_machines.add(place.machine)
 
-    def say_it_waits(self, shard: int) -> None:
-        """Tell the user that a worker has no place yet."""
-        there, free = cpus_of(ray.cluster_resources()), cpus_of(ray.available_resources())
+    def notify_waiting(self, shard: int) -> None:
+        """Notify the user that a worker waits for free CPUs."""
+        total, free = cpus_of(ray.cluster_resources()), cpus_of(ray.available_resources())
         self.notify(
-            f"worker {shard} waits for a place: it asks for {self.cpus:g} CPUs, and of the cluster's "
-            f"{there:g} {free:g} are free; it starts as soon as there is room, and fewer backend.workers or "
-            "backend.worker_cpus need less"
+            f"worker {shard} waits for free CPUs: it needs {self.cpus:g}, and {free:g} of the cluster's "
+            f"{total:g} are free; it starts as soon as there are enough; a lower backend.workers or "
+            "backend.worker_cpus needs fewer"
         )
 
 
 def cpus_of(resources: Mapping[str, float]) -> float:
-    """CPUs among a cluster's resources."""
+    """Return the number of CPUs among a cluster's resources."""
     return resources.get("CPU", 0.0)
 
 
-class Broadcast(RayLauncher):
-    """Actors that sample: what they are given and bring goes through the object store."""
+class RaySamplingTransport(RayLauncher):
+    """Starts sampling Ray workers and moves parameters and experience through the object store."""
 
     def __init__(
         self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
@@ -207,81 +218,84 @@ class Broadcast(RayLauncher):
         pickled = pickled_whole(plan)
         super().__init__(backend, [ShardSetup(pickled, shard) for shard in shards], notify)
         self.trajectory = Trajectory.allocate(plan.layout)
-        self.parts = [part_of(self.trajectory, plan.replicas, shard) for shard in shards]
+        self.parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
 
     def publish(self, parameters: Parameters) -> None:
-        """See `SamplingTransport`."""
-        # In C order, as in shared memory: the layout changes how a product is rounded.
+        """Put the parameters into the object store."""
+        # In C order, as in shared memory: the layout affects the rounding of matrix products.
         ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
         self.published = ray.put(ordered)
 
-    def take(self, shard: int, experience: Experience) -> None:
-        """To its place in the trajectory."""
+    def store_experience(self, shard: int, experience: Experience) -> None:
+        """Copy a worker's experience to its place in the trajectory."""
         place_experience(self.parts[shard], experience)
 
     def close(self) -> None:
-        """See `SamplingTransport`: all is gone with the workers."""
+        """Do nothing: the object store frees everything when the workers have ended."""
 
 
 class RayConnection:
-    """An actor, and what it was last asked."""
+    """A Ray actor's handle and the reference to its last answer."""
 
-    def __init__(self, workplace: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
-        self.workplace, self.shard, self.actor = workplace, shard, actor
-        self.arriving = actor.place.remote()
+    def __init__(self, launcher: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
+        self.launcher, self.shard, self.actor = launcher, shard, actor
+        self.place_reference = actor.place.remote()
+        """Ray's reference to the place, ready once the worker has started."""
         self.place: Place | None = None
-        self.asked: Any = None
+        """None until the first answer."""
+        self.answer_reference: Any = None
         self.lost_with_machine = False
-        """See `WorkerConnection`."""
+        """The last `receive` found the worker's machine lost or unreachable."""
 
     @property
     def process_id(self) -> int | None:
-        """See `WorkerConnection`."""
-        if self.place is None or self.place.machine != self.workplace.here.machine:
+        """Id of the worker's process; None before its first answer and on other machines."""
+        if self.place is None or self.place.machine != self.launcher.here.machine:
             return None
         return self.place.process_id
 
     @property
     def waitable(self) -> Any:  # noqa: ANN401 - Ray's reference
-        """See `WorkerConnection`."""
-        return self.asked
+        """Ray's reference to the answer."""
+        return self.answer_reference
 
     def send(self, command: Command) -> None:
-        """See `WorkerConnection`."""
-        self.asked = self.actor.carry_out.remote(pickle.dumps(command), self.workplace.published)
+        """Call the worker with a command and the current parameters."""
+        self.answer_reference = self.actor.execute.remote(pickle.dumps(command), self.launcher.published)
 
-    def receive(self) -> Done | Broken | str:
-        """See `WorkerConnection`."""
+    def receive(self) -> Done | CommandFailed | str:
+        """Return the answer, or how the worker was lost."""
         try:
-            self._arrive()
-            content, experience = ray.get(self.asked)
+            self._wait_for_place()
+            content, experience = ray.get(self.answer_reference)
         except ray.exceptions.RayError as error:
             self.lost_with_machine = is_loss_of_machine(error)
             return reason_of(error)
-        answer: Done | Broken = pickle.loads(content)
-        if isinstance(answer, Broken):
+        answer: Done | CommandFailed = pickle.loads(content)
+        if isinstance(answer, CommandFailed):
             return answer
         if experience is not None:
-            self.workplace.take(self.shard, experience)
-        # Energy and memory are measured on this machine, and shared out by what was used here.
+            self.launcher.store_experience(self.shard, experience)
+        # Energy is measured on this machine only and divided by the usage on this machine.
         return answer if self.process_id is not None else replace(answer, usage=Usage())
 
     def kill(self) -> None:
-        """See `WorkerConnection`."""
+        """Kill the worker."""
         ray.kill(self.actor, no_restart=True)
 
-    def _arrive(self) -> None:
+    def _wait_for_place(self) -> None:
+        """Wait until the worker has started, then check its place."""
         if self.place is not None:
             return
-        if not ray.wait([self.arriving], timeout=PATIENCE_S)[0] and self.workplace.cpus:
-            self.workplace.say_it_waits(self.shard)
-        place: Place = ray.get(self.arriving)
-        self.workplace.welcome(self.shard, place)
+        if not ray.wait([self.place_reference], timeout=PATIENCE_S)[0] and self.launcher.cpus:
+            self.launcher.notify_waiting(self.shard)
+        place: Place = ray.get(self.place_reference)
+        self.launcher.check_place(self.shard, place)
         self.place = place
 
 
 def reason_of(error: Exception) -> str:
-    """How an actor was lost, as a part of a line."""
+    """Return, for messages, how a Ray actor was lost."""
     lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith("\t")]
     if not lines:
         return type(error).__name__
@@ -297,14 +311,16 @@ def reason_of(error: Exception) -> str:
 
 
 def is_loss_of_machine(error: Exception) -> bool:
-    """Whether it is said, or likely, that an actor, or what it answered, was lost with the machine."""
+    """Return whether an actor or its answer was lost with its machine, certainly or probably."""
     lost = (ray.exceptions.ActorUnavailableError, ray.exceptions.ObjectLostError)
     return isinstance(error, lost) or reason_of(error).startswith("its node ")
 
 
 def experience_of(trajectory: Trajectory) -> Experience:
-    """A trajectory's arrays by name; of those that are valid only where an agent's episode ended, these rows
-    alone, as most of them would be sent for nothing."""
+    """Return a trajectory's arrays by name, for sending.
+
+    Arrays that are valid only where a stream ended are reduced to these rows, which are few.
+    """
     arrays = {field_.name: getattr(trajectory, field_.name) for field_ in fields(trajectory)}
     ended = trajectory.terminated | trajectory.truncated
     arrays["final_observations"] = trajectory.final_observations[ended]
@@ -313,7 +329,7 @@ def experience_of(trajectory: Trajectory) -> Experience:
 
 
 def place_experience(part: Mapping[str, NDArray[Any]], experience: Experience) -> None:
-    """Copy what `experience_of` gave to its part, as `part_of` has it, of a trajectory of all copies."""
+    """Copy the result of `experience_of` to a shard's views (see `shard_views`) of the full trajectory."""
     shape = part["terminated"].shape
     ended = (experience["terminated"] | experience["truncated"]).reshape(shape)
     for name, array in part.items():
@@ -326,5 +342,5 @@ def place_experience(part: Mapping[str, NDArray[Any]], experience: Experience) -
 
 
 def nbytes_of(experience: Experience) -> int:
-    """Bytes that are sent of it."""
+    """Return the number of bytes sent."""
     return sum(np.asarray(array).nbytes for array in experience.values())

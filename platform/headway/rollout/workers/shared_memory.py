@@ -1,8 +1,7 @@
-"""Memory that processes share and that vanishes with the last of them, however they end; and memory that a
-process has freed, given back to the system.
+"""Shared memory that is released with the last process that uses it, even if all of them are killed.
 
-What is shared is an anonymous file (memfd on Linux), passed by descriptor: it has no name in /dev/shm that a
-killed process could leave behind, and does not depend on the size of that mount.
+A block is an anonymous file (memfd on Linux), passed by descriptor. It has no name in /dev/shm that a killed
+process could leave behind, and does not depend on the size of that mount.
 """
 
 import ctypes
@@ -27,11 +26,11 @@ _LOWER: dict[Content, str] = {
     "parameters": "the size of the networks or backend.parallel",
     "the environment": "its size (env.args) or backend.parallel",
 }
-"""What makes a block smaller, or leaves more room for it, by what is in it."""
+"""Settings that make a block smaller or leave more room for it, by content of the block."""
 
 
 class SharedBlock:
-    """`nbytes` bytes shared by whoever holds the block; it can be given to a process as it starts."""
+    """A block of `nbytes` bytes, shared with processes that receive it when they start."""
 
     def __init__(self, descriptor: int, nbytes: int) -> None:
         self._descriptor, self.nbytes = descriptor, nbytes
@@ -39,10 +38,10 @@ class SharedBlock:
 
     @classmethod
     def create(cls, nbytes: int, content: Content = "trajectories") -> Self:
-        """A new block of zeros, for such `content`. Raises HeadwayError where the memory cannot be had."""
+        """Return a new block of zeros. Raises HeadwayError, naming `content`, if memory is too short."""
         available = available_memory()
         if available is not None and nbytes > available:
-            # An anonymous file has no limit of its own: the system would kill a process instead.
+            # Checked here because an anonymous file has no size limit: the system would kill a process.
             raise _refusal(nbytes, content, f"{available / 2**20:.0f} MiB are free")
         try:
             descriptor = _anonymous_file()
@@ -57,20 +56,22 @@ class SharedBlock:
 
     @property
     def buffer(self) -> mmap.mmap:
-        """The memory itself."""
+        """The shared memory map."""
         return self._map
 
     def private(self) -> mmap.mmap:
-        """The memory, of which pages become one's own as they are written to here, unseen by others. Pages
-        not yet written to follow the block, to which nobody may write any more."""
+        """Return a copy-on-write map of the block: writes stay private to this map.
+
+        Pages not yet written still show the block, which must therefore not be written to any more.
+        """
         return mmap.mmap(self._descriptor, max(self.nbytes, 1), access=mmap.ACCESS_COPY)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Picklable only while a process is being started, which is given its own descriptor."""
+        """Pickle the block for a process that is being started, with a duplicate of the descriptor."""
         return _attach, (reduction.DupFd(self._descriptor), self.nbytes)
 
     def close(self) -> None:
-        """Give up the descriptor; arrays over the memory stay valid. Closing again does nothing."""
+        """Close the descriptor; arrays over the memory stay valid. Closing again has no effect."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
         self._descriptor = -1
@@ -78,18 +79,20 @@ class SharedBlock:
 
 @dataclass(frozen=True)
 class SharedPickle(Generic[ValueT]):
-    """An object pickled into a block. The arrays of all who load it lie in that one block, which each may
-    write to as if it were its own: what an environment prepares may be large, and its workers many."""
+    """An object pickled into a shared block, so that many workers share the memory of its arrays.
+
+    Arrays of a loaded object lie in the block, mapped copy-on-write: each process may write to its own.
+    """
 
     block: SharedBlock
     parts: tuple[slice, ...]
-    """Where the pickle lies in it, and then its arrays."""
+    """Byte ranges in the block: first of the pickle, then of each array."""
     mentions_main: bool
-    """It refers to something of the main module."""
+    """The pickle refers to the main module."""
 
     @classmethod
     def of(cls, value: ValueT) -> Self:
-        """Raises what pickling does, and HeadwayError where the memory cannot be had."""
+        """Pickle `value`. Raises HeadwayError if memory is too short, and any error of pickling."""
         buffers: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
         contents = [memoryview(pickled), *(buffer.raw() for buffer in buffers)]
@@ -104,7 +107,7 @@ class SharedPickle(Generic[ValueT]):
         return cls(block, parts, b"_main__" in pickled)
 
     def load(self) -> ValueT:
-        """The object, as often as wanted: each has its arrays to itself."""
+        """Return a new copy of the object, with private arrays."""
         memory = memoryview(self.block.private())
         pickled, *arrays = (memory[part] for part in self.parts)
         value: ValueT = pickle.loads(pickled, buffers=arrays)
@@ -112,9 +115,8 @@ class SharedPickle(Generic[ValueT]):
 
 
 def give_back_memory() -> None:
-    """Return to the system what this process has freed. Linux's C library keeps what lies between blocks that
-    are in use: once a large environment is set up, that is more than all these. Where the C library cannot,
-    nothing happens."""
+    """Return freed memory to the system, if the C library can."""
+    # glibc keeps freed memory between blocks in use: after a large environment's set-up, more than is used.
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)

@@ -1,4 +1,4 @@
-"""What a process has used and could still have, by the operating system's account."""
+"""CPU time and memory of processes, as the operating system counts them."""
 
 import os
 import sys
@@ -8,17 +8,17 @@ from pathlib import Path
 from headway.events import Usage
 
 _MEMORY_EVERY_S = 5.0
-"""Reading proportional memory takes up to milliseconds, so it is not done at every iteration."""
+"""Minimum time between two readings of proportional memory, which take up to some milliseconds each."""
 
 
 class OwnUsage:
-    """Tells what this process has used; the memory may be some seconds old."""
+    """Reader of this process's usage. The memory is up to some seconds old."""
 
     def __init__(self) -> None:
         self._memory_bytes, self._read_at = 0, -_MEMORY_EVERY_S
 
     def read(self) -> Usage:
-        """As of now."""
+        """Return the current usage."""
         now = time.monotonic()
         if now - self._read_at >= _MEMORY_EVERY_S:
             self._memory_bytes, self._read_at = proportional_memory(), now
@@ -26,13 +26,13 @@ class OwnUsage:
 
 
 def cpu_seconds() -> float:
-    """CPU seconds of this process, all its threads, since it started."""
+    """Return the CPU seconds of all threads of this process since it started."""
     return time.process_time()
 
 
 def cpu_seconds_of(process_id: int) -> float:
-    """CPU seconds of another process since it started; 0 where it is gone."""
-    import psutil  # workers, which tell their own, do without
+    """Return the CPU seconds of another process since it started; 0 if it has ended."""
+    import psutil  # imported here because workers do not need it
 
     try:
         times = psutil.Process(process_id).cpu_times()
@@ -42,20 +42,25 @@ def cpu_seconds_of(process_id: int) -> float:
 
 
 def usable_cores() -> int:
-    """Logical processors that this process may run on."""
+    """Return the number of logical processors that this process may run on."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def proportional_memory() -> int:
-    """Bytes of this process, shared pages divided by their users (Linux's PSS); 0 where it cannot be told."""
+    """Return this process's proportional set size in bytes; 0 on systems that do not report it.
+
+    In the proportional set size (Linux), a shared page counts 1/k for each of its k processes.
+    """
     return _field(Path("/proc/self/smaps_rollup"), "Pss:") or 0
 
 
 def available_memory(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgroup")) -> int | None:
-    """Bytes that could still be had without swapping, within the machine and, in a container, within its
-    control group (version 2); None where it cannot be told."""
+    """Return the bytes available without swapping; None on systems that do not report them.
+
+    Limited by the machine's memory and, in a container, by its control group (version 2).
+    """
     bounds = [_field(proc / "meminfo", "MemAvailable:")]
     try:
         limit, used = ((group / name).read_text().strip() for name in ("memory.max", "memory.current"))
@@ -67,7 +72,7 @@ def available_memory(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgr
 
 
 def _field(path: Path, name: str) -> int | None:
-    """A field in kB of a file of /proc, in bytes; None where there is none."""
+    """Return a field given in kB, in bytes, from a file of /proc; None if it is missing."""
     try:
         text = path.read_text()
     except OSError:

@@ -1,4 +1,4 @@
-"""The rollout worker: a light process that samples when told to, and ends when its parent does."""
+"""The rollout worker: a light process that executes commands and ends with its parent."""
 
 import os
 import signal
@@ -27,18 +27,18 @@ from headway.rollout.workers.usage import OwnUsage
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """All that a worker is given that samples into a shared trajectory."""
+    """Setup of a worker that samples into a shared trajectory."""
 
     plan: SharedPickle[RolloutPlan]
     shard: Shard
     trajectory: SharedBlock
     parameters: SharedBlock
 
-    def open(self) -> "Sampling":
-        """The service of a worker that samples."""
+    def open(self) -> "SamplingService":
+        """Return the sampling service."""
         plan = self.plan.load()
         shapes = plan.policy.parameter_shapes(plan.replicas)
-        return Sampling(
+        return SamplingService(
             plan,
             self.shard,
             Trajectory.from_buffer(self.trajectory.buffer, plan.layout),
@@ -48,14 +48,15 @@ class WorkerSetup:
 
 @dataclass(frozen=True)
 class Begin:
-    """Start the first episodes; `purpose` names the stream of their seeds."""
+    """Start new episodes."""
 
     purpose: str
+    """Purpose of the random stream of their seeds."""
 
 
 @dataclass(frozen=True)
 class Restore:
-    """Go on from a snapshot."""
+    """Continue from a snapshot."""
 
     snapshot: Any
 
@@ -78,14 +79,14 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Contribute:
-    """Sample with these parameters, and say what the learner is to make of it."""
+    """Sample with the published parameters and compute a contribution from the trajectory."""
 
     number: int
-    """Of the contribution, from 1, in the order in which they were given out. Names the draws."""
+    """Number of the contribution, from 1 in order of assignment; an index of its random streams."""
     updates: int
-    """Made when the parameters were given out."""
+    """Updates that the learner had made when the task was assigned."""
     published: Parameters
-    """All that learning changes, as `AsynchronousLearner.published` tells it."""
+    """Result of `AsynchronousLearner.published`."""
 
 
 Command = Begin | Restore | Collect | Evaluate | Contribute
@@ -93,47 +94,53 @@ Command = Begin | Restore | Collect | Evaluate | Contribute
 
 @dataclass(frozen=True)
 class Done:
-    """A command carried out."""
+    """The answer to an executed command."""
 
     episodes: list[Episode]
+    """Training episodes that ended."""
     evaluation: list[list[Row]]
-    """One list a replica that was to be evaluated, one row an episode."""
+    """One list per evaluated replica, with one row per episode."""
     snapshot: Any
+    """State after the command; None for evaluation and for environments without snapshots."""
     usage: Usage
+    """Usage of the worker since it started."""
     contribution: Contribution | None = None
 
 
 class Service(Protocol):
-    """What a worker does."""
+    """Executes the commands of one worker."""
 
-    def carry_out(self, command: Command) -> Done:
-        """Do as told."""
+    def execute(self, command: Command) -> Done:
+        """Execute a command."""
         ...
 
 
 class Setup(Protocol):
-    """All that a worker is given when it starts."""
+    """The data that a worker starts with."""
 
     def open(self) -> Service:
-        """At the first command, in the worker, so that what cannot be loaded is told."""
+        """Return the worker's service.
+
+        Called in the worker at its first command, so that a loading error becomes an answer.
+        """
         ...
 
 
 @dataclass(frozen=True)
-class Broken:
-    """A command that raised."""
+class CommandFailed:
+    """The answer to a command that raised an exception."""
 
     line: str
     traceback: str
-    is_users: bool
-    """The user can mend it: trying again is of no use."""
+    is_user_error: bool
+    """The exception was a HeadwayError: the user must act, and repeating the command is useless."""
 
 
 def parameter_arrays(
     shapes: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]],
     buffer: Any,  # noqa: ANN401 - a buffer
 ) -> dict[str, NDArray[Any]]:
-    """Arrays by name, one after another in a buffer."""
+    """Return arrays by name that lie one after another in a buffer."""
     arrays, offset = {}, 0
     for name, (shape, dtype) in shapes.items():
         arrays[name] = np.frombuffer(buffer, dtype, prod(shape), offset).reshape(shape)
@@ -142,48 +149,48 @@ def parameter_arrays(
 
 
 def parameter_bytes(shapes: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]]) -> int:
-    """Size of the buffer that `parameter_arrays` needs."""
+    """Return the size in bytes of the buffer that `parameter_arrays` needs."""
     return sum(aligned(prod(shape) * dtype.itemsize) for shape, dtype in shapes.values())
 
 
 def run_worker(setup: Setup, commands: connection.Connection) -> None:
-    """Serve commands until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the session's to answer
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    serving = Serving(setup)
+    """Execute commands until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session handles Ctrl-C
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+    server = CommandServer(setup)
     while True:
         try:
             command: Command = commands.recv()
         except (EOFError, OSError):
             return
-        answer = serving.answer(command)
+        answer = server.answer(command)
         try:
             commands.send_bytes(answer)
         except OSError:
-            return  # nobody listens any more
+            return  # the parent has closed the pipe
 
 
-class Serving:
-    """A worker's service, opened at the first command, with what it raises made an answer."""
+class CommandServer:
+    """Opens a worker's service at the first command and turns its exceptions into answers."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.service: Service | None = None
 
     def answer(self, command: Command) -> memoryview:
-        """A `Done` or a `Broken`, pickled."""
+        """Execute a command; return a pickled `Done` or `CommandFailed`."""
         try:
             self.service = self.service or self.setup.open()
-            # Pickled here, so that a snapshot that cannot be is an error like any other.
-            return reduction.ForkingPickler.dumps(self.service.carry_out(command))
+            # Pickled inside the try block: a snapshot that cannot be pickled becomes an answer too.
+            return reduction.ForkingPickler.dumps(self.service.execute(command))
         except Exception as error:
             line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
-            is_users = isinstance(error, HeadwayError)
-            return reduction.ForkingPickler.dumps(Broken(line, traceback.format_exc(), is_users))
+            is_user_error = isinstance(error, HeadwayError)
+            return reduction.ForkingPickler.dumps(CommandFailed(line, traceback.format_exc(), is_user_error))
 
 
-class Sampling:
-    """The plan at work on one shard."""
+class SamplingService:
+    """The service of a worker that samples one shard and evaluates."""
 
     def __init__(
         self,
@@ -193,18 +200,18 @@ class Sampling:
         parameters: Parameters,
         own: bool = False,
     ) -> None:
-        """`parameters`: of all replicas, may change between two commands; `own`: as `Sampler`'s."""
+        """`parameters` are those of all replicas and may change between commands. `own`: see `Sampler`."""
         self.plan, self.shard, self.own = plan, shard, own
         self.trajectory, self.parameters = trajectory, parameters
         self.own_usage = OwnUsage()
 
     @cached_property
     def sampler(self) -> Sampler:
-        """Not made by a worker that only evaluates."""
+        """Sampler of the shard, created on first use: workers that only evaluate need none."""
         return Sampler(self.plan, self.shard, self.trajectory, self.own)
 
-    def carry_out(self, command: Command) -> Done:
-        """Do as told."""
+    def execute(self, command: Command) -> Done:
+        """Execute a command."""
         episodes: list[Episode] = []
         match command:
             case Evaluate(request=request, first_replica=first, replicas=number):
@@ -221,7 +228,7 @@ class Sampling:
         return Done(episodes, [], self.sampler.snapshot(), self.own_usage.read())
 
 
-def _end_with_parent() -> None:
+def _exit_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -1,4 +1,4 @@
-"""Workers that die, raise, or bring NaN: replaced without a trace in the data, or told in one line."""
+"""Workers that die or raise are replaced without a change to the data; NaN is reported in one line."""
 
 import time
 from dataclasses import replace
@@ -60,18 +60,18 @@ def _kill(process_id: int) -> None:
     process.wait(10)
 
 
-def test_a_worker_killed_in_mid_iteration_leaves_no_trace_in_the_data(tmp_path: Path) -> None:
+def test_a_worker_killed_in_mid_iteration_does_not_change_the_data(tmp_path: Path) -> None:
     notices: list[str] = []
     disturbed = _taken(_plan(tmp_path), notices)
     assert_same(_taken(_never(tmp_path)), disturbed)
     assert len(notices) == 1
     assert "killed by signal 9" in notices[0]
-    assert "from where it stood" in notices[0]
+    assert "from the last snapshot" in notices[0]
 
 
 @pytest.mark.parametrize("snapshots", [True, False])
 def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, snapshots: bool) -> None:
-    """Two seeds of two copies, each copy in a process of its own; the others go on as they would have."""
+    """Two seeds of two copies, one process per copy: the other processes are not affected."""
 
     def taken(times: int, notices: list[str]) -> list[Taken]:
         config = FaultConfig("kill", str(tmp_path), 30, 1, times, snapshots, limit=1)
@@ -83,7 +83,7 @@ def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, s
     notices: list[str] = []
     undisturbed, disturbed = taken(0, []), taken(1, notices)
     assert len(notices) == 1
-    assert ("from where it stood" if snapshots else "its episodes start again") in notices[0]
+    assert ("from the last snapshot" if snapshots else "its episodes start again") in notices[0]
     if snapshots:
         assert_same(undisturbed, disturbed)
     seen = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]
@@ -93,13 +93,13 @@ def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, s
 
 def test_both_workers_killed_in_one_iteration_are_both_replaced(tmp_path: Path) -> None:
     notices: list[str] = []
-    # The two strike at the same step; a replaced one finds that both marks are made.
+    # Both faults strike at the same step; a replacement finds both marks and does not strike again.
     disturbed = _taken(_plan(tmp_path, times=2, at=21), notices)
     assert 1 <= len(notices) <= 2
     assert_same(_taken(_never(tmp_path)), disturbed)
 
 
-def test_without_snapshots_a_replaced_worker_begins_anew_and_says_so(tmp_path: Path) -> None:
+def test_without_snapshots_a_replacement_starts_new_episodes_with_a_notice(tmp_path: Path) -> None:
     notices: list[str] = []
     disturbed = _taken(_plan(tmp_path, snapshots=False), notices)
     assert "its episodes start again" in notices[0]
@@ -107,7 +107,7 @@ def test_without_snapshots_a_replaced_worker_begins_anew_and_says_so(tmp_path: P
     assert_same(undisturbed[:1], disturbed[:1])
     other = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]
     changed = [not np.array_equal(other[0][0, c], other[1][0, c], equal_nan=True) for c in range(4)]
-    assert sum(changed) == SHARD  # the other worker's copies go on
+    assert sum(changed) == SHARD  # the other worker's copies continue
 
 
 def _evaluate(collector: Collector, parameters: Arrays) -> Any:  # noqa: ANN401 - rows, compared only
@@ -139,7 +139,7 @@ def test_workers_killed_between_commands_are_replaced(tmp_path: Path) -> None:
     assert "start again" not in notices[-1]
 
 
-def test_a_worker_killed_in_evaluation_still_knows_where_training_stands(tmp_path: Path) -> None:
+def test_a_worker_killed_in_evaluation_keeps_its_training_state(tmp_path: Path) -> None:
     plan, notices = _plan(tmp_path, at=3, copies=10), list[str]()
     parameters, undisturbed = parameters_of(plan), _taken(_never(tmp_path))
     with collector_of(plan, workers=2, notify=notices.append) as collector:
@@ -175,7 +175,7 @@ def test_a_worker_that_raises_once_is_replaced(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "reason"), [("exit", "ended with code 3"), ("hang up", "alive, but it closed its pipe")]
 )
-def test_a_worker_that_ends_or_hangs_up_is_replaced(
+def test_a_worker_that_exits_or_closes_its_pipe_is_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, reason: str
 ) -> None:
     monkeypatch.setattr(process_workers, "GRACE_S", 0.5)
@@ -185,7 +185,7 @@ def test_a_worker_that_ends_or_hangs_up_is_replaced(
 
 
 @pytest.mark.parametrize("fault", ["raise", "bad snapshot"])
-def test_what_fails_again_ends_with_the_worker_s_own_traceback(tmp_path: Path, fault: Fault) -> None:
+def test_a_second_failure_ends_the_run_with_the_worker_s_traceback(tmp_path: Path, fault: Fault) -> None:
     with pytest.raises(WorkerFailedError) as failure:
         _taken(_plan(tmp_path, fault, times=9))
     cause = {"raise": "RuntimeError: the bridge is out", "bad snapshot": "pickle"}[fault]
@@ -194,7 +194,7 @@ def test_what_fails_again_ends_with_the_worker_s_own_traceback(tmp_path: Path, f
     assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.details
 
 
-def test_a_plan_that_a_worker_cannot_load_is_told_with_its_traceback(tmp_path: Path) -> None:
+def test_a_plan_that_a_worker_cannot_load_is_reported_with_its_traceback(tmp_path: Path) -> None:
     plan = replace(_never(tmp_path), make_env=Unloadable())
     with collector_of(plan) as collector, pytest.raises(WorkerFailedError) as failure:
         collector.begin()
@@ -204,7 +204,7 @@ def test_a_plan_that_a_worker_cannot_load_is_told_with_its_traceback(tmp_path: P
 
 @pytest.mark.parametrize("name", ["serial", "process"])
 @pytest.mark.parametrize("fault", ["nan observation", "nan reward", "nan state", "nan final"])
-def test_nan_is_named_where_it_came_in(tmp_path: Path, fault: Fault, name: str) -> None:
+def test_nan_is_reported_with_copy_agent_and_step(tmp_path: Path, fault: Fault, name: str) -> None:
     plan = _plan(tmp_path, fault, at=13, times=1, copies={"serial": 4, "process": SHARD}[name])
     with collector_of(plan, name, workers=2) as collector:
         collector.begin()
@@ -217,7 +217,7 @@ def test_nan_is_named_where_it_came_in(tmp_path: Path, fault: Fault, name: str) 
     assert fault == "nan state" or "visitor_2" in line
 
 
-def test_nan_of_a_stack_is_named_by_seed(tmp_path: Path) -> None:
+def test_nan_in_a_stack_is_reported_with_its_seed(tmp_path: Path) -> None:
     config = FaultConfig("nan reward", str(tmp_path), at=3, copies=4)
     plan = plan_of(FaultyVisitors, config, seeds=(5, 6, 7, 8), copies=1)  # row 1 is seed 6's only copy
     with collector_of(plan, "serial") as collector:
@@ -227,7 +227,7 @@ def test_nan_of_a_stack_is_named_by_seed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["serial", "process"])
-def test_nan_in_evaluation_is_named_too(tmp_path: Path, name: str) -> None:
+def test_nan_in_evaluation_is_reported_too(tmp_path: Path, name: str) -> None:
     plan = _plan(tmp_path, "nan reward", at=2, copies=10)
     with collector_of(plan, name) as collector, pytest.raises(HeadwayError, match="gave inf as reward"):
         collector.evaluate(7, 10, True, parameters_of(plan))
@@ -248,9 +248,9 @@ def test_closing_does_not_wait_for_busy_workers_to_finish(
         collector.begin()
         children = [psutil.Process(process_id) for process_id in collector.process_ids()]
         for process in children:
-            process.suspend()  # stands for a step that takes for ever
+            process.suspend()  # simulates an endless step
         began = time.monotonic()
-    assert time.monotonic() - began < 3.9  # the grace is for all together, not for each
+    assert time.monotonic() - began < 3.9  # one grace period for all workers, not one per worker
     assert not any(process.is_running() for process in children)
 
 

@@ -1,5 +1,5 @@
-"""What worker processes cost, and that nothing of them stays: each in a process of its own, so that
-neither pytest nor its plugins are counted."""
+"""Memory, imports and clean-up of worker processes, measured in separate processes so that neither pytest nor
+its plugins are counted."""
 
 import gc
 import json
@@ -95,16 +95,16 @@ def test_a_worker_is_light(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     imported = {name.partition(".")[0] for name in report.read_text().split()}
     assert "headway" in imported
-    assert "psutil" not in imported  # that is the parent's: the report is a worker's
+    assert "psutil" not in imported  # which the parent imports: the report is that of a worker
     assert not imported & HEAVY
     assert max(json.loads(done.stdout)) < 100 * MEBIBYTE
 
 
 @pytest.mark.parametrize("environment", ["the library's", "its own"])
-def test_a_worker_runs_the_main_script_only_if_its_environment_is_there(
+def test_a_worker_imports_the_main_script_only_if_its_environment_is_defined_there(
     tmp_path: Path, environment: str
 ) -> None:
-    """So a script needs neither a guard nor light imports."""
+    """Otherwise a script needs neither a main guard nor light imports."""
     script, report = tmp_path / "script.py", tmp_path / "modules"
     script.write_text(_HEAVY_MAIN)
     command = [sys.executable, str(script), SUPPORT, str(report), environment]
@@ -139,8 +139,8 @@ def test_a_killed_parent_leaves_neither_processes_nor_shared_memory(how: str) ->
     assert not [path for path in set(Path("/dev/shm").iterdir()) - before if "headway" in path.name]
 
 
-def test_a_killed_forkserver_takes_nothing_down_for_good() -> None:
-    """Workers outlive it; the next one needed starts another."""
+def test_a_killed_forkserver_is_replaced() -> None:
+    """Workers outlive it, and starting the next worker starts another forkserver."""
     plan = plan_of_toy("visitors")
     notices: list[str] = []
     with collector_of(plan, workers=2, notify=notices.append) as collector:
@@ -175,7 +175,7 @@ def test_collectors_leave_no_descriptors_and_no_processes() -> None:
             collector.collect(1, parameters_of(plan))
             return [psutil.Process(process_id) for process_id in collector.process_ids()]
 
-    once()  # the forkserver stays
+    once()  # starts the forkserver, which stays
     before = _descriptors()
     processes = [process for _ in range(5) for process in once()]
     assert _descriptors() == before

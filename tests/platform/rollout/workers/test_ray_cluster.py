@@ -1,4 +1,4 @@
-"""Addresses of Ray clusters: what cannot be used is told in one line."""
+"""Addresses of Ray clusters: one that cannot be used is refused in one line."""
 
 import importlib
 import os
@@ -27,10 +27,10 @@ def _refusal(address: str) -> str:
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
-def test_an_address_without_a_cluster_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_without_a_cluster_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-        assert f"what answers at backend.address=127.0.0.1:{port} is no Ray cluster" in _answered(
+        assert f"the server at backend.address=127.0.0.1:{port} is not a Ray cluster" in _answered(
             server, port
         )
     assert f"no Ray cluster answers at backend.address=127.0.0.1:{port}" in _refusal(f"127.0.0.1:{port}")
@@ -40,10 +40,10 @@ def test_an_address_without_a_cluster_is_told_in_one_line(monkeypatch: pytest.Mo
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
-def test_workers_find_the_modules_that_are_found_here(
+def test_workers_import_the_same_modules_as_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of two of a name, as where another checkout is installed, the same one."""
+    """Of two modules of one name, for instance in another checkout, they import the same one."""
     for place in ("installed", "first"):
         (tmp_path / place).mkdir()
         (tmp_path / place / "crossroads.py").write_text(f"PLACE = {place!r}")
@@ -61,7 +61,7 @@ def test_workers_find_the_modules_that_are_found_here(
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
-def test_a_cluster_that_asks_for_a_token_says_so(
+def test_a_cluster_that_requires_a_token_is_refused_with_the_setting(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from ray._private import ray_constants
@@ -86,7 +86,7 @@ def test_a_cluster_that_asks_for_a_token_says_so(
 
 
 def _answered(server: socket.socket, port: int) -> str:
-    """The refusal of a server that speaks HTTP as it did before Ray's head."""
+    """The refusal of a server that answers in HTTP/1.1, not HTTP/2 as Ray's head does."""
 
     def answer() -> None:
         channel, _ = server.accept()
@@ -99,7 +99,7 @@ def _answered(server: socket.socket, port: int) -> str:
 
 
 @pytest.mark.parametrize("address", ["nonsense", "", "host:", "host:123456"])
-def test_an_address_that_is_none_is_refused(address: str) -> None:
+def test_a_malformed_address_is_refused(address: str) -> None:
     with pytest.raises(ValueError, match="must be auto, local or HOST:PORT"):
         BackendConfig("ray", address=address)
 

@@ -1,4 +1,4 @@
-"""Actors of a Ray cluster: they give what processes give, and are replaced as processes are."""
+"""Ray workers sample the same data as worker processes, and are replaced in the same way."""
 
 import importlib.util
 import subprocess
@@ -49,7 +49,7 @@ needs_ray = pytest.mark.skipif(without_ray, reason='Ray is not installed: pip in
 
 @pytest.fixture(scope="module")
 def local() -> Iterator[str]:
-    """A cluster of this machine, which collectors that ask for one find connected."""
+    """The address of a local cluster that this process is connected to."""
     if without_ray:
         pytest.skip("Ray is not installed")
     before = ray_processes()
@@ -68,7 +68,7 @@ def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -
 @needs_ray
 @pytest.mark.usefixtures("local")
 @pytest.mark.parametrize(("toy", "core"), [("visitors", "none"), ("tracking", "gru")])
-def test_actors_give_what_processes_give_bit_for_bit(toy: str, core: str) -> None:
+def test_ray_workers_equal_processes_bit_for_bit(toy: str, core: str) -> None:
     plan = plan_of_toy(toy, seeds=(5, 6), core=core)
     parameters, given = parameters_of(plan), []
     for name in ("process", "ray"):
@@ -82,18 +82,18 @@ def test_actors_give_what_processes_give_bit_for_bit(toy: str, core: str) -> Non
     processes, actors = given
     assert actors[0] == processes[0]
     assert_same(processes[1], actors[1])
-    # One goes on where the other stood.
-    gone_on = []
+    # Each backend continues from the other's snapshots.
+    continued = []
     for name, snapshots in (("process", actors[2]), ("ray", processes[2])):
         with collector_of(plan, name, 2) as collector:
             collector.restore(snapshots, 2)
-            gone_on.append(iterations_of(collector, parameters, 3, 3))
-    assert_same(*gone_on)
+            continued.append(iterations_of(collector, parameters, 3, 3))
+    assert_same(*continued)
 
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_actors_may_each_hold_one_seed_of_a_stack() -> None:
+def test_ray_workers_may_each_hold_one_seed_of_a_stack() -> None:
     plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=2)
     parameters, given = parameters_of(plan), []
     for name in ("process", "ray"):
@@ -110,7 +110,7 @@ def test_actors_may_each_hold_one_seed_of_a_stack() -> None:
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_actors_use_the_parameters_of_the_moment_and_do_not_change_between_episodes() -> None:
+def test_ray_workers_use_the_parameters_of_the_iteration() -> None:
     plan = plan_of_toy("visitors")
     early, late = parameters_of(plan), parameters_of(replace(plan, seeds=(99,)))
     taken = []
@@ -123,7 +123,7 @@ def test_actors_use_the_parameters_of_the_moment_and_do_not_change_between_episo
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_evaluation_has_an_actor_of_its_own_where_a_process_may_hold_few_copies() -> None:
+def test_evaluation_has_a_separate_ray_worker_if_copies_per_process_are_limited() -> None:
     plan = plan_of(RareVisitors, VISITORS, copies=2)
     parameters, given = parameters_of(plan), []
     for name in ("process", "ray"):
@@ -150,22 +150,22 @@ def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
         ("raise", "RuntimeError: the bridge is out"),
     ],
 )
-def test_an_actor_that_fails_leaves_no_trace_in_the_data(
+def test_a_ray_worker_that_fails_does_not_change_the_data(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], fault: Fault, reason: str
 ) -> None:
     notices: list[str] = []
     disturbed = _collected(_faulty(tmp_path, fault), "ray", notices)
     assert_same(_collected(_faulty(tmp_path, times=0), "process"), disturbed)
     assert notices == [
-        f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from where it stood"
+        f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from the last snapshot"
     ]
-    # Ray's own words stay out of the terminal.
+    # Ray's own messages stay out of the terminal.
     assert capfd.readouterr() == ("", "")
 
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_an_actor_that_fails_again_ends_the_run_in_one_line(tmp_path: Path) -> None:
+def test_a_ray_worker_that_fails_twice_ends_the_run_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(WorkerFailedError, match=r"failed twice \(its worker process has died") as failure:
         _collected(_faulty(tmp_path, times=9), "ray", [])
     assert "\n" not in str(failure.value)
@@ -173,7 +173,7 @@ def test_an_actor_that_fails_again_ends_the_run_in_one_line(tmp_path: Path) -> N
 
 @needs_ray
 @pytest.mark.parametrize(
-    ("said", "reason"),
+    ("message", "reason"),
     [
         (
             "The actor died unexpectedly before finishing this task.\n\tclass_name: A\n\tpid: 1\n"
@@ -190,18 +190,18 @@ def test_an_actor_that_fails_again_ends_the_run_in_one_line(tmp_path: Path) -> N
         ("", "ObjectLostError"),
     ],
 )
-def test_what_ray_says_of_a_lost_actor_becomes_a_part_of_a_line(said: str, reason: str) -> None:
+def test_ray_s_message_about_a_lost_actor_becomes_a_short_reason(message: str, reason: str) -> None:
     from headway.rollout.workers.ray_workers import reason_of
 
     class ObjectLostError(Exception):
         pass
 
-    assert reason_of(ObjectLostError(said)) == reason
+    assert reason_of(ObjectLostError(message)) == reason
 
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_what_the_user_can_mend_is_told_at_once(tmp_path: Path) -> None:
+def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) -> None:
     notices: list[str] = []
     with pytest.raises(HeadwayError, match="environment faulty gave inf as reward"):
         _collected(_faulty(tmp_path, "nan reward"), "ray", notices)
@@ -210,7 +210,7 @@ def test_what_the_user_can_mend_is_told_at_once(tmp_path: Path) -> None:
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_contributors_are_actors_too() -> None:
+def test_contributors_run_in_ray_workers_too() -> None:
     rollout = plan_of_toy("visitors", copies=4, block=2)
     plan, published = AsynchronousPlan(rollout, Showing, None), parameters_of(rollout)
     shown: dict[str, list[Arrays]] = {}
@@ -232,7 +232,7 @@ def test_contributors_are_actors_too() -> None:
 
 
 @needs_ray
-def test_a_script_s_own_environment_reaches_the_actors(local: str, tmp_path: Path) -> None:
+def test_an_environment_defined_in_a_script_reaches_the_ray_workers(local: str, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(_SCRIPT)
     command = [sys.executable, str(script), SUPPORT, local]
@@ -265,31 +265,31 @@ if __name__ == "__main__":
 def test_a_worker_with_other_versions_is_refused() -> None:
     from headway.rollout.workers.ray_workers import Place, RayLauncher
 
-    actors = RayLauncher(backend_of("ray"), [], print)
+    launcher = RayLauncher(backend_of("ray"), [], print)
     try:
         here = Place.here()
-        actors.welcome(0, here)
+        launcher.check_place(0, here)
         with pytest.raises(
             HeadwayError, match=r"worker 3 on far has numpy 1.0, and this machine .*install the same"
         ):
-            actors.welcome(3, replace(here, host="far", versions={**here.versions, "numpy": "1.0"}))
+            launcher.check_place(3, replace(here, host="far", versions={**here.versions, "numpy": "1.0"}))
     finally:
-        actors.dismiss([])
+        launcher.dismiss([])
 
 
 @needs_ray
 @pytest.mark.usefixtures("local")
-def test_a_worker_without_a_place_waits_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_without_free_cpus_waits_with_a_notice(monkeypatch: pytest.MonkeyPatch) -> None:
     from headway.rollout.workers import ray_workers
 
     monkeypatch.setattr(ray_workers, "PATIENCE_S", 0.5)
-    backend, said = BackendConfig("ray", worker_cpus=1000), list[str]()
+    backend, notices = BackendConfig("ray", worker_cpus=1000), list[str]()
 
     def notify(line: str) -> None:
-        said.append(line)
-        raise KeyboardInterrupt  # it would wait for ever
+        notices.append(line)
+        raise KeyboardInterrupt  # the worker would wait for ever
 
     collector = open_collector(backend, plan_of_toy("trivial"), 1, notify)
     with closing(collector), pytest.raises(KeyboardInterrupt):
         collector.begin()
-    assert said[0].startswith("worker 0 waits for a place: it asks for 1000 CPUs, and of the cluster's ")
+    assert notices[0].startswith("worker 0 waits for free CPUs: it needs 1000, and ")

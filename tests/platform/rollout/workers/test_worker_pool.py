@@ -1,4 +1,4 @@
-"""A crew counts failures of its workers, and losses of the machines under them, apart."""
+"""A worker pool counts failures of workers and losses of their machines separately."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -14,7 +14,7 @@ LOST, DEATH = "its machine cannot be reached", "killed by signal 9"
 
 
 class _Scripted:
-    """A workplace, and each of its links: every answer is the next one of a list."""
+    """A launcher that is also its own connections: every answer is the next one of a list."""
 
     process_id = None
     waitable = None
@@ -45,12 +45,12 @@ class _Scripted:
 
 
 def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episodes"),)) -> list[str]:
-    """The notices of a crew of one that is given commands and so answers."""
+    """The notices of a pool of one worker that gives these answers to the commands."""
     notices: list[str] = []
-    crew = WorkerPool(_Scripted(iter(answers)), 1, notices.append)
+    pool = WorkerPool(_Scripted(iter(answers)), 1, notices.append)
     for command in commands:
-        crew.send(0, command)
-        crew.answer(0, command)
+        pool.send(0, command)
+        pool.answer(0, command)
     return notices
 
 
@@ -64,8 +64,8 @@ def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episod
     ],
 )
 def test_a_lost_machine_is_no_failure_of_the_worker(answers: tuple[Done | str, ...]) -> None:
-    told = [f"worker 0 failed ({answer}); replaced, its episodes start again" for answer in answers[:-1]]
-    assert _answered(*answers) == told
+    lines = [f"worker 0 failed ({answer}); replaced, its episodes start again" for answer in answers[:-1]]
+    assert _answered(*answers) == lines
 
 
 @pytest.mark.parametrize("answers", [(DEATH, DEATH), (DEATH, LOST, DEATH), (LOST, DEATH, LOST, DEATH)])
@@ -74,11 +74,11 @@ def test_a_second_failure_in_a_row_ends_the_run(answers: tuple[Done | str, ...])
         _answered(*answers)
 
 
-def test_too_many_lost_machines_are_told_as_such() -> None:
+def test_too_many_lost_machines_in_a_row_end_the_run() -> None:
     with pytest.raises(WorkerFailedError, match=rf"^worker 0 lost its machine 4 times in a row \({LOST}\)$"):
         _answered(LOST, LOST, LOST, LOST)
 
 
-def test_a_command_that_was_carried_out_ends_the_count() -> None:
+def test_an_executed_command_resets_the_counts() -> None:
     answers = (DEATH, LOST, LOST, LOST, DONE, DEATH, LOST, LOST, LOST, DONE, DONE)
     assert len(_answered(*answers, commands=(Begin("episodes"), Collect(1)))) == 8

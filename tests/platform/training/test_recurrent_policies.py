@@ -1,4 +1,4 @@
-"""Policies that remember: one seed, one curve, whatever the backend, the interruptions and the accidents."""
+"""Recurrent policies: one seed gives one curve, whatever the backend, interruptions and failures."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -53,11 +53,9 @@ def test_a_run_stopped_and_resumed_changes_nothing(whole: Log, tmp_path: Path) -
     assert logs_of(job) == [whole]
 
 
-def test_an_agents_memory_is_a_part_of_what_it_does(
-    whole: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The same network that forgets after every step does something else."""
-    monkeypatch.setattr(PolicyPlayer, "heed", lambda acting, outcome: acting.forget())
+def test_actions_depend_on_hidden_states(whole: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same network gives another curve if its hidden states are reset after every step."""
+    monkeypatch.setattr(PolicyPlayer, "reset_ended", lambda player, outcome: player.reset())
     trained(job := job_of(tmp_path, core="gru"))
     assert logs_of(job) != [whole]
 
@@ -68,8 +66,8 @@ def _taken(plan: RolloutPlan, iterations: int = 3) -> list[Taken]:
         return iterations_of(collector, parameters_of(plan), 1, iterations)
 
 
-def test_memory_goes_on_between_iterations_and_ends_with_a_stream() -> None:
-    """Three iterations of 20 steps are one of 60, where draws are the same."""
+def test_hidden_states_continue_between_iterations_and_end_with_a_stream() -> None:
+    """Three iterations of 20 steps equal one of 60 if the noise is the same."""
     short = _steadily(plan_of_toy("visitors", seeds=(5, 6), steps=20, core="gru"), 3)
     long = _steadily(plan_of_toy("visitors", seeds=(5, 6), steps=60, core="gru"), 1)[0]
     joined = np.concatenate([part.log_probs for part in short])
@@ -91,7 +89,7 @@ class _Steady(GRUActingPolicy):
 
 
 def _steadily(plan: RolloutPlan, iterations: int) -> list[Trajectory]:
-    """Trajectories under noise that is the same in every iteration."""
+    """Trajectories with the same noise in every iteration."""
     assert isinstance(plan.policy, GRUActingPolicy)
     plan = replace(plan, policy=_Steady(plan.policy.flat, plan.policy.hidden_size))
     with collector_of(plan, "serial") as collector:
@@ -105,46 +103,46 @@ def _steadily(plan: RolloutPlan, iterations: int) -> list[Trajectory]:
 
 
 @pytest.mark.parametrize("block", [1, 2, 4])
-def test_blocks_remember_each_its_own_copies(block: int) -> None:
-    """Copies are dealt out to workers and blocks, and every one goes on from its own memory."""
+def test_every_copy_keeps_its_hidden_states_in_any_block(block: int) -> None:
+    """Copies are divided among workers and blocks, and each continues from its own hidden states."""
     plan = plan_of_toy("visitors", seeds=(5, 6), block=block, core="gru")
     with collector_of(plan, workers=2) as collector:
         collector.begin()
         assert_same(_taken(plan), iterations_of(collector, parameters_of(plan), 1, 3))
 
 
-def test_a_trajectory_has_no_room_for_memory_where_there_is_none() -> None:
-    plain, remembering = (plan_of_toy("visitors", core=core) for core in ("none", "gru"))
-    assert (hidden_size(plain.policy), hidden_size(remembering.policy)) == (0, 4)
+def test_a_policy_without_recurrence_has_no_hidden_states() -> None:
+    plain, recurrent = (plan_of_toy("visitors", core=core) for core in ("none", "gru"))
+    assert (hidden_size(plain.policy), hidden_size(recurrent.policy)) == (0, 4)
     assert Trajectory.allocate(plain.layout).hidden_states.size == 0
-    assert Trajectory.allocate(remembering.layout).hidden_states.shape == (1, 4, 3, 4)
-    plain_acting, acting = (PolicyPlayer(plan, 4, 4) for plan in (plain, remembering))
-    assert plain_acting.snapshot() == {}
-    assert acting.snapshot().keys() == {"memory", "begins"}
+    assert Trajectory.allocate(recurrent.layout).hidden_states.shape == (1, 4, 3, 4)
+    plain_player, recurrent_player = (PolicyPlayer(plan, 4, 4) for plan in (plain, recurrent))
+    assert plain_player.snapshot() == {}
+    assert recurrent_player.snapshot().keys() == {"memory", "begins"}
 
 
-def test_without_snapshots_all_is_forgotten_with_the_episodes(tmp_path: Path) -> None:
-    """A worker that was killed begins anew, memory and all, and says so to the learner."""
+def test_without_snapshots_hidden_states_are_reset_with_the_episodes(tmp_path: Path) -> None:
+    """The replacement of a killed worker starts with empty hidden states and marks streams as beginning."""
     config = FaultConfig("kill", str(tmp_path), at=30, copies=2, snapshots=False)
     plan = plan_of(FaultyVisitors, config, core="gru")
     with collector_of(plan, workers=2) as collector:
         collector.begin()
         taken = iterations_of(collector, parameters_of(plan), 1, 2)
-    begins, memory = taken[1].arrays["begins"][0], taken[1].arrays["hidden_states"][0]
-    anew = begins.all(axis=1)
-    assert 0 < anew.sum() <= 3
-    assert not memory[begins].any()
-    assert memory[~anew].any()
+    begins, hidden_states = taken[1].arrays["begins"][0], taken[1].arrays["hidden_states"][0]
+    restarted = begins.all(axis=1)
+    assert 0 < restarted.sum() <= 3
+    assert not hidden_states[begins].any()
+    assert hidden_states[~restarted].any()
 
 
-def test_who_is_terminated_or_truncated_forgets_and_no_one_else() -> None:
+def test_hidden_states_are_reset_exactly_where_terminated_or_truncated() -> None:
     plan = plan_of_toy("visitors", core="gru")
-    acting = PolicyPlayer(plan, 2, 2)
-    assert acting.memory is not None
-    acting.memory.fill(1)
+    player = PolicyPlayer(plan, 2, 2)
+    assert player.hidden_states is not None
+    player.hidden_states.fill(1)
     over, none = np.zeros((2, 3), np.bool_), np.zeros((2, 0))
     over[1, 1:] = True
-    acting.heed(
+    player.reset_ended(
         StepResult(
             rewards=none,
             terminated=over,
@@ -156,4 +154,4 @@ def test_who_is_terminated_or_truncated_forgets_and_no_one_else() -> None:
             metrics=none,
         )
     )
-    assert (acting.memory == 0).all(axis=2).tolist() == (over | over[::-1]).tolist()
+    assert (player.hidden_states == 0).all(axis=2).tolist() == (over | over[::-1]).tolist()

@@ -1,5 +1,5 @@
-"""Learners that replay: one curve whatever the backend, the interruptions and the accidents; and what their
-experience leaves on the disk."""
+"""Learners with replay: one seed gives one curve, whatever the backend, interruptions and failures; and the
+files of their replay data."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -67,7 +67,7 @@ def test_worker_processes_change_nothing(whole: dict[str, Log], tmp_path: Path, 
 def test_stopped_and_resumed_equals_never_stopped(
     whole: dict[str, Log], tmp_path: Path, algorithm: str, backend: str, stop: int
 ) -> None:
-    """With what was replayed, decisions that were open and noise that wandered."""
+    """Including the replay buffer, open decisions and the state of correlated noise."""
     job = _job(algorithm, tmp_path, backend=backend)
     trained(job, stop_after=stop)
     assert f"experience-{stop:06d}.pt" in _files(tmp_path)
@@ -75,7 +75,7 @@ def test_stopped_and_resumed_equals_never_stopped(
     assert logs_of(job) == [whole[algorithm]]
 
 
-def test_a_worker_lost_in_mid_iteration_leaves_no_trace_in_the_curve(
+def test_a_worker_killed_in_mid_iteration_does_not_change_the_curve(
     whole: dict[str, Log], tmp_path: Path
 ) -> None:
     faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=41, copies=2)
@@ -85,7 +85,7 @@ def test_a_worker_lost_in_mid_iteration_leaves_no_trace_in_the_curve(
 
 
 @every_algorithm
-def test_experience_is_kept_with_the_last_two_checkpoints_and_goes_with_the_end(
+def test_experience_is_kept_with_the_last_two_checkpoints_and_removed_at_the_end(
     tmp_path: Path, algorithm: str
 ) -> None:
     job = _job(algorithm, tmp_path, seeds=(5, 6))
@@ -99,7 +99,7 @@ def test_experience_is_kept_with_the_last_two_checkpoints_and_goes_with_the_end(
     assert _files(tmp_path, 5) == _files(tmp_path, 6) == ["checkpoint-000005.pt", "checkpoint-000006.pt"]
 
 
-def test_experience_goes_where_the_session_died_just_after_the_last_checkpoint(
+def test_experience_is_removed_even_if_the_session_died_just_after_the_last_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = _job("madqn", tmp_path)
