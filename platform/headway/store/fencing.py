@@ -36,13 +36,13 @@ def open_gate(directory: Path) -> Path:
 
     Raises HeadwayError if a gate cannot be removed or created.
     """
-    shut_gates(directory)
+    close_gates(directory)
     gate = directory / f"{_PREFIX}{secrets.token_hex(8)}"
     make_folder(gate)
     return gate
 
 
-def shut_gates(directory: Path) -> None:
+def close_gates(directory: Path) -> None:
     """Close all gates of a run's folder, so that no process can write to it. Raises HeadwayError if a gate
     cannot be renamed or removed."""
     for gate in directory.glob(f"{_PREFIX}*"):

@@ -86,8 +86,9 @@ def read(
     """Return the committed rows of a table from segments newer than iteration `after`, sorted by `iteration`
     (if that column exists), then in the order written. An empty frame if there are no rows.
 
-    `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if some rows lack
-    the column) or string, and may differ between segments. Raises HeadwayError if a segment cannot be read.
+    `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if some rows
+    lack the column) or string, and may differ between segments. Raises HeadwayError if a segment cannot be
+    read.
     """
     import pandas as pd
 

@@ -166,8 +166,7 @@ class RunSelection:
 
     def energy(self) -> "pd.DataFrame":
         """One row per sample: `time` (seconds since 1970) and the totals so far, over all sessions: `kwh` and
-        its components, `kg_co2`, `cpu_seconds` and `duration_s`. Runs without energy measurement have no
-        row."""
+        its components, `kg_co2`, `cpu_seconds`, `duration_s`. No rows for runs without energy measurement."""
         return self._read_runs(read_energy)
 
     def rules(self) -> "pd.DataFrame":

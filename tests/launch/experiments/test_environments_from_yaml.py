@@ -334,7 +334,7 @@ def test_a_run_of_an_environment_that_observed_otherwise_is_one_line(
     capsys.readouterr()
     assert run([command, "default" if command == "compare" else row.run_id]) == 2
     told = capsys.readouterr().err
-    assert f"run {row.run_id} was made by a version of trivial with other observations" in told
+    assert f"run {row.run_id} was trained on a version of trivial with other observations" in told
     assert "train it again" in told
     assert "ValueError" not in told
 

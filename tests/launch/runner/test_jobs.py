@@ -180,9 +180,7 @@ def test_a_store_that_cannot_be_made_is_said_before_its_disk_is_judged(tmp_path:
     jobs = plan_jobs(compose(["env=trivial", "algo=ippo"]))
     (tmp_path / "file").touch()
     for place in (tmp_path / "file" / "store", Path("/proc/nowhere")):
-        with pytest.raises(
-            HeadwayError, match=f"cannot write {place} .*check that the folder may be written"
-        ):
+        with pytest.raises(HeadwayError, match=f"cannot write {place} .*check the folder's permissions"):
             require_free_disk(place, jobs, 1)
 
 
