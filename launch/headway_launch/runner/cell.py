@@ -46,7 +46,7 @@ class SessionCell:
         cannot be written or another session holds a run."""
         if planned.resumed:
             stacked = len(planned.seeds) > 1
-            return [self._store.resume(run_id, of_a_stack=stacked) for run_id in planned.resumed]
+            return [self._store.resume(run_id, stacked=stacked) for run_id in planned.resumed]
         import yaml
 
         experiment = planned.experiment

@@ -73,7 +73,7 @@ class ParallelEnvBatch:
     environment sets both flags, the agent is terminated. With `shared_reward`, slots of absent agents get the
     team's reward.
 
-    NaN and infinity are passed on: the caller checks values and knows the names of its copies.
+    NaN and infinity are passed on: the caller checks values, since it can name the copies.
 
     Raises HeadwayError for spaces that differ between agents or are not supported, agents that leave early
     without `agents_come_and_go`, rewards that differ despite `shared_reward`, and episodes that end without

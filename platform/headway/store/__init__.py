@@ -1,8 +1,8 @@
-"""The experiment store: run folders that are the truth, MLflow and an index that follow them.
+"""Experiment store: run folders are the source of truth; MLflow and an index are derived from them.
 
-A training process writes `RunLog` and checkpoints; the session process writes the rest by `SessionStore`.
-`select` gives any runs as pandas frames.
-Importing this costs neither MLflow nor pandas, pyarrow or torch.
+A training process writes `RunLog` and checkpoints; the session process writes the rest through
+`SessionStore`. `select` returns any runs as pandas frames. Importing this package imports none of MLflow,
+pandas, pyarrow and torch.
 """
 
 from headway.store.checkpoint import load_latest, save_checkpoint

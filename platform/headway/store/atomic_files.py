@@ -1,4 +1,4 @@
-"""Files that are either wholly there or not there at all, whatever ends the process or the machine."""
+"""Atomic file writes: a file is complete or absent, even after a crash of the process or the machine."""
 
 import errno
 import json
@@ -16,15 +16,17 @@ _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used
 _PARTIAL = ".partial"
 
 
-def write_durably(path: Path, write: Callable[[IO[bytes]], object], made_in: Path | None = None) -> None:
-    """Let `write` fill a file that then takes the name `path`: a temporary name, fsync, rename, fsync of
-    the folder. Whatever had that name stays until the new file is whole. `made_in`: the folder of the
-    temporary name, on the same file system; None: that of `path`.
+def write_durably(
+    path: Path, write: Callable[[IO[bytes]], object], temporary_folder: Path | None = None
+) -> None:
+    """Write a file atomically: `write` fills a temporary file, then fsync, rename to `path`, fsync of the
+    folder. An older file at `path` stays until the new one is complete.
 
-    Raises HeadwayError in one line if the file cannot be written (disk full, no permission, ...).
+    `temporary_folder`, on the same file system, holds the temporary file; None: the folder of `path`. Raises
+    HeadwayError with one line if the file cannot be written (disk full, no permission, ...).
     """
     try:
-        descriptor, name = tempfile.mkstemp(_PARTIAL, f".{path.name}-", made_in or path.parent)
+        descriptor, name = tempfile.mkstemp(_PARTIAL, f".{path.name}-", temporary_folder or path.parent)
         temporary = Path(name)
         try:
             with os.fdopen(descriptor, "wb") as stream:
@@ -38,21 +40,21 @@ def write_durably(path: Path, write: Callable[[IO[bytes]], object], made_in: Pat
             raise
         sync_folder(path.parent)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise _write_error(path, error) from error
 
 
 def write_text(path: Path, text: str) -> None:
-    """`write_durably` for a text; raises HeadwayError alike."""
+    """Write text to a file by `write_durably`. Raises HeadwayError if it cannot be written."""
     write_durably(path, lambda stream: stream.write(text.encode()))
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """`write_durably` for a JSON object; raises HeadwayError alike."""
+    """Write a JSON object to a file by `write_durably`. Raises HeadwayError if it cannot be written."""
     write_text(path, json.dumps(content, indent=2, default=str) + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The JSON object in a file. Raises HeadwayError if it is missing or is none."""
+    """Read a JSON object. Raises HeadwayError if the file is missing, unreadable or holds no JSON object."""
     try:
         content = json.loads(path.read_text())
     except (OSError, ValueError) as error:
@@ -63,15 +65,15 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder and its parents. Raises HeadwayError if that is not possible."""
+    """Create a folder and its parents. Raises HeadwayError if it cannot be created."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise _write_error(path, error) from error
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames and removals in `folder` durable."""
+    """Flush a folder's entries to disk (fsync), so that renames and removals in it are durable."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -80,16 +82,16 @@ def sync_folder(folder: Path) -> None:
 
 
 def remove_partial(folder: Path, prefix: str) -> None:
-    """Remove half-written files of names that begin with `prefix`. Only for the one writer of those."""
+    """Remove partly written files whose names begin with `prefix`. Call it only from their single writer."""
     for leftover in folder.glob(f".{prefix}*{_PARTIAL}"):
         leftover.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked(path: Path, seconds: float, purpose: str) -> Iterator[None]:
-    """Hold an exclusive lock on the file `path` (created if need be) among processes of this machine.
+    """Hold an exclusive lock among the processes of this machine, on the file `path` (created if missing).
 
-    Raises HeadwayError if another process holds it for longer than `seconds`. A dead holder's lock is free.
+    A lock is released when its process ends. Raises HeadwayError after waiting for `seconds`.
     """
     import fcntl  # POSIX only; reading a store works without it
 
@@ -103,17 +105,17 @@ def locked(path: Path, seconds: float, purpose: str) -> Iterator[None]:
                 if time.monotonic() >= deadline:
                     raise HeadwayError(
                         f"{path} stayed locked for {seconds:g} s while {purpose}: "
-                        "end the other session that holds it, or try again"
+                        "end the session that holds the lock, or try again"
                     ) from None
                 time.sleep(0.05)
         yield
 
 
-def _unwritable(path: Path, error: OSError) -> HeadwayError:
+def _write_error(path: Path, error: OSError) -> HeadwayError:
     reason = _FULL.get(error.errno or 0)
     if reason is None:
-        return HeadwayError(f"cannot write {path} ({_reason(error)}): check that the folder may be written")
-    return HeadwayError(f"cannot write {path}: {reason}; free some space and resume, nothing kept is lost")
+        return HeadwayError(f"cannot write {path} ({_reason(error)}): check the folder's permissions")
+    return HeadwayError(f"cannot write {path}: {reason}; free some space and resume, saved data is intact")
 
 
 def _reason(error: Exception) -> str:

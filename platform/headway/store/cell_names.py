@@ -1,4 +1,4 @@
-"""What the cells of a study are called: by what was chosen and, where that is the same, how they were set."""
+"""Short names for the cells of a study, built from the choices and settings in which the cells differ."""
 
 import ast
 from collections import defaultdict
@@ -10,48 +10,48 @@ from headway.config.experiment import NO_PRESET
 from headway.store.index import RunRow
 from headway.store.run_folder import RunRecord
 
-_OF_TASK = "env."
+_TASK_PREFIX = "env."
 _ARGS = "env.args."
-_NOT_OF_TASK = "env.training_args."
-"""What is learned from, not what is reported on."""
+_TRAINING_ARGS = "env.training_args."
+"""Arguments of the training environment only; results are reported on the evaluation environment."""
 _WRAPPERS = "env.wrappers"
 _POLICIES = "algo.policies"
-"""Named by its value alone: `shared`."""
-_MOST_NAMED = 6
-"""Settings that a name has, all of them; of more it has the first."""
-_FIRST_NAMED = 3
+"""Shown by its value alone: `shared`."""
+_MAX_SHOWN = 6
+"""Maximum number of settings shown in full; a longer list is cut to the first `_FIRST_SHOWN`."""
+_FIRST_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
 class CellChoice:
-    """What makes a cell."""
+    """The choices and settings that define a cell."""
 
     environment: str
     algorithm: str
     preset: str
-    """Of hyper-parameters; empty where it is not known."""
+    """Hyper-parameter preset; empty if unknown."""
     parameters: Mapping[str, str]
-    """All its settings, by dotted names."""
+    """All settings by dotted name."""
     candidate: str = ""
-    """Of a search; empty where it is of none."""
+    """Name of the search candidate; empty if the cell is not part of a search."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellName:
-    """One cell among others. Different cells have different labels, and different pairs of the rest."""
+    """Name of one cell among others. Labels are unique, and so are the pairs of task and controller."""
 
     label: str
-    """The controller and, where there are several tasks, the task: `mappo merge_paper on merge`."""
+    """The controller and, if there are several tasks, the task: `mappo merge_paper on merge`."""
     task: str
-    """The environment, with those of its arguments that differ: `bus, scenario=corridor`."""
+    """The environment and those of its arguments that differ between cells: `bus, scenario=corridor`."""
     controller: str
-    """The algorithm, with as much more as tells it apart on its task: the preset (`mappo merge_paper`) where
-    presets differ, the candidate of a search (`mappo: own reward`), which policies (`ippo, shared`), settings
-    (`ippo, algo.lr=0.001`)."""
+    """The algorithm and whatever else makes it unique on its task: the preset (`mappo merge_paper`), the
+    search candidate (`mappo: own reward`), the policies (`ippo, shared`) and settings (`ippo,
+    algo.lr=0.001`)."""
 
 
 def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
-    """The runs of each cell by its label. Labels are in order. Raises HeadwayError for a run whose record
+    """Return the runs of each cell by its label, sorted by label. Raises HeadwayError if a run's record
     cannot be read."""
     rows = list(runs)
     names = cell_names(rows)
@@ -62,19 +62,20 @@ def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
 
 
 def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
-    """What each cell is called. Raises HeadwayError for a run whose record cannot be read."""
+    """Return the name of each cell, by its key in the store. Raises HeadwayError if a run's record cannot be
+    read."""
     cells: dict[str, list[RunRow]] = defaultdict(list)
     for run in runs:
         cells[run.cell].append(run)
-    return names_among({cell: _choice(of_cell) for cell, of_cell in cells.items()})
+    return names_among({cell: _choice(members) for cell, members in cells.items()})
 
 
 def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
-    """What each of some cells is called among the others."""
-    tasks = _told_apart({key: (cell.environment,) for key, cell in cells.items()}, cells, of_task=True)
-    # A controller is told apart from those on its own task: other tasks may need other settings.
+    """Return a name for each cell that is unique among `cells` and as short as possible."""
+    tasks = _unique_names({key: (cell.environment,) for key, cell in cells.items()}, cells, of_task=True)
+    # Controllers are compared within their own task: other tasks may need other settings.
     kinds = {key: (cell.algorithm, tasks[key]) for key, cell in cells.items()}
-    controllers = _told_apart(kinds, cells, of_task=False)
+    controllers = _unique_names(kinds, cells, of_task=False)
     several = len(set(tasks.values())) > 1
     return {
         key: CellName(
@@ -87,7 +88,8 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
 
 
 def _choice(runs: Sequence[RunRow]) -> CellChoice:
-    """Of a cell, whose older runs may not know its preset or candidate: one record is read, the newest."""
+    """Return the choices and settings of the cell of `runs`, read from its newest run's record."""
+    # Older runs may have been stored without the preset or the candidate.
     run = max(runs, key=lambda each: each.started)
     record = RunRecord.read(Path(run.directory))
     preset = next((each.preset for each in runs if each.preset), "")
@@ -95,38 +97,40 @@ def _choice(runs: Sequence[RunRow]) -> CellChoice:
     return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate)
 
 
-def _told_apart(
+def _unique_names(
     kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice], of_task: bool
 ) -> dict[str, str]:
-    """Of each cell, the first of its `kinds` and what tells it apart from others of its kinds: the preset,
-    the candidate of a search, then which policies, then the settings that are not the same in all that are
-    still alike."""
-    settings = {key: _parted(cell.parameters, of_task) for key, cell in cells.items()}
-    alike: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    """Return a unique name per cell and kind: the first item of its kind, then the preset, search candidate,
+    policies and settings that differ between the cells of that kind.
+
+    `of_task`: compare the settings of the task; else the settings of the controller.
+    """
+    settings = {key: _settings_of(cell.parameters, of_task) for key, cell in cells.items()}
+    groups: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for key, kind in kinds.items():
-        alike[kind].append(key)
-    # What has several presets on one task is called by them on each.
-    by_preset = {kind[0] for kind, keys in alike.items() if _presets_differ(keys, cells, settings)}
-    by_candidate = set() if of_task else _of_several_candidates(kinds, cells)
-    told: dict[str, str] = {}
-    for kind, of_kind in alike.items():
+        groups[kind].append(key)
+    # An algorithm that needs its preset in the name on one task shows it on all tasks.
+    by_preset = {kind[0] for kind, keys in groups.items() if _presets_differ(keys, cells, settings)}
+    by_candidate = set() if of_task else _with_candidates(kinds, cells)
+    names: dict[str, str] = {}
+    for kind, keys in groups.items():
         named: dict[str, list[str]] = defaultdict(list)
-        for preset, of_preset in _by_preset(of_kind, cells, kind[0] in by_preset).items():
-            for key in of_preset:
+        for preset, preset_keys in _by_preset(keys, cells, kind[0] in by_preset).items():
+            for key in preset_keys:
                 candidate = f": {cells[key].candidate}" if kind[0] in by_candidate else ""
                 named[f"{kind[0]}{preset}{candidate}"].append(key)
-        for name, of_name in named.items():
-            for policies, members in _by_policies(of_name, settings).items():
-                own = _settings([settings[key] for key in members])
-                told |= {
+        for name, named_keys in named.items():
+            for policies, members in _by_policies(named_keys, settings).items():
+                own = _shown_settings([settings[key] for key in members])
+                names |= {
                     key: ", ".join((f"{name}{policies}", *differing))
                     for key, differing in zip(members, own, strict=True)
                 }
-    return told
+    return names
 
 
-def _of_several_candidates(kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice]) -> set[str]:
-    """The first of those kinds of which all cells, on all tasks, are candidates of a search, and several."""
+def _with_candidates(kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice]) -> set[str]:
+    """Return the algorithms whose cells, on all tasks, belong to at least two candidates of a search."""
     candidates: dict[str, set[str]] = defaultdict(set)
     for key, kind in kinds.items():
         candidates[kind[0]].add(cells[key].candidate)
@@ -136,16 +140,16 @@ def _of_several_candidates(kinds: Mapping[str, tuple[str, ...]], cells: Mapping[
 def _presets_differ(
     keys: Sequence[str], cells: Mapping[str, CellChoice], settings: Mapping[str, Mapping[str, str]]
 ) -> bool:
-    """Whether cells are of several presets: not where one is not known, or two set the same."""
+    """True if the presets of the cells are all known, at least two, and each has settings of its own."""
     owners: dict[tuple[tuple[str, str], ...], set[str]] = defaultdict(set)
     for key in keys:
         owners[tuple(sorted(settings[key].items()))].add(cells[key].preset)
     presets = {cells[key].preset for key in keys}
-    return "" not in presets and len(presets) > 1 and all(len(of_same) == 1 for of_same in owners.values())
+    return "" not in presets and len(presets) > 1 and all(len(names) == 1 for names in owners.values())
 
 
 def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool) -> dict[str, list[str]]:
-    """The cells of each preset by what their names have of it, which is nothing unless `named`."""
+    """Group cells by the part of the name that shows their preset; the part is empty unless `named`."""
     if not named:
         return {"": list(keys)}
     groups: dict[str, list[str]] = defaultdict(list)
@@ -157,46 +161,48 @@ def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool
 
 
 def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]]) -> dict[str, list[str]]:
-    """The cells of each kind of policies by what their names have of it: nothing where it is the same."""
+    """Group cells by the part of the name that shows their policies; the part is empty if all have the
+    same."""
     groups: dict[str, list[str]] = defaultdict(list)
     for key in keys:
         groups[f", {settings[key].get(_POLICIES, 'without ' + _POLICIES)}"].append(key)
     return groups if len(groups) > 1 else {"": list(keys)}
 
 
-def _settings(cells: Sequence[Mapping[str, str]]) -> list[Sequence[str]]:
-    """Of each cell, `name=value` of the settings that are not the same in all; `without name` where it has
-    none. Of many the first few are named, if that will do to tell the cells apart: cells of two presets, of
-    which it is not known that they are, differ in a dozen."""
-    whole = _differing(cells)
-    short = [_first_few(own) for own in whole]
-    return short if len(set(map(tuple, short))) == len(set(map(tuple, whole))) else list(whole)
+def _shown_settings(cells: Sequence[Mapping[str, str]]) -> list[Sequence[str]]:
+    """Return the settings that differ between the cells, per cell: `name=value`, or `without name`. A long
+    list is cut if the cells stay distinct."""
+    # Cells of two presets that were stored without the preset's name differ in a dozen settings.
+    full = _differing(cells)
+    short = [_first_few(own) for own in full]
+    return short if len(set(map(tuple, short))) == len(set(map(tuple, full))) else list(full)
 
 
 def _first_few(settings: Sequence[str]) -> Sequence[str]:
-    if len(settings) <= _MOST_NAMED:
+    if len(settings) <= _MAX_SHOWN:
         return settings
-    return (*settings[:_FIRST_NAMED], f"{len(settings) - _FIRST_NAMED} settings more")
+    return (*settings[:_FIRST_SHOWN], f"{len(settings) - _FIRST_SHOWN} settings more")
 
 
-def _parted(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:
-    """The parameters of a cell that say what it is reported on, or the others."""
+def _settings_of(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:
+    """Return the parameters that define the cell's task, or those that define its controller."""
 
-    def says_what(name: str) -> bool:
-        return name.startswith(_OF_TASK) and not name.startswith(_NOT_OF_TASK)
+    def defines_task(name: str) -> bool:
+        return name.startswith(_TASK_PREFIX) and not name.startswith(_TRAINING_ARGS)
 
-    parted = {name: value for name, value in parameters.items() if says_what(name) is of_task}
-    parted.pop(_WRAPPERS, None)
+    settings = {name: value for name, value in parameters.items() if defines_task(name) is of_task}
+    settings.pop(_WRAPPERS, None)
     if wrappers := _wrappers(parameters.get(_WRAPPERS, "[]"), of_task):
-        parted[_WRAPPERS] = wrappers
-    return parted
+        settings[_WRAPPERS] = wrappers
+    return settings
 
 
 def _wrappers(text: str, of_task: bool) -> str:
-    """Wrappers that only change rewards are there while learning only. Empty where there are none."""
+    """Return the wrappers that define the task or, if not `of_task`, those that only change rewards and so
+    belong to the controller. Empty if there are none."""
     from headway.registry import wrapper_entry
 
-    # Not evaluated: an argument may be infinite, and `inf` is no literal.
+    # Parsed but not evaluated: an argument may be infinite, and `inf` is no Python literal.
     listed = ast.parse(text, mode="eval").body
     assert isinstance(listed, ast.List)
     kept = [each for each in listed.elts if wrapper_entry(_name(each)).only_rewards is not of_task]
@@ -211,16 +217,13 @@ def _name(wrapper: ast.expr) -> str:
 
 
 def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Of each cell, `name=value` of the parameters that are not the same in all, those of a task by the names
-    that the environment has for them."""
+    """Return the parameters that differ between the cells, per cell, as `name=value` or `without name`.
+    Environment arguments are shown without their prefix."""
     names = list(dict.fromkeys(name for cell in cells for name in cell))
     differing = {
         name: name.removeprefix(_ARGS) for name in names if len({cell.get(name) for cell in cells}) > 1
     }
     return [
-        [
-            f"{called}={cell[name]}" if name in cell else f"without {called}"
-            for name, called in differing.items()
-        ]
+        [f"{shown}={cell[name]}" if name in cell else f"without {shown}" for name, shown in differing.items()]
         for cell in cells
     ]

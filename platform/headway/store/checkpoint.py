@@ -1,7 +1,7 @@
-"""Checkpoints: whole or recognised as broken, and loadable without running anything from the file.
+"""Checkpoints with a checksum, loaded without executing code from the file.
 
-A file is a magic line, the SHA-256 of the rest, and what `torch.save` wrote. The experience that a learner
-replays, which can be large, stands in a file of its own beside the checkpoint, as long as the run may go on.
+A file is a magic line, the SHA-256 of the rest, and the output of `torch.save`. A replay buffer, which can be
+large, is stored in a separate file beside the checkpoint and removed when the run has finished.
 """
 
 import hashlib
@@ -24,15 +24,16 @@ _KIND = "__headway__"
 
 
 def save_checkpoint(directory: Path, iteration: int, state: Mapping[str, Any]) -> Path:
-    """`write_checkpoint` of `checkpoint_bytes`; raises as they do."""
+    """Serialise `state` and write it as the checkpoint of `iteration`. Raises ValueError for a value of an
+    unsupported type, and HeadwayError if the file cannot be written."""
     return write_checkpoint(directory, iteration, checkpoint_bytes(state))
 
 
 def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
-    """The contents of a checkpoint's file.
+    """Return the contents of a checkpoint file.
 
     `state` holds tensors, numpy arrays and scalars, numbers, strings, bytes, None, and lists, tuples and
-    dicts of these. Raises ValueError, naming its place, for anything else.
+    dicts of these. Raises ValueError, with the path to the value, for any other type.
     """
     import torch
 
@@ -43,21 +44,22 @@ def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
 
 
 def write_checkpoint(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
-    """Write the checkpoint of `iteration` durably, through a gate (see `headway.store.fencing`) if there is
-    one, and keep the last two.
+    """Write the checkpoint of `iteration` durably and keep the last two.
 
-    Raises HeadwayError if it cannot be written, and then the earlier checkpoints are untouched.
+    `gate`: see `headway.store.fencing`; None: write without one. Raises HeadwayError if the file cannot be
+    written; earlier checkpoints are then unchanged.
     """
     return _write(directory, "checkpoint", iteration, content, gate)
 
 
 def write_experience(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
-    """The same for the experience that the checkpoint of `iteration`, to be written after it, needs."""
+    """Write the replay buffer that belongs to the checkpoint of `iteration`, before that checkpoint is
+    written. Arguments and errors as in `write_checkpoint`."""
     return _write(directory, "experience", iteration, content, gate)
 
 
 def remove_experience(directory: Path, gate: Path | None = None) -> None:
-    """Delete all experience: a run that has finished needs it no more."""
+    """Delete all stored replay buffers of a finished run. Raises HeadwayError if the gate has been closed."""
     for _, path in _files(directory, "experience"):
         discard(path, gate)
 
@@ -74,18 +76,19 @@ def _write(directory: Path, kind: str, iteration: int, content: bytes, gate: Pat
 
 
 def load_to_go_on(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
-    """`load_latest` of those whose experience, if they have any, is whole too: it stands in the state as
-    `experience`, else None. A stack's experience stands in one of its folders."""
-    return _newest_whole(directories, _with_experience(directories))
+    """Load the newest checkpoint from which training can resume: like `load_latest`, but with the replay
+    buffer in the state as `experience` (None: the learner has none). A stack keeps it in one of its
+    folders."""
+    return _newest_valid(directories, _with_experience(directories))
 
 
 def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
-    """(iteration, state, notices) of the newest whole checkpoint in folders that hold the same ones, as far
-    as they hold them (a stack's); tensors are on the CPU.
+    """Return (iteration, state, notices) of the newest valid checkpoint, with tensors on the CPU.
 
-    A notice is one line about a checkpoint that had to be passed over. Raises HeadwayError if none is whole.
+    The folders, one per seed of a stack, hold copies of the same checkpoints; some may be missing. A notice
+    is one line about a broken checkpoint that was skipped. Raises HeadwayError if none is valid.
     """
-    return _newest_whole(directories, _load)
+    return _newest_valid(directories, _load)
 
 
 def _with_experience(directories: Sequence[Path]) -> Callable[[Path], dict[str, Any]]:
@@ -96,40 +99,42 @@ def _with_experience(directories: Sequence[Path]) -> Callable[[Path], dict[str, 
         name = path.name.replace("checkpoint", "experience")
         found = [directory / name for directory in directories if (directory / name).exists()]
         if not found:
-            raise ValueError(f"{name}, which it needs, is not there")
+            raise ValueError(f"its replay buffer {name} is missing")
         try:
             return {**state, "experience": _load(found[0])}
         except ValueError as error:
-            raise ValueError(f"{name}, which it needs, is broken: {error}") from error
+            raise ValueError(f"its replay buffer {name} is broken: {error}") from error
 
     return load
 
 
-def _newest_whole(
+def _newest_valid(
     directories: Sequence[Path], load: Callable[[Path], dict[str, Any]]
 ) -> tuple[int, dict[str, Any], tuple[str, ...]]:
     notices: list[str] = []
     found = [entry for directory in directories for entry in _files(directory, "checkpoint")]
-    # The sort is stable: of one iteration, the first folder's comes first.
+    # The sort is stable: within an iteration the first folder's checkpoint comes first.
     for iteration, path in sorted(found, key=lambda entry: -entry[0]):
         try:
             return iteration, load(path), tuple(notices)
         except (OSError, ValueError) as error:
-            notices.append(f"checkpoint {path.name} is broken ({error}) and was passed over")
+            notices.append(f"checkpoint {path.name} is broken ({error}) and was skipped")
     where = " or ".join(str(directory) for directory in directories)
     if notices:
-        raise HeadwayError(f"no checkpoint in {where} is whole: start the run anew ({'; '.join(notices)})")
+        raise HeadwayError(
+            f"every checkpoint in {where} is broken: start the run anew ({'; '.join(notices)})"
+        )
     raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
 
 
 def latest_iteration(directory: Path) -> int | None:
-    """Iteration of the newest checkpoint by name, without reading it; None if there is none."""
+    """Return the iteration in the name of the newest checkpoint, without reading it; None: no checkpoint."""
     checkpoints = _files(directory, "checkpoint")
     return checkpoints[0][0] if checkpoints else None
 
 
 def _files(directory: Path, kind: str) -> list[tuple[int, Path]]:
-    """(iteration, path) of the files of a kind, the newest first."""
+    """Return (iteration, path) of the files of a kind, newest first."""
     matches = ((_NAMES[kind].fullmatch(path.name), path) for path in directory.glob(f"{kind}-*.pt"))
     return sorted(((int(match[1]), path) for match, path in matches if match), reverse=True)
 
@@ -142,13 +147,13 @@ def _load(path: Path) -> dict[str, Any]:
     content = path.read_bytes()
     header = len(_MAGIC) + hashlib.sha256().digest_size
     if not content.startswith(_MAGIC):
-        raise ValueError("it does not begin as a checkpoint does")
+        raise ValueError("it does not begin with the checkpoint header")
     if hashlib.sha256(memoryview(content)[header:]).digest() != content[len(_MAGIC) : header]:
         raise ValueError("its checksum does not match")
     try:
         state = torch.load(io.BytesIO(memoryview(content)[header:]), map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-        raise ValueError("torch refuses it: " + str(error).splitlines()[0]) from error
+        raise ValueError("torch cannot load it: " + str(error).splitlines()[0]) from error
     decoded = _decoded(state)
     if not isinstance(decoded, dict):
         raise ValueError("it holds no state")
@@ -160,7 +165,7 @@ def _encoded(value: Any, place: str) -> Any:  # noqa: ANN401 - any allowed leaf 
 
     match value:
         case torch.Tensor():
-            # A view would drag its whole storage into the file.
+            # Saving a view would write its whole storage.
             return value.detach().cpu().clone()
         case np.ndarray() | np.generic():
             return _encoded_array(value, place)

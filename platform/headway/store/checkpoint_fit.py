@@ -1,4 +1,4 @@
-"""Whether parameters of a checkpoint are those of a policy as it would be made now."""
+"""Check that the parameters of a checkpoint have the shapes of the current policy."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ from headway.contracts.errors import HeadwayError
 def require_fitting(
     parameters: Parameters, policy: ActingPolicy, replicas: int, environment: str, run: Path
 ) -> None:
-    """Raise HeadwayError where arrays of the `replicas` of a checkpoint, in the folder of a run, have other
-    shapes than the policy's. The configuration of a run is kept whole, so it is the environment that has
-    changed since."""
+    """Raise HeadwayError if a checkpoint's arrays for `replicas` replicas, from the folder `run`, do not have
+    the shapes of `policy`."""
+    # A run is loaded with its stored configuration: only a change of the environment explains other shapes.
     for name, (shape, _) in policy.parameter_shapes(replicas).items():
         if name not in parameters or np.shape(parameters[name]) != shape:
             raise HeadwayError(
-                f"run {run.name} was made by a version of {environment} with other observations, actions or "
-                "agents; train it again"
+                f"run {run.name} was trained on a version of {environment} with other observations, actions "
+                "or agents; train it again"
             )

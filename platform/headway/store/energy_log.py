@@ -1,4 +1,4 @@
-"""The energy samples of one run, in `energy.parquet`."""
+"""Energy samples of one run, in `energy.parquet`."""
 
 import time
 from pathlib import Path
@@ -16,7 +16,7 @@ _WRITE_SECONDS = 60.0
 
 
 class EnergyLog:
-    """Gathers samples and rewrites the file with all of them, those of earlier sessions included."""
+    """Energy samples of a run, those of earlier sessions included; each write rewrites the file."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / _NAME
@@ -25,16 +25,17 @@ class EnergyLog:
         self._written = time.monotonic()
 
     def append(self, sample: Row) -> None:
-        """Add one sample; it is durable after `write`."""
+        """Add one sample; `write` makes it durable."""
         self._rows.append(sample)
 
     def last(self) -> Row:
-        """The last sample, of an earlier session if this one has none yet; empty if there is none."""
+        """Return the last sample, from an earlier session if this one has none yet; empty if there is
+        none."""
         self._load()
         return self._rows[-1] if self._rows else {}
 
     def write_if_due(self) -> None:
-        """Write if the last time is a minute ago; raises as `write` does."""
+        """Write if the last write is at least a minute ago. Raises HeadwayError if that fails."""
         if time.monotonic() - self._written >= _WRITE_SECONDS:
             self.write()
 
@@ -62,8 +63,8 @@ class EnergyLog:
 
 
 def read_energy(directory: Path) -> "pd.DataFrame":
-    """All samples of the run in `directory`, the oldest first; an empty frame if it has none. Raises
-    HeadwayError for a file that cannot be read."""
+    """Return all samples of the run in `directory`, oldest first; an empty frame if it has none. Raises
+    HeadwayError if the file cannot be read."""
     import pandas as pd
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -1,12 +1,12 @@
-"""One writer at a time in a run's folder, on any file system that machines share.
+"""Fencing: at most one process can write to a run's folder, on any file system shared between machines.
 
-A training process writes to a run's folder only through a gate: a folder inside it, of a name that was
-never there before. A file is made in the gate and moved out of it, and one that goes is moved into it. Who
-hands the run to another process renames the gate first, which shuts it, and removes it. From then on whoever
-held it can change nothing, however late it wakes, because a file system moves nothing from or to a folder
-that is gone: there is no moment between looking and writing, and no clock or lock that a cut-off machine
-would have to agree about. The name alone would not do where another machine still knows the folder by its
-handle (NFS); what only waits to be closed on this machine, whose names are up to date, may be left.
+A training process writes only through a *gate*, a subfolder of the run's folder with a unique random name: a
+new file is created in the gate and renamed out of it, and a file to remove is first renamed into it. Before a
+run is handed to another process, its gate is renamed (which closes it) and removed. A former writer that
+wakes up late can then change nothing: a rename from or to a removed folder fails. The rename checks and
+writes in one atomic step, so no clock or lock is needed that a disconnected machine would have to agree on.
+Renaming alone is not enough on NFS, where another machine may still reach the folder by its file handle, so
+it is removed too.
 """
 
 import errno
@@ -22,41 +22,41 @@ from headway.store.atomic_files import make_folder, write_durably
 
 _PREFIX = ".gate-"
 _SHUT = ".shut-"
-"""Instead of the prefix, until a gate is removed."""
+"""Prefix of a closed gate until it is removed."""
 _ATTEMPTS = 100
 _PAUSE_S = 0.01
 _IN_USE = (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT, errno.ESTALE)
-"""Of a folder in which something is just being made, moved or removed."""
+"""Errors of a folder whose entries change while it is removed."""
 _GONE = (errno.ENOENT, errno.ESTALE)
-"""Of a folder that is gone; ESTALE: and was known by its handle, on NFS."""
+"""Errors of a folder that was removed; ESTALE: on NFS, reached by its file handle."""
 
 
 def open_gate(directory: Path) -> Path:
-    """Shut out whoever may write to a run's folder, and open it for one other.
+    """Close all gates of a run's folder and return a new one, for one writer.
 
-    Raises HeadwayError if that is not possible.
+    Raises HeadwayError if a gate cannot be removed or created.
     """
-    shut_gates(directory)
+    close_gates(directory)
     gate = directory / f"{_PREFIX}{secrets.token_hex(8)}"
     make_folder(gate)
     return gate
 
 
-def shut_gates(directory: Path) -> None:
-    """Shut out whoever may write to a run's folder. Raises HeadwayError if that is not possible."""
+def close_gates(directory: Path) -> None:
+    """Close all gates of a run's folder, so that no process can write to it. Raises HeadwayError if a gate
+    cannot be renamed or removed."""
     for gate in directory.glob(f"{_PREFIX}*"):
         try:
             gate.rename(gate.with_name(gate.name.replace(_PREFIX, _SHUT, 1)))
         except OSError as error:
             if error.errno not in _GONE:
-                raise HeadwayError(f"cannot rename {gate} ({error.strerror}): remove it") from error
+                raise HeadwayError(f"cannot rename {gate} ({error.strerror}): remove it by hand") from error
     for gate in directory.glob(f"{_SHUT}*"):
         _remove(gate)
 
 
 def _remove(gate: Path) -> None:
-    """Remove a shut gate; what NFS keeps of it because a process of this machine has it open goes when a gate
-    is shut here next."""
+    """Remove a closed gate. Raises HeadwayError if it stays in use."""
     for _ in range(_ATTEMPTS):
         try:
             shutil.rmtree(gate)
@@ -65,29 +65,31 @@ def _remove(gate: Path) -> None:
                 return
         except OSError as error:
             if error.errno == errno.EBUSY:
+                # A file that a process of this machine has open, on NFS: the next call removes it. It does no
+                # harm, since this machine already sees the gate under its new name.
                 return
             if error.errno not in _IN_USE:
-                raise HeadwayError(f"cannot remove {gate} ({error.strerror}): remove it") from error
+                raise HeadwayError(f"cannot remove {gate} ({error.strerror}): remove it by hand") from error
         else:
             return
         time.sleep(_PAUSE_S)
-    raise HeadwayError(f"cannot remove {gate}, which fills again and again: end what writes there")
+    raise HeadwayError(f"cannot remove {gate}, which another process keeps writing to: end that process")
 
 
 def write_through(path: Path, write: Callable[[IO[bytes]], object], gate: Path | None) -> None:
-    """`write_durably` by whoever holds the gate; no gate: by anybody. Raises HeadwayError as that does, and
-    if the gate has been shut."""
+    """Write a file by `write_durably` through a gate; None: without fencing. Raises HeadwayError if the file
+    cannot be written or the gate has been closed."""
     try:
-        write_durably(path, write, made_in=gate)
+        write_durably(path, write, temporary_folder=gate)
     except HeadwayError as error:
         _require_open(gate, error)
         raise
 
 
 def discard(path: Path, gate: Path | None) -> None:
-    """Remove a file, by whoever holds the gate; no gate: by anybody. That it is gone already is no error.
+    """Remove a file, if it exists, through a gate; None: without fencing.
 
-    Raises HeadwayError if the gate has been shut.
+    Raises HeadwayError if the gate has been closed.
     """
     if gate is None:
         path.unlink(missing_ok=True)
@@ -103,7 +105,7 @@ def discard(path: Path, gate: Path | None) -> None:
 def _require_open(gate: Path | None, error: Exception) -> None:
     if gate is not None and not _is_open(gate, error):
         raise HeadwayError(
-            f"another training process has taken over {gate.parent}: this one ends, and changes nothing there"
+            f"another training process has taken over {gate.parent}: this one ends without changing it"
         ) from error
 
 

@@ -1,7 +1,7 @@
-"""The summary index: one row a run, kept in SQLite beside the runs and derived from their folders alone.
+"""Summary index: one row per run, cached in SQLite beside the runs and derived from their folders alone.
 
-Each query compares the folders' `run.json` and `summary.json` with what was last seen and reads the changed
-ones again, so the index needs no repair: lost, stale or corrupt, it is made anew.
+Each query compares the size and time of every `run.json` and `summary.json` with the stored ones and reads
+the changed files again. The index needs no repair: if it is lost, stale or corrupt, it is rebuilt.
 """
 
 import math
@@ -32,25 +32,25 @@ _WAIT_SECONDS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class RunRow:
-    """One run at a glance; None where a figure is not known (yet)."""
+    """Summary of one run; None: not known yet."""
 
     study: str
     environment: str
     algorithm: str
     policies: str
     preset: str
-    """Empty where it is not known."""
+    """Hyper-parameter preset; empty if unknown."""
     cell: str
-    """The same for all seeds of one environment, algorithm and parameters."""
+    """Key of the cell: the same for all seeds of one environment, algorithm and set of parameters."""
     seed: int
     status: Status
     iterations: int
-    """Iterations done, as far as durable."""
+    """Number of durable iterations."""
     env_steps: int
     final_reward: float | None
     auc: float | None
     cpu_seconds: float | None
-    """Of its training process and workers, in all sessions."""
+    """CPU time of the training process and its workers, over all sessions."""
     kwh: float | None
     kg_co2: float | None
     started: str
@@ -60,14 +60,14 @@ class RunRow:
     host: str
     pid: int
     created: float
-    """With `host` and `pid`: the session process."""
+    """Start of the session process, seconds since 1970; identifies it together with `host` and `pid`."""
 
 
 _COLUMNS = tuple(item.name for item in fields(RunRow))
 
 
 class RunIndex:
-    """Summaries of the runs under `root`. Any number of processes may use it at once."""
+    """Summaries of the runs under `root`. Several processes may use it at the same time."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
@@ -75,21 +75,22 @@ class RunIndex:
         """One line for each run folder that could not be read at the last query."""
 
     def rows(self, study: str | None = None) -> list[RunRow]:
-        """All runs (of a study), the oldest first; a run whose session is gone counts as KILLED."""
+        """Return all runs, or those of a study, oldest first. A run whose session process has ended counts as
+        KILLED."""
         self.notices = []
         if not self.root.is_dir():
             return []
         try:
             rows = self._query(self.root / _NAME)
         except sqlite3.OperationalError:
-            # Locked for long, or a folder that may not be written: answer without keeping the answer.
+            # The database stayed locked or the folder is read-only: build the index in memory.
             rows = self._query(Path(":memory:"))
         except sqlite3.DatabaseError:
             for suffix in ("", "-journal"):
                 (self.root / f"{_NAME}{suffix}").unlink(missing_ok=True)
             rows = self._query(self.root / _NAME)
-        now = (_settled(row) for row in rows)
-        return [row for row in now if study is None or row.study == study]
+        current = (_settled(row) for row in rows)
+        return [row for row in current if study is None or row.study == study]
 
     def _query(self, path: Path) -> list[RunRow]:
         with closing(sqlite3.connect(path, timeout=_WAIT_SECONDS, isolation_level=None)) as database:
@@ -153,11 +154,11 @@ def _row(folder: Path) -> RunRow:
         status=record.status,
         iterations=record.durable_iteration,
         env_steps=record.durable_env_steps,
-        final_reward=_figure(summary, "final_reward"),
-        auc=_figure(summary, "auc"),
-        cpu_seconds=_figure(summary, "cpu_seconds"),
-        kwh=_figure(summary, "kwh"),
-        kg_co2=_figure(summary, "kg_co2"),
+        final_reward=_number(summary, "final_reward"),
+        auc=_number(summary, "auc"),
+        cpu_seconds=_number(summary, "cpu_seconds"),
+        kwh=_number(summary, "kwh"),
+        kg_co2=_number(summary, "kg_co2"),
         started=record.started,
         duration_s=record.duration_s,
         run_id=record.run_id,
@@ -168,7 +169,7 @@ def _row(folder: Path) -> RunRow:
     )
 
 
-def _figure(summary: Mapping[str, Any], name: str) -> float | None:
+def _number(summary: Mapping[str, Any], name: str) -> float | None:
     value = summary.get(name)
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 

@@ -1,7 +1,7 @@
-"""The Parquet log of one run: the truth about its curve, episodes and evaluations.
+"""Parquet log of one run: the source of truth for its learning curve, episodes and evaluations.
 
-A table is a row of segments `TABLE-ITERATION.parquet`, each whole or absent, so a killed run keeps all
-that was committed and a resumed one drops what its checkpoint does not know.
+A table is a sequence of segment files `TABLE-ITERATION.parquet`, each complete or absent: a killed run keeps
+every committed row, and a resumed run removes the segments newer than its checkpoint.
 """
 
 import numbers
@@ -25,8 +25,10 @@ _SEGMENT = re.compile(r"(?P<table>[a-z]+)-(?P<iteration>\d{6,})\.parquet")
 
 
 class RunLog:
-    """Appends rows to the tables in a run's folder, through a gate (see `headway.store.fencing`) if there is
-    one. One process writes; any number may read."""
+    """Writer of the tables in a run's folder. One process writes; any number may read.
+
+    `gate`: see `headway.store.fencing`; None: write without one.
+    """
 
     def __init__(self, directory: Path, gate: Path | None = None) -> None:
         self.directory, self._gate = directory, gate
@@ -36,20 +38,20 @@ class RunLog:
         self._rows: dict[Table, list[dict[str, float | int | str]]] = {table: [] for table in TABLES}
 
     def append(self, table: Table, rows: Iterable[Row]) -> None:
-        """Add rows of floats, integers and strings; they become visible and durable at `commit`.
+        """Add rows of floats, integers and strings; `commit` makes them visible and durable.
 
-        Raises ValueError, naming the column, for any other value.
+        Raises ValueError, with the name of the column, for a value of another type.
         """
         self._rows[table].extend(
             {column: _plain(column, value) for column, value in row.items()} for row in rows
         )
 
     def commit(self, iteration: int) -> None:
-        """Write all rows appended so far as the segments of `iteration`, durably.
+        """Write all rows appended so far durably as the segments of `iteration`.
 
-        A further commit at the same iteration adds to its segments. Raises HeadwayError if they cannot be
-        written (disk full, say, or the gate shut); then the rows are kept for a later commit. Raises
-        ValueError for a column that mixes text and numbers.
+        Another commit at the same iteration extends its segments. Raises HeadwayError if a segment cannot be
+        written (full disk, closed gate, ...); its rows are kept for a later commit. Raises ValueError if a
+        column mixes text and numbers.
         """
         import pyarrow.parquet as pq
 
@@ -68,8 +70,8 @@ class RunLog:
             rows.clear()
 
     def rewind(self, iteration: int) -> None:
-        """Drop what is newer than `iteration`: segments after it, and rows not committed. Raises HeadwayError
-        if the gate has been shut."""
+        """Remove all segments newer than `iteration` and all rows not yet committed. Raises HeadwayError if
+        the gate has been closed."""
         for rows in self._rows.values():
             rows.clear()
         for _, newer, path in _segments(self.directory):
@@ -81,11 +83,12 @@ class RunLog:
 def read(
     directory: Path, table: Table, after: int = -1, columns: Sequence[str] | None = None
 ) -> "pd.DataFrame":
-    """All committed rows of a table, sorted by `iteration` (where that column exists) and otherwise in
-    the order written; only of segments newer than iteration `after`, and only of `columns`, where they exist.
+    """Return the committed rows of a table from segments newer than iteration `after`, sorted by `iteration`
+    (if that column exists), then in the order written. An empty frame if there are no rows.
 
-    Columns are float64, int64 (float64 where rows lack it) or string; columns may differ between segments.
-    An empty frame if there are no rows. Raises HeadwayError for a segment that cannot be read.
+    `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if some rows
+    lack the column) or string, and may differ between segments. Raises HeadwayError if a segment cannot be
+    read.
     """
     import pandas as pd
 
@@ -99,7 +102,8 @@ def read(
 
 
 def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, float | int | str]]:
-    """As `read`, without pandas: one mapping a row, without the columns that it lacks."""
+    """Return the rows that `read` returns, without importing pandas: one mapping per row, without missing
+    values. Raises HeadwayError if a segment cannot be read."""
     tables = _tables(directory, table, after)
     rows = [
         {column: value for column, value in row.items() if value is not None}
@@ -110,7 +114,7 @@ def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, 
 
 
 def read_curve(directory: Path, metric: str) -> dict[int, float]:
-    """Environment steps -> value, of the rows of a run's curve that have a metric."""
+    """Return the learning curve of a metric: environment steps -> value."""
     rows = read_rows(directory, "curve")
     return {int(row["env_steps"]): float(row[metric]) for row in rows if metric in row}
 
@@ -130,7 +134,7 @@ def _tables(
             known = [name for name in columns or () if name in segment.schema_arrow.names]
             tables.append(segment.read(None if columns is None else known))
         except FileNotFoundError:
-            continue  # a rewind took it between the listing and the reading
+            continue  # removed by a rewind since the folder was listed
         except (OSError, pa.ArrowInvalid) as error:
             raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
     return tables
@@ -142,7 +146,7 @@ def _segments(directory: Path, table: Table | None = None) -> list[tuple[str, in
     return sorted(entry for entry in found if table is None or entry[0] == table)
 
 
-def _plain(column: str, value: Any) -> float | int | str:  # noqa: ANN401 - whatever a caller hands over
+def _plain(column: str, value: Any) -> float | int | str:  # noqa: ANN401 - any type; checked here
     if isinstance(value, str):
         return str(value)
     if isinstance(value, numbers.Integral):

@@ -1,4 +1,4 @@
-"""What a run was made with: versions, revision, hardware."""
+"""Provenance of a run: package versions, git revision, hardware."""
 
 import platform
 import subprocess
@@ -10,7 +10,7 @@ import psutil
 
 from headway.rollout.workers.usage import usable_cores
 
-# What simulates, too: its version may change every curve.
+# Simulators included: another version may change every result.
 _PACKAGES = (
     "headway",
     "numpy",
@@ -32,8 +32,8 @@ def _provenance(project: Path) -> tuple[tuple[str, str], ...]:
 
 
 def provenance(project: Path | None = None) -> dict[str, str]:
-    """Tags that say what a run was made with; `project` (default: the current folder) is asked for its
-    git revision. Imports none of the packages it names. What cannot be found out is left out."""
+    """Return package versions, the git revision of `project` (default: the current folder) and the hardware,
+    as tags of a run. Imports none of those packages; leaves out what cannot be determined."""
     return dict(_provenance((project or Path.cwd()).resolve()))
 
 
@@ -87,7 +87,7 @@ def _cpu_model() -> str:
 
 
 def _gpu_models() -> list[str]:
-    # The driver's own listing: NVML's library would cost an import and a start of the driver.
+    # Read from /proc: the NVML library would need an import and would initialise the driver.
     listings = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
     lines = (line for listing in listings for line in listing.read_text().splitlines())
     return [line.split(":", 1)[1].strip() for line in lines if line.startswith("Model:")]

@@ -1,10 +1,10 @@
-"""Any selection of runs as pandas frames: curves, episodes, evaluations, energy, summaries, rules.
+"""Selected runs as pandas frames: curves, episodes, evaluations, energy, summaries, rules.
 
     chosen = select("runs", study="bus", algorithm=("ippo", "mappo"), status="FINISHED", newest=True)
     chosen.curves(["evaluation_greedy/return"])
 
-Which runs there are is answered by the index; of the logs only the columns asked for are read. Every frame
-begins with the columns of `LABELS`, which say whose row it is.
+Runs are listed by the index; only the requested columns of the logs are read. Every frame begins with the
+columns of `LABELS`, which identify the run of a row.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LABELS = ("run_id", "study", "cell", "label", "task", "controller", "seed")
-"""`label` names the cell; `task` is what it is reported on and `controller` what plays there (`CellName`)."""
+"""Leading columns of every frame: `label`, `task` and `controller` are the fields of the cell's
+`CellName`."""
 _ROW = (
     "environment",
     "algorithm",
@@ -40,36 +41,36 @@ _ROW = (
     "duration_s",
 )
 _READERS = 8
-"""Threads that read logs at once: they mostly wait for the disk and for decompression."""
+"""Number of threads that read logs: they mostly wait for the disk and for decompression."""
 
-One = str | Sequence[str] | None
-"""One value, several, or any."""
+Filter = str | Sequence[str] | None
+"""One value, several values, or None: any."""
 
 
 def select(
     root: str | Path,
     *,
-    study: One = None,
-    environment: One = None,
-    algorithm: One = None,
-    policies: One = None,
-    preset: One = None,
-    status: One = None,
-    cell: One = None,
-    run_id: One = None,
+    study: Filter = None,
+    environment: Filter = None,
+    algorithm: Filter = None,
+    policies: Filter = None,
+    preset: Filter = None,
+    status: Filter = None,
+    cell: Filter = None,
+    run_id: Filter = None,
     seed: int | Sequence[int] | None = None,
     newest: bool = False,
 ) -> "RunSelection":
-    """The runs in the store at `root` that pass all filters, the oldest first; each filter takes one value or
-    several. With `newest`, of each cell and seed only the run that began last.
+    """Select the runs in the store at `root` that pass all filters, oldest first. A filter is one value or
+    several; `newest`: keep only the last started run of each cell and seed.
 
-    Raises HeadwayError if there is no store, or a value that no run in it has (but for `status` and `seed`:
-    those may well have none).
+    Raises HeadwayError if there is no store, or if no run has a given value (except for `status` and `seed`,
+    which may match no run).
     """
     folder = Path(root)
     if not folder.is_dir():
         raise HeadwayError(f"there is no store in {str(root)!r}")
-    everything = rows = RunIndex(folder).rows()
+    all_rows = rows = RunIndex(folder).rows()
     wanted = {
         "study": study,
         "environment": environment,
@@ -82,7 +83,7 @@ def select(
     for name, value in wanted.items():
         if value is not None:
             allowed = _several(value)
-            _require_known(name, allowed, [getattr(row, name) for row in everything], folder)
+            _require_known(name, allowed, [getattr(row, name) for row in all_rows], folder)
             rows = [row for row in rows if getattr(row, name) in allowed]
     if status is not None:
         statuses = _several(status)
@@ -95,34 +96,34 @@ def select(
 
 
 def newest_runs(rows: Iterable[RunRow]) -> list[RunRow]:
-    """Of each study, cell and seed the last of `rows`, which are in order: a seed that was trained twice is
-    one seed, not two."""
-    kept = list(rows)
-    newest = {(row.study, row.cell, row.seed): row for row in kept}
-    return [row for row in kept if newest[row.study, row.cell, row.seed] is row]
+    """Keep the last of `rows`, sorted oldest first, of each study, cell and seed, so that a seed trained
+    twice counts once."""
+    candidates = list(rows)
+    newest = {(row.study, row.cell, row.seed): row for row in candidates}
+    return [row for row in candidates if newest[row.study, row.cell, row.seed] is row]
 
 
 @dataclass(frozen=True)
 class RunSelection:
-    """Some runs of a store. Frames are read anew at each call; a frame without rows has no columns but those
-    of `LABELS`. Methods raise HeadwayError for a file that cannot be read."""
+    """Selected runs of a store. Each call reads its frame from disk; a frame without rows has only the
+    columns of `LABELS`. Methods raise HeadwayError if a file cannot be read."""
 
     root: Path
     rows: tuple[RunRow, ...]
 
     @cached_property
     def names(self) -> Mapping[str, CellName]:
-        """What the cells are called among each other."""
+        """Names of the cells by their keys, unique within the selection."""
         return cell_names(self.rows)
 
     def runs(self) -> "pd.DataFrame":
-        """One row a run: what the index knows of it, and nothing else read."""
+        """One row per run: its columns in the index; no other file is read."""
         columns = (*_ROW, "final_reward", "auc", "kwh", "kg_co2", "directory")
         return self._frame([{name: getattr(row, name) for name in columns} for row in self.rows])
 
     def summaries(self) -> "pd.DataFrame":
-        """One row a run: its figures at its end (rewards, energy by part, CPU seconds, how power is known)
-        beside what it is. What a run has not is NaN."""
+        """One row per run: its index columns and its final summary (rewards, energy by component, CPU
+        seconds, source of the power readings). A missing value is NaN."""
         rows = [
             {**{name: getattr(row, name) for name in _ROW}, **read_summary(Path(row.directory))}
             for row in self.rows
@@ -130,12 +131,12 @@ class RunSelection:
         return self._frame(rows)
 
     def provenance(self) -> "pd.DataFrame":
-        """One row a run: the versions, the revision and the hardware that it was made with."""
+        """One row per run: package versions, git revision and hardware."""
         return self._frame([RunRecord.read(Path(row.directory)).tags for row in self.rows])
 
     def curves(self, metrics: Sequence[str] | None = None) -> "pd.DataFrame":
-        """One row a point of a learning curve: `iteration`, `env_steps`, `wall_s` and metrics, `group/name`
-        (all, or those named, where a run has them; rows that have none of them are left out)."""
+        """One row per point of a learning curve: `iteration`, `env_steps`, `wall_s` and metrics `group/name`.
+        `metrics`: those to read, if the run has them; rows without any of them are left out. None: all."""
         found = self._logs(
             "curve", None if metrics is None else ("iteration", "env_steps", "wall_s", *metrics)
         )
@@ -147,9 +148,9 @@ class RunSelection:
     def evaluations(
         self, metrics: Sequence[str] | None = None, mode: str | None = None, final: bool | None = None
     ) -> "pd.DataFrame":
-        """One row an evaluation episode: `iteration`, `env_steps`, `mode`, `final`, `episode_seed` (the day)
-        and its figures; only of a `mode` (`greedy`, `sampled`), only the last evaluation (`final`) or only
-        the others."""
+        """One row per evaluation episode: `iteration`, `env_steps`, `mode`, `final`, `episode_seed` and its
+        metrics. `mode`: `greedy` or `sampled` only; `final`: True: the last evaluation only, False: the
+        others only."""
         labels = ("iteration", "env_steps", "mode", "final", "episode_seed")
         found = self._logs("evaluation", None if metrics is None else (*labels, *metrics))
         if mode is not None and len(found):
@@ -159,40 +160,40 @@ class RunSelection:
         return found.reset_index(drop=True)
 
     def episodes(self, metrics: Sequence[str] | None = None) -> "pd.DataFrame":
-        """One row a training episode: `iteration`, `env_steps`, `copy` and its figures."""
+        """One row per training episode: `iteration`, `env_steps`, `copy` and its metrics."""
         labels = ("iteration", "env_steps", "copy")
         return self._logs("episodes", None if metrics is None else (*labels, *metrics))
 
     def energy(self) -> "pd.DataFrame":
-        """One row a sample: `time` (seconds since 1970) and, over all sessions until then, `kwh`, its parts,
-        `kg_co2`, `cpu_seconds` and `duration_s`; no row of a run whose energy was not measured."""
-        return self._each(read_energy)
+        """One row per sample: `time` (seconds since 1970) and the totals so far, over all sessions: `kwh` and
+        its components, `kg_co2`, `cpu_seconds`, `duration_s`. No rows for runs without energy measurement."""
+        return self._read_runs(read_energy)
 
     def rules(self) -> "pd.DataFrame":
-        """One row a day of a classical rule: `task`, `rule`, `episode_seed` and its figures, of the rules
-        kept beside these runs; of a rule and day that several cells of a task have, the first."""
+        """One row per episode of a classical rule stored beside these runs: `task`, `rule`, `episode_seed`
+        and its metrics. An episode stored by several cells of a task appears once."""
         import pandas as pd
 
         rows: list[dict[str, Any]] = []
         for cell, study in dict.fromkeys((row.cell, row.study) for row in self.rows):
             path = rules_file(self.root, study, cell)
             if path.exists():
-                for rule, days in read_json(path).items():
-                    rows += [{"task": self.names[cell].task, "rule": rule, **day} for day in days]
+                for rule, episodes in read_json(path).items():
+                    rows += [{"task": self.names[cell].task, "rule": rule, **episode} for episode in episodes]
         if not rows:
             return pd.DataFrame(columns=["task", "rule", "episode_seed"])
         return pd.DataFrame(rows).drop_duplicates(["task", "rule", "episode_seed"], ignore_index=True)
 
     def configurations(self) -> dict[str, str]:
-        """The whole configuration of each run, as its `config.yaml` has it, by identity."""
+        """Return the text of each run's `config.yaml`, its complete configuration, by `run_id`."""
         return {
             row.run_id: (Path(row.directory) / "config.yaml").read_text(encoding="utf-8") for row in self.rows
         }
 
     def _logs(self, table: Table, columns: Sequence[str] | None) -> "pd.DataFrame":
-        return self._each(lambda directory: read(directory, table, columns=columns))
+        return self._read_runs(lambda directory: read(directory, table, columns=columns))
 
-    def _each(self, read_one: Callable[[Path], "pd.DataFrame"]) -> "pd.DataFrame":
+    def _read_runs(self, read_one: Callable[[Path], "pd.DataFrame"]) -> "pd.DataFrame":
         import pandas as pd
 
         with ThreadPoolExecutor(_READERS) as readers:
@@ -221,10 +222,10 @@ class RunSelection:
             "seed": row.seed,
         }
 
-    def _frame(self, figures: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
+    def _frame(self, columns: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
         import pandas as pd
 
-        rows = [{**self._label(run), **of_run} for run, of_run in zip(self.rows, figures, strict=True)]
+        rows = [{**self._label(run), **own} for run, own in zip(self.rows, columns, strict=True)]
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=list(LABELS))
 
 
@@ -233,7 +234,7 @@ def _several(value: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _require_known(name: str, wanted: Sequence[str], known: Iterable[str], root: Path) -> None:
-    there = set(known)
+    values = set(known)
     for value in wanted:
-        if value not in there:
-            raise HeadwayError(f"no run in {root} has {name} {value!r}; {suggestion(value, there)}")
+        if value not in values:
+            raise HeadwayError(f"no run in {root} has {name} {value!r}; {suggestion(value, values)}")

@@ -1,8 +1,8 @@
-"""A run's folder: `run.json` says what the run is, and only its session process writes it.
+"""A run's folder and its record `run.json`, which only the session process writes.
 
 run.json config.yaml plan.json            identity, configuration, resolved plan
-curve-*.parquet episodes-*.parquet evaluation-*.parquet checkpoints/   the training process's
-energy.parquet summary.json tracking*.json curves.png evaluations.csv  the session's
+curve-*.parquet episodes-*.parquet evaluation-*.parquet checkpoints/   written by the training process
+energy.parquet summary.json tracking*.json curves.png evaluations.csv  written by the session process
 """
 
 import os
@@ -33,7 +33,7 @@ CHECKPOINTS = "checkpoints"
 
 @dataclass(frozen=True)
 class Process:
-    """A process, told apart from a later one with the same number."""
+    """Identity of a process; its start time distinguishes it from a later one with the same pid."""
 
     host: str
     pid: int
@@ -46,7 +46,7 @@ class Process:
         return cls(node(), os.getpid(), psutil.Process().create_time())
 
     def may_live(self) -> bool:
-        """False if it is surely gone; a process of another machine may live."""
+        """False if the process has certainly ended; a process on another machine may be alive."""
         if self.host != node():
             return True
         try:
@@ -56,21 +56,22 @@ class Process:
 
 
 def status_of_all(statuses: Iterable[Status]) -> Status:
-    """That of a cell whose runs have ended so: FAILED where any has, FINISHED where all have."""
-    known = set(statuses)
-    if "FAILED" in known:
+    """Return the status of a cell from those of its ended runs: FAILED if any failed, FINISHED if all
+    finished, else KILLED."""
+    distinct = set(statuses)
+    if "FAILED" in distinct:
         return "FAILED"
-    return "FINISHED" if known <= {"FINISHED"} else "KILLED"
+    return "FINISHED" if distinct <= {"FINISHED"} else "KILLED"
 
 
 def settled(status: Status, session: Process) -> Status:
-    """The status of a run, KILLED if it is RUNNING by a session that is gone."""
+    """Return the status of a run: KILLED if it is stored as RUNNING but its session process has ended."""
     return "KILLED" if status == "RUNNING" and not session.may_live() else status
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What a run is and how far it came: the contents of `run.json`."""
+    """Contents of `run.json`: the identity of a run and its progress."""
 
     run_id: str
     study: str
@@ -78,47 +79,47 @@ class RunRecord:
     algorithm: str
     seed: int
     iterations: int
-    """Iterations of its budget."""
+    """Budget in iterations."""
     started: str
     """UTC, ISO 8601."""
     session: Process
-    """The session process that runs it, or did."""
+    """Session process that runs it, or ran it last."""
     status: Status = "RUNNING"
     policies: str = ""
     ended: str | None = None
     duration_s: float = 0.0
-    """Wall time of all sessions that ran it."""
+    """Wall time over all sessions."""
     durable_iteration: int = 0
     durable_env_steps: int = 0
     parameters: Mapping[str, str] = field(default_factory=dict)
     tags: Mapping[str, str] = field(default_factory=dict)
     tracking_uri: str | None = None
-    """Where MLflow is to know of it; None: SQLite in the store's root."""
+    """MLflow server that receives the run; None: the SQLite database in the store's root."""
     curve_points: int = StoreConfig.curve_points
-    """Points of each metric's curve that MLflow is to have."""
+    """Number of points per metric sent to MLflow."""
     preset: str = ""
-    """Of hyper-parameters, as it was chosen; empty where that is not known."""
+    """Hyper-parameter preset; empty if unknown."""
     candidate: str = ""
-    """What it is called in the search that it is a part of; empty where it is of none."""
+    """Name of the search candidate; empty if the run is not part of a search."""
 
     @property
     def cell(self) -> str:
-        """Name of its cell: the same for all seeds of one environment, algorithm and parameters."""
+        """Key of its cell: the same for all seeds of one environment, algorithm and set of parameters."""
         return cell_name(self.environment, self.algorithm, self.parameters)
 
     @property
     def settled_status(self) -> Status:
-        """Its status as `settled` has it."""
+        """Status, with KILLED for a run whose session process ended without recording it."""
         return settled(self.status, self.session)
 
     def require_free(self) -> None:
-        """Raise HeadwayError where a session runs it, or, on another host, may."""
+        """Raise HeadwayError if a session process runs it, or if one on another host may."""
         if self.settled_status != "RUNNING":
             return
-        killed = ', or, where it was killed, set "status": "KILLED" in the run\'s run.json'
+        killed = ', or, if it was killed, set "status": "KILLED" in the run\'s run.json'
         raise HeadwayError(
             f"run {self.run_id} is being run by process {self.session.pid} on {self.session.host}: "
-            f"stop that one first{killed if self.session.host != node() else ''}"
+            f"stop that process first{killed if self.session.host != node() else ''}"
         )
 
     def write(self, directory: Path) -> None:
@@ -127,38 +128,39 @@ class RunRecord:
 
     @classmethod
     def read(cls, directory: Path) -> Self:
-        """The record in a run's folder. Raises HeadwayError if it is missing or broken."""
+        """Read the record in a run's folder. Raises HeadwayError if it is missing or broken."""
         content = read_json(directory / RECORD)
         known = {item.name for item in fields(cls)}
         try:
             session = Process(**content.pop("session"))
             return cls(session=session, **{key: value for key, value in content.items() if key in known})
         except (KeyError, TypeError) as error:
-            raise HeadwayError(f"{directory / RECORD} is no record of a run: remove or repair it") from error
+            raise HeadwayError(f"{directory / RECORD} is no valid run record: remove or repair it") from error
 
     def ended_as(self, status: Status) -> Self:
-        """The record of the run ended now."""
+        """Return the record with `status` and the current time as the end."""
         return replace(self, status=status, ended=now())
 
 
 def now() -> str:
-    """The time, UTC, ISO 8601, in milliseconds."""
+    """Return the current UTC time, ISO 8601 with milliseconds."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def milliseconds(moment: str) -> int:
-    """Milliseconds since 1970 of a time as `now` writes it."""
+    """Convert a time in the format of `now` to milliseconds since 1970."""
     return round(datetime.fromisoformat(moment).timestamp() * 1000)
 
 
 def cell_name(environment: str, algorithm: str, parameters: Mapping[str, str]) -> str:
-    """Readable, and different for different parameters."""
+    """Return the key of a cell: readable, with a hash of the parameters."""
     digest = sha256(dumps(sorted(parameters.items())).encode()).hexdigest()[:6]
     return f"{_slug(environment)}-{_slug(algorithm)}-{digest}"
 
 
 def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str, Path]:
-    """A new (run_id, folder) in `root/study`. Raises HeadwayError if it cannot be created."""
+    """Create a run folder in `root/study` and return (run_id, folder). Raises HeadwayError if it cannot be
+    created."""
     parent = root / _slug(study)
     make_folder(parent)
     while True:
@@ -174,17 +176,17 @@ def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str
 
 
 def rules_file(root: Path, study: str, cell: str) -> Path:
-    """Where the episodes of a cell's rules are kept: a JSON object, name -> rows."""
+    """Return the path of the JSON file with the episodes of a cell's classical rules: rule name -> rows."""
     return root / _slug(study) / f"{cell}.rules.json"
 
 
 def plans_folder(root: Path, study: str) -> Path:
-    """Where a study keeps what its sweeps set out to do."""
+    """Return the folder of a study's stored sweep plans."""
     return root / _slug(study) / "sweeps"
 
 
 def run_folders(root: Path) -> Iterator[Path]:
-    """Every folder under `root` that holds a run, in no order."""
+    """Yield every run folder under `root`, in no particular order."""
     try:
         studies = [entry for entry in os.scandir(root) if entry.is_dir()]
     except FileNotFoundError:
@@ -196,9 +198,9 @@ def run_folders(root: Path) -> Iterator[Path]:
 
 
 def find_run(root: Path, run_id: str) -> Path:
-    """The folder of a run by its identity, or by a beginning or part of it that only one run has.
+    """Return the folder of a run, given its `run_id` or any unique part of it.
 
-    Raises HeadwayError that gives the nearest ones.
+    Raises HeadwayError, with the nearest names, if none or several match.
     """
     folders = {folder.name: folder for folder in run_folders(root)}
     if run_id in folders:
@@ -219,6 +221,6 @@ def _slug(name: str) -> str:
 
 
 def read_summary(directory: Path) -> dict[str, Any]:
-    """The run's summary figures; empty if it has none yet. Raises HeadwayError if the file is broken."""
+    """Read a run's `summary.json`; empty if it has none yet. Raises HeadwayError if the file is broken."""
     path = directory / SUMMARY
     return read_json(path) if path.exists() else {}

@@ -1,4 +1,4 @@
-"""What the session process uses: cells, runs, and MLflow following behind in a thread of its own."""
+"""Store interface of the session process: cells and runs, mirrored to MLflow by a background thread."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from headway.events import Row
 from headway.store.artifacts import write_views
 from headway.store.atomic_files import locked, make_folder, read_json, write_json, write_text
 from headway.store.energy_log import EnergyLog
-from headway.store.fencing import open_gate, shut_gates
+from headway.store.fencing import close_gates, open_gate
 from headway.store.index import RunIndex
 from headway.store.parquet_log import read_rows
 from headway.store.provenance import provenance
@@ -28,18 +28,18 @@ from headway.store.run_folder import (
     rules_file,
 )
 from headway.store.tracking.client import Tracker
-from headway.store.tracking.sync import RunFollower, behind, deliver
+from headway.store.tracking.sync import RunSync, send_unsent, unsent_runs
 from headway.store.tracking.thread import TrackingTask, TrackingThread
 
 EPISODES_RESTARTED = "episodes_restarted"
-"""Tag of a run that was resumed where its environment keeps no snapshots: after which iterations."""
+"""Tag with the iterations after which a run was resumed without snapshots of its environment."""
 _LOCK_SECONDS = 30.0
 _CLOSE_SECONDS = 120.0
 
 
 class SessionStore:
-    """The store as one session writes it. Run folders are written at once and durably; MLflow follows in
-    a thread, and where it fails that is a notice, never the end of a run."""
+    """Writer of the store for one session. Run folders are written immediately and durably; a thread sends
+    copies to MLflow, and its failures become notices and never end a run."""
 
     def __init__(self, config: StoreConfig) -> None:
         self.root = Path(config.root).resolve()
@@ -50,8 +50,8 @@ class SessionStore:
 
     @classmethod
     def open(cls, config: StoreConfig) -> Self:
-        """Open (or create) the store. Raises HeadwayError if its root cannot be written, or a tracking URI
-        is given that does not answer."""
+        """Open or create the store. Raises HeadwayError if its root cannot be written or a given tracking URI
+        does not respond."""
         store = cls(config)
         if config.tracking_uri is not None:
             store._mlflow.connect()
@@ -65,20 +65,22 @@ class SessionStore:
         parameters: Mapping[str, object],
         tags: Mapping[str, str] | None = None,
     ) -> "Cell":
-        """A cell of a study. `parameters` (flat, dotted names) are the same for all its seeds; `tags` go
-        to each run, beside what `provenance` finds."""
+        """Return a cell of a study. `parameters` (flat, dotted names) are the same for all its seeds; every
+        run gets `tags` and the tags of `provenance`."""
         texts = {name: str(value) for name, value in parameters.items()}
         return Cell(self, study, environment, algorithm, texts, {**provenance(), **(tags or {})})
 
-    def resume(self, run_id: str, of_a_stack: bool = False) -> "Run":
-        """Take up a run that was killed or failed. Raises HeadwayError if there is none, it has finished
-        (and is not of a stack, whose other seeds may not have), or another session runs it. A training
-        process of before that still lives somewhere can write to it no more."""
+    def resume(self, run_id: str, stacked: bool = False) -> "Run":
+        """Reopen a killed or failed run and close it to its former training process.
+
+        `stacked`: allow a finished run, because other seeds of its stack may not have finished. Raises
+        HeadwayError if there is no such run, it has finished, or another session runs it.
+        """
         directory = find_run(self.root, run_id)
         with locked(self.root / ".resume.lock", _LOCK_SECONDS, "a run was resumed"):
             record = RunRecord.read(directory)
             record.require_free()
-            if record.status == "FINISHED" and not of_a_stack:
+            if record.status == "FINISHED" and not stacked:
                 raise HeadwayError(f"run {record.run_id} has finished: there is nothing to resume")
             record = replace(
                 record,
@@ -94,27 +96,27 @@ class SessionStore:
 
     @property
     def index(self) -> RunIndex:
-        """The summaries of all runs of this store."""
+        """Summaries of all runs of this store."""
         return RunIndex(self.root)
 
     def notices(self) -> tuple[str, ...]:
-        """Lines for the user since the last call."""
+        """Return the lines for the user since the last call."""
         return self._mlflow.notices()
 
-    def follow(self, errand: TrackingTask) -> None:
-        """Let the MLflow thread do it, after all given to it before."""
-        self._mlflow.submit(errand)
+    def submit(self, task: TrackingTask) -> None:
+        """Queue a task for the MLflow thread."""
+        self._mlflow.submit(task)
 
     def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
-        """Wait (at most so long) until MLflow is up to date, also with what earlier sessions left; returns
-        the last notices."""
-        if behind(self.root, self.tracking_uri):
-            self.follow(TrackingTask(self._deliver, lambda: None, self._deliver))
+        """Wait, at most `seconds`, until MLflow is up to date, runs of earlier sessions included; return the
+        last notices."""
+        if unsent_runs(self.root, self.tracking_uri):
+            self.submit(TrackingTask(self._send_unsent, lambda: None, self._send_unsent))
         self._mlflow.close(seconds)
         return self.notices()
 
-    def _deliver(self, tracker: Tracker) -> None:
-        deliver(self.root, tracker)
+    def _send_unsent(self, tracker: Tracker) -> None:
+        send_unsent(self.root, tracker)
 
 
 class Cell:
@@ -146,8 +148,8 @@ class Cell:
         preset: str = "",
         candidate: str = "",
     ) -> "Run":
-        """A new run of a budget of `iterations`; its folder is complete when this returns, so a training
-        process may start. Raises HeadwayError if it cannot be written."""
+        """Create a run with a budget of `iterations`. Its folder is complete on return, ready for a training
+        process. Raises HeadwayError if it cannot be written."""
         run_id, directory = create_run_folder(self._store.root, self._study, self.name, seed)
         record = RunRecord(
             run_id=run_id,
@@ -172,28 +174,28 @@ class Cell:
         return Run(self._store, directory, record, open_gate(directory))
 
     def keep_rules(self, episodes: Mapping[str, Sequence[Row]]) -> None:
-        """Keep what rules did on the evaluation days, beside the cell's runs: name -> one row a day. Rules
-        kept by earlier sessions stay, but for those played again."""
+        """Store the evaluation episodes of classical rules beside the cell's runs: rule name -> one row per
+        episode. Rules stored by earlier sessions stay, unless `episodes` replaces them."""
         if not episodes:
             return
         path = rules_file(self._store.root, self._study, self.name)
-        kept = read_json(path) if path.exists() else {}
-        write_json(path, kept | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
+        stored = read_json(path) if path.exists() else {}
+        write_json(path, stored | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
-    def finish(self, status: Status, figures: Mapping[str, float] | None = None) -> None:
-        """End the cell's parent run in MLflow, with figures over its seeds."""
-        ended, sent = now(), dict(figures or {})
+    def finish(self, status: Status, metrics: Mapping[str, float] | None = None) -> None:
+        """End the cell's parent run in MLflow, with metrics aggregated over its seeds."""
+        ended, sent = now(), dict(metrics or {})
 
         def end(tracker: Tracker) -> None:
-            _, parent = tracker.cell(self._study, self.name, self._parameters, {}, going_on=False)
+            _, parent = tracker.cell(self._study, self.name, self._parameters, {}, running=False)
             tracker.finish(parent, status, ended, sent, ())
 
-        self._store.follow(TrackingTask(end, lambda: None, end))
+        self._store.submit(TrackingTask(end, lambda: None, end))
 
 
 class Run:
-    """One seed, as the session writes it; its training process writes the log in `directory` itself, through
-    `gate`."""
+    """Session side of one seed's run. The training process writes the log and the checkpoints in `directory`,
+    through `gate`."""
 
     def __init__(self, store: SessionStore, directory: Path, record: RunRecord, gate: Path) -> None:
         self.directory, self.gate = directory, gate
@@ -202,29 +204,29 @@ class Run:
         self._resumed_at = now()
         self._rows: list[Row] = []
         self._energy = EnergyLog(directory)
-        self._follower = RunFollower(directory, store.curve_points)
-        self._tell(self._follower.begin)
+        self._sync = RunSync(directory, store.curve_points)
+        self._submit(self._sync.begin)
 
     @property
     def run_id(self) -> str:
-        """Its identity in the store."""
+        """Identity of the run in the store."""
         return self.record.run_id
 
     def points(self, rows: Iterable[Row]) -> None:
-        """Take rows of the curve; they go to MLflow, thinned, once they are durable."""
+        """Add rows of the learning curve; a thinned copy goes to MLflow once they are durable."""
         self._rows.extend(rows)
 
     def durable(self, iteration: int) -> None:
-        """The training process has made everything up to `iteration` durable. Raises HeadwayError if the
-        record of that cannot be written."""
+        """Record that the training process has made everything up to `iteration` durable. Raises HeadwayError
+        if the record cannot be written."""
         ready = [row for row in self._rows if int(row.get("iteration", 0)) <= iteration]
         self._rows = [row for row in self._rows if int(row.get("iteration", 0)) > iteration]
-        heard = ready
+        durable_rows = ready
         if iteration and all(int(row.get("iteration", 0)) < iteration for row in ready):
-            # An earlier session was killed between the checkpoint and hearing of it: the log has the rows.
+            # An earlier session was killed after the checkpoint, before it received the rows: read the log.
             logged = read_rows(self.directory, "curve")
-            heard = [row for row in logged if int(row.get("iteration", 0)) <= iteration]
-        env_steps = [int(row["env_steps"]) for row in heard if "env_steps" in row]
+            durable_rows = [row for row in logged if int(row.get("iteration", 0)) <= iteration]
+        env_steps = [int(row["env_steps"]) for row in durable_rows if "env_steps" in row]
         self.record = replace(
             self.record,
             durable_iteration=iteration,
@@ -232,42 +234,42 @@ class Run:
         )
         self.record.write(self.directory)
         self._energy.write_if_due()
-        self._tell(lambda tracker: self._follower.advance(tracker, ready, iteration))
+        self._submit(lambda tracker: self._sync.advance(tracker, ready, iteration))
 
     def note_restart(self, iteration: int) -> None:
-        """Tag the run: its episodes were begun anew after `iteration`, so that its curves are not those of a
-        run never stopped. Raises HeadwayError if the record of that cannot be written."""
+        """Tag the run as resumed without snapshots: its episodes restarted after `iteration`, so its curves
+        differ from those of an uninterrupted run. Raises HeadwayError if the record cannot be written."""
         before = self.record.tags.get(EPISODES_RESTARTED)
         after = f"{before}, {iteration}" if before else str(iteration)
         self.record = replace(self.record, tags={**self.record.tags, EPISODES_RESTARTED: after})
         self.record.write(self.directory)
-        self._tell(lambda tracker: self._follower.tag(tracker, EPISODES_RESTARTED, after))
+        self._submit(lambda tracker: self._sync.tag(tracker, EPISODES_RESTARTED, after))
 
     def energy(self, sample: Row) -> None:
-        """Take one energy sample of this run (a row of `energy.parquet`): its energy so far, that of
-        earlier sessions included (see `energy_so_far`)."""
+        """Add one energy sample of this run (a row of `energy.parquet`): the totals so far, earlier sessions
+        included (see `energy_so_far`)."""
         self._energy.append(sample)
 
     @property
     def energy_so_far(self) -> Row:
-        """The last energy sample, of an earlier session if this one has given none; empty if none has."""
+        """Last energy sample, from an earlier session if this one has none yet; empty if there is none."""
         return self._energy.last()
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
-        """End the run, which nobody trains any more, with its summary figures (`final_reward`, `auc`, `kwh`,
-        `kg_co2`, ...; None where not known) and what of it can be looked at. Raises HeadwayError if they
-        cannot be written, or its log cannot be read."""
-        shut_gates(self.directory)
+        """End the run, after its training process: close its gate and write its summary (`final_reward`,
+        `auc`, `kwh`, `kg_co2`, ...; None: unknown), its views and its status. Raises HeadwayError if they
+        cannot be written or the log cannot be read."""
+        close_gates(self.directory)
         self._energy.write()
         write_json(self.directory / SUMMARY, summary)
         write_views(self.directory, self.run_id)
         ended = self.record.ended_as(status)
         self.record = replace(ended, duration_s=ended.duration_s + _seconds_since(self._resumed_at))
         self.record.write(self.directory)
-        self._tell(self._follower.complete)
+        self._submit(self._sync.complete)
 
-    def _tell(self, step: Callable[[Tracker], object]) -> None:
-        self._store.follow(TrackingTask(step, self._follower.forget, self._follower.catch_up))
+    def _submit(self, step: Callable[[Tracker], object]) -> None:
+        self._store.submit(TrackingTask(step, self._sync.reset, self._sync.catch_up))
 
 
 def _seconds_since(moment: str) -> float:

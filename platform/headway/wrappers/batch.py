@@ -19,7 +19,7 @@ class BatchWrapper:
         """`spec` describes the wrapped environment; None: same as `inner`."""
         self.inner = inner
         self.inner_observed: Observations | None = None
-        """What the inner environment observed last; rules look there."""
+        """Last observations of the inner environment, which rules inspect."""
         self._spec = spec or inner.spec
 
     @property

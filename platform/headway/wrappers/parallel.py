@@ -44,8 +44,7 @@ def wrapped_parallel_env(
 ) -> WrappedParallelEnv:
     """Return a wrapped ParallelEnv's factory, after playing a few steps with each added wrapper.
 
-    Raises HeadwayError, naming the wrapper, if one rejects what it is to wrap, fails, or drops keys from
-    infos.
+    Raises HeadwayError, naming the wrapper, if one rejects the environment, fails, or drops keys from infos.
     """
     made = WrappedParallelEnv(make, prepared, ())
     info_keys = _trial_info_keys(made, f"environment {name}", "cannot be played")

@@ -334,7 +334,7 @@ def test_a_checkpoint_with_other_observations_prints_one_line(
     capsys.readouterr()
     assert run([command, "default" if command == "compare" else row.run_id]) == 2
     notices = capsys.readouterr().err
-    assert f"run {row.run_id} was made by a version of trivial with other observations" in notices
+    assert f"run {row.run_id} was trained on a version of trivial with other observations" in notices
     assert "train it again" in notices
     assert "ValueError" not in notices
 

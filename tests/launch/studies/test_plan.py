@@ -234,7 +234,7 @@ def test_runs_of_another_session_are_an_error_with_a_way_to_continue(
     assert capsys.readouterr().err.splitlines()[-1] == HELD
     assert run(["resume", held, *store]) == 2
     assert capsys.readouterr().err == (
-        f"headway: run {held} is being run by process 1 on elsewhere: stop that one first, or, where it was "
+        f"headway: run {held} is being run by process 1 on elsewhere: stop that process first, or, if it was "
         'killed, set "status": "KILLED" in the run\'s run.json\n'
     )
     [record] = tmp_path.rglob(f"{held}/run.json")

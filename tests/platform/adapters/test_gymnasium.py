@@ -1,4 +1,4 @@
-"""Gymnasium's environments as batches of one agent."""
+"""Gymnasium environments as batches with one agent."""
 
 import gymnasium
 import numpy as np
@@ -11,7 +11,7 @@ from headway.contracts import Box, Discrete, HeadwayError
 SEEDS = np.array([3, 4], dtype=np.uint64)
 
 
-def test_the_same_steps_as_the_environment_alone() -> None:
+def test_steps_equal_those_of_the_environment() -> None:
     env = GymnasiumBatch(lambda: gymnasium.make("CartPole-v1"), 2, "CartPole-v1")
     assert env.spec.agents == ("agent",)
     assert env.spec.action_space == Discrete(2)
@@ -43,6 +43,6 @@ def test_a_time_limit_truncates() -> None:
     assert not np.array_equal(outcome.final_observations, observed.observations)
 
 
-def test_observations_that_are_no_box_are_refused() -> None:
+def test_observations_other_than_box_are_refused() -> None:
     with pytest.raises(HeadwayError, match=r"'FrozenLake-v1': agent 'agent' observes a Discrete\(16\)"):
         GymnasiumBatch(lambda: gymnasium.make("FrozenLake-v1"), 1, "FrozenLake-v1")

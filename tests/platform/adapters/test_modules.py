@@ -1,4 +1,4 @@
-"""PettingZoo environments by module path: what may be named, what is made of it, what is refused."""
+"""PettingZoo environments by module path: allowed modules, arguments, errors."""
 
 import pickle
 import subprocess
@@ -98,7 +98,7 @@ def prepared(module: str, options: AdapterOptions | None = None, **arguments: ob
     return entry.prepare(build(entry.config, arguments, "env.args", module))
 
 
-def test_an_environment_by_its_module_keeps_the_contract() -> None:
+def test_a_module_environment_keeps_the_contract() -> None:
     shared = pickle.loads(pickle.dumps(prepared(SPREAD, N=2)))
     assert shared.arguments == {"N": 2}
     recording = play(lambda copies: make_batch(shared, copies), max_steps=60)
@@ -133,7 +133,7 @@ def test_arguments_are_those_of_the_factory_with_its_defaults() -> None:
         ),
     ],
 )
-def test_arguments_that_do_not_fit_are_one_line(arguments: dict[str, Any], message: str) -> None:
+def test_unsuitable_arguments_are_one_line_errors(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(HeadwayError, match=message):
         prepared(SPREAD, **arguments)
 
@@ -161,19 +161,19 @@ def test_arguments_that_do_not_fit_are_one_line(arguments: dict[str, Any], messa
         ("pettingzoo.classic.rps_v2", "agent 'player_0' observes a Discrete.*flatten it to a Box"),
     ],
 )
-def test_modules_that_cannot_be_used_are_one_line(module: str, message: str, zoo: str) -> None:
+def test_unusable_modules_are_one_line_errors(module: str, message: str, zoo: str) -> None:
     with pytest.raises(HeadwayError, match=message):
         make_batch(prepared(module), 1)
 
 
-def test_what_may_not_be_named_is_not_imported(zoo: str) -> None:
+def test_refused_modules_are_not_imported(zoo: str) -> None:
     with pytest.raises(HeadwayError):
         module_entry("plainpackage.turns_v0")
     assert "plainpackage" not in sys.modules
     assert "plainpackage.turns_v0" not in sys.modules
 
 
-def test_an_environment_of_turns_is_made_parallel_where_it_says_that_it_may(zoo: str) -> None:
+def test_a_parallelizable_aec_environment_becomes_parallel(zoo: str) -> None:
     turns, whole = make_batch(prepared(f"{zoo}.turns_v0", N=2), 1), make_batch(prepared(SPREAD, N=2), 1)
     seeds, actions = np.array([4], dtype=np.uint64), np.array([[1, 2]])
     np.testing.assert_array_equal(turns.reset(seeds).observations, whole.reset(seeds).observations)
@@ -183,7 +183,7 @@ def test_an_environment_of_turns_is_made_parallel_where_it_says_that_it_may(zoo:
         np.testing.assert_array_equal(one.truncated, other.truncated)
 
 
-def test_a_factory_that_takes_anything_is_given_what_is_written(zoo: str) -> None:
+def test_a_factory_with_open_arguments_gets_those_given(zoo: str) -> None:
     assert make_batch(prepared(f"{zoo}.open_v0", N=4), 1).spec.num_agents == 4
     with pytest.raises(
         HeadwayError, match=r"cannot be made with M=4: TypeError.*unexpected keyword argument 'M'"
@@ -191,7 +191,7 @@ def test_a_factory_that_takes_anything_is_given_what_is_written(zoo: str) -> Non
         prepared(f"{zoo}.open_v0", M=4)
 
 
-def test_lists_stand_for_tuples_and_what_yaml_cannot_hold_is_left_out(zoo: str) -> None:
+def test_lists_become_tuples_and_non_yaml_arguments_are_left_out(zoo: str) -> None:
     entry = module_entry(f"{zoo}.team_v0")
     assert [row.key for row in describe(entry.config)] == ["size", "local"]
     config = build(entry.config, {"size": [2, 2]}, "env.args", "team")
@@ -200,7 +200,7 @@ def test_lists_stand_for_tuples_and_what_yaml_cannot_hold_is_left_out(zoo: str) 
     assert entry.prepare(build(entry.config, plain(entry.config()), "")).arguments == {}
 
 
-def test_annotations_that_cannot_be_checked_take_what_comes() -> None:
+def test_unknown_annotations_accept_any_value() -> None:
     def function(env: object, path: Path, sizes: "list[int]", odd: "Missing" = 3) -> None:  # type: ignore[name-defined]  # noqa: F821
         pass
 
@@ -213,7 +213,7 @@ def test_annotations_that_cannot_be_checked_take_what_comes() -> None:
     assert build(record, {"path": "x", "sizes": [1]}, "") is not None
 
 
-def test_a_shared_reward_is_checked_against_what_is_paid(zoo: str) -> None:
+def test_a_shared_reward_is_checked_against_the_rewards(zoo: str) -> None:
     team = AdapterOptions(shared_reward=True)
     make = prepared(f"{zoo}.team_v0", team)
     env = make_batch(make, 2)
@@ -247,7 +247,7 @@ def test_unequal_agents_are_named_and_padding_makes_them_equal() -> None:
 
 
 def test_agents_that_act_differently_are_padded_too() -> None:
-    """The speaker says one of 3 things and the listener moves in one of 5 ways."""
+    """The speaker has 3 actions and the listener 5."""
     entry = module_entry("mpe2.simple_speaker_listener_v4")
     half = wrapped_entry("speaker", entry, listed_wrappers(["pad_observations_v0"]))
     shared = half.prepare(entry.config())
@@ -261,8 +261,8 @@ def test_agents_that_act_differently_are_padded_too() -> None:
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["gone", "black death"])
-def test_knights_that_die_leave_or_stay(kept: bool) -> None:
-    """A real environment of agents that die before the others."""
+def test_dead_knights_leave_or_stay(kept: bool) -> None:
+    """A real environment whose agents die at different times."""
     entry = module_entry(KNIGHTS, AdapterOptions(agents_come_and_go=None if kept else True))
     config = build(entry.config, DEADLY, "", KNIGHTS)
     wrapped = wrapped_entry(KNIGHTS, entry, listed_wrappers(["black_death_v3"] if kept else []))
@@ -282,7 +282,7 @@ def test_knights_that_die_leave_or_stay(kept: bool) -> None:
         assert not track.alive.all()
 
 
-def test_an_undeclared_death_says_what_to_set() -> None:
+def test_an_undeclared_death_names_the_key_to_set() -> None:
     entry = module_entry(KNIGHTS)
     shared = entry.prepare(build(entry.config, DEADLY, "", KNIGHTS))
     with pytest.raises(
@@ -297,7 +297,7 @@ def test_random_play_is_a_rule_of_every_environment() -> None:
     assert [row["length"] for row in rows] == [25, 25, 25]
 
 
-def test_an_entry_of_a_parallel_env_is_all_that_another_package_writes() -> None:
+def test_parallel_entry_suffices_for_another_package() -> None:
     entry = parallel_entry("game", "a game", MatrixConfig, _matrix, AdapterOptions(shared_reward=True))
     make, config = pickle.loads(pickle.dumps(entry.make)), entry.prepare(MatrixConfig())
     recording = play(lambda copies: make(config, copies))
@@ -314,7 +314,7 @@ def _matrix(config: MatrixConfig) -> Any:  # noqa: ANN401 - PettingZoo comes wit
     return make(config)
 
 
-def test_native_environments_bring_no_pettingzoo_into_a_worker() -> None:
+def test_native_environments_do_not_import_pettingzoo_in_workers() -> None:
     code = (
         "import sys, headway.rollout.workers.worker, headway.wrappers.frame_stack; "
         "print([name for name in ('pettingzoo', 'supersuit', 'gymnasium', 'torch') if name in sys.modules])"

@@ -1,4 +1,4 @@
-"""PettingZoo's environments as batches: who is there, what ends, what is refused."""
+"""PettingZoo environments as batches: alive masks, ends of streams, errors."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -83,7 +83,7 @@ def seeds(count: int = 2) -> NDArray[np.uint64]:
 NOTHING = np.zeros((2, 2), dtype=np.int64)
 
 
-def test_an_episode_runs_out_and_the_next_begins_with_a_seed_of_its_own() -> None:
+def test_each_episode_has_its_own_seed() -> None:
     env = batch()
     observed = env.reset(seeds())
     first = [episode_seed(copy, 0) % 1000 for copy in range(2)]
@@ -107,7 +107,7 @@ def kill_b_at_two(env: Scripted) -> None:
         env.rewards["b"] = -5.0
 
 
-def test_an_agent_that_dies_is_gone_until_the_next_episode() -> None:
+def test_a_dead_agent_is_absent_until_the_next_episode() -> None:
     env = batch(kill_b_at_two, agents_come_and_go=True)
     env.reset(seeds())
     env.step(NOTHING)
@@ -128,7 +128,7 @@ def test_an_agent_that_dies_is_gone_until_the_next_episode() -> None:
     assert observed.alive.all()
 
 
-def test_only_agents_that_are_there_are_given_actions() -> None:
+def test_only_present_agents_get_actions() -> None:
     made = Scripted(kill_b_at_two)
     env = ParallelEnvBatch(lambda: made, 1, "scripted", agents_come_and_go=True)
     env.reset(seeds(1))
@@ -137,7 +137,7 @@ def test_only_agents_that_are_there_are_given_actions() -> None:
     assert made.given == [{"a": 1, "b": 0}, {"a": 1, "b": 0}, {"a": 1}, {"a": 1}]
 
 
-def test_an_agent_may_not_leave_early_unless_that_is_declared() -> None:
+def test_leaving_early_must_be_declared() -> None:
     env = batch(kill_b_at_two)
     env.reset(seeds())
     env.step(NOTHING)
@@ -146,12 +146,12 @@ def test_an_agent_may_not_leave_early_unless_that_is_declared() -> None:
 
 
 def leave_at_two(env: Scripted) -> None:
-    """Leave without a word, as PettingZoo's tests forbid and some environments do."""
+    """Leave without termination or truncation, which PettingZoo's tests forbid and some environments do."""
     if env.steps == 2:
         env.agents.remove("b")
 
 
-def test_an_agent_that_is_away_at_the_end_is_truncated_with_its_last_observation() -> None:
+def test_an_absent_agent_is_truncated_with_its_last_observation() -> None:
     env = batch(leave_at_two, agents_come_and_go=True)
     env.reset(seeds())
     for _ in range(3):
@@ -163,7 +163,7 @@ def test_an_agent_that_is_away_at_the_end_is_truncated_with_its_last_observation
 
 
 def away_at_one_and_two(env: Scripted) -> None:
-    """Absent rows are NaN; the key is missing again when the agent is back."""
+    """Absent rows are NaN; the key is omitted when the agent is back."""
     if env.steps in (1, 2):
         env.infos["b"] = {"alive": False}
         env.observations["b"] = np.full(3, np.nan)
@@ -171,7 +171,7 @@ def away_at_one_and_two(env: Scripted) -> None:
         env.infos["a"] = {"acting": False}
 
 
-def test_infos_say_who_is_alive_and_who_acted() -> None:
+def test_infos_set_alive_and_acting() -> None:
     env = batch(away_at_one_and_two, agents_come_and_go=True)
     assert env.reset(seeds()).alive.all()
     outcome, observed = env.step(NOTHING)
@@ -206,7 +206,7 @@ def test_masks_and_metrics_are_read_from_infos() -> None:
     np.testing.assert_array_equal(outcome.metrics[0], [7.5, np.nan])
 
 
-def test_a_live_agent_without_any_allowed_action_is_refused() -> None:
+def test_a_live_agent_without_allowed_actions_is_an_error() -> None:
     def script(env: Scripted) -> None:
         env.infos["b"] = {"action_mask": np.full(2, env.steps != 1)}
 
@@ -216,7 +216,7 @@ def test_a_live_agent_without_any_allowed_action_is_refused() -> None:
         env.step(NOTHING)
 
 
-def test_termination_hides_truncation() -> None:
+def test_termination_takes_precedence_over_truncation() -> None:
     def script(env: Scripted) -> None:
         if env.steps == 4:
             env.terminated = dict.fromkeys(env.agents, True)
@@ -229,7 +229,7 @@ def test_termination_hides_truncation() -> None:
     assert not outcome.truncated.any()
 
 
-def test_a_shared_reward_is_also_that_of_agents_who_left() -> None:
+def test_absent_agents_get_the_shared_reward() -> None:
     def script(env: Scripted) -> None:
         env.rewards = dict.fromkeys(env.agents, 2.5 + env.steps)
         if env.steps == 2:
@@ -293,7 +293,7 @@ def test_spaces_of_other_kinds_are_refused(keywords: dict[str, Any], message: st
         ),
     ],
 )
-def test_actions_arrive_as_the_environments_own_space_has_them(
+def test_actions_are_converted_to_the_environment_space(
     space: Space, kind: object, actions: list[Any], given: list[Any]
 ) -> None:
     made = Scripted(action_spaces=dict.fromkeys("ab", space))
@@ -306,7 +306,7 @@ def test_actions_arrive_as_the_environments_own_space_has_them(
         assert space.contains(made.given[0][agent])
 
 
-def test_what_infos_say_survives_supersuits_wrappers() -> None:
+def test_supersuit_wrappers_pass_infos_on() -> None:
     entry = ENTRIES["visitors"]
     parallel_env, config = entry.parallel_env, entry.config()
     assert parallel_env is not None
@@ -338,7 +338,7 @@ def test_observations_of_more_axes_are_flattened() -> None:
     np.testing.assert_array_equal(env.reset(seeds(1)).observations[0, 1, 1:], [0, 1, 0, 0, 0])
 
 
-def test_observations_of_another_shape_than_promised_are_named() -> None:
+def test_observations_of_undeclared_shape_are_an_error() -> None:
     def script(env: Scripted) -> None:
         if env.steps == 1:
             env.observations["b"] = np.zeros(4)
@@ -349,7 +349,7 @@ def test_observations_of_another_shape_than_promised_are_named() -> None:
         env.step(NOTHING)
 
 
-def test_an_agent_that_was_never_announced_is_named() -> None:
+def test_an_unknown_agent_is_an_error() -> None:
     def script(env: Scripted) -> None:
         env.agents = ["a", "stranger"]
 
@@ -366,7 +366,7 @@ def test_an_environment_without_agents_is_refused() -> None:
         ParallelEnvBatch(lambda: made, 1, "scripted")
 
 
-def test_copies_and_seeds_are_counted() -> None:
+def test_wrong_numbers_of_copies_and_seeds_are_errors() -> None:
     with pytest.raises(HeadwayError, match="at least 1 copy, not 0"):
         ParallelEnvBatch(Scripted, 0, "scripted")
     with pytest.raises(ValueError, match="one seed per copy: 2, not 3"):
@@ -380,7 +380,7 @@ def test_there_are_no_snapshots() -> None:
         env.snapshot()
 
 
-def test_the_state_is_used_where_there_is_one() -> None:
+def test_the_global_state_is_used_if_there_is_one() -> None:
     class WithState(Scripted):
         def state(self) -> NDArray[np.float64]:
             return np.array([self.start, self.steps], dtype=np.float64)
@@ -396,15 +396,15 @@ def test_the_state_is_used_where_there_is_one() -> None:
     np.testing.assert_array_equal(observed.states, [[second, 0]])
 
 
-def hand_the_slot_on(env: Scripted) -> None:
-    """Whoever has slot b is gone at step 2; another comes at step 3."""
+def reassign_slot_b(env: Scripted) -> None:
+    """The agent in slot b leaves at step 2; another one takes the slot at step 3."""
     env.infos["b"] = {"alive": env.steps != 2}
     if env.steps == 2:
         env.infos["b"]["slot_ended"] = "truncated"
 
 
-def test_a_slot_may_have_one_agent_after_another() -> None:
-    env = batch(hand_the_slot_on, agents_come_and_go=True)
+def test_a_slot_can_hold_several_agents_in_turn() -> None:
+    env = batch(reassign_slot_b, agents_come_and_go=True)
     observed = env.reset(seeds())
     ends, alive = [], []
     for _ in range(4):
@@ -419,7 +419,7 @@ def test_a_slot_may_have_one_agent_after_another() -> None:
     assert alive == [True, False, True, True]  # the last is of the next episode
 
 
-def test_a_slot_ends_in_one_of_two_ways() -> None:
+def test_slot_ended_is_terminated_or_truncated() -> None:
     def end_it_somehow(env: Scripted) -> None:
         if env.steps == 1:
             env.infos["b"] = {"slot_ended": True}

@@ -52,7 +52,7 @@ def test_nested_records_tuples_and_unions_are_built() -> None:
     assert build(Outer, {"limit": None}).limit is None
 
 
-def test_what_is_plain_builds_the_same_record_again() -> None:
+def test_a_plain_record_builds_the_same_record_again() -> None:
     record = Outer(hidden=(8, 8), inner=Inner(share=0.25))
     assert build(Outer, plain(record)) == record
 
@@ -94,7 +94,7 @@ class Fixed:
     """A circle. For corners take the square."""
 
 
-def test_another_value_of_a_fixed_key_says_what_to_use() -> None:
+def test_another_value_of_a_fixed_key_names_the_alternative() -> None:
     assert build(Fixed, {"shape": "round"}).shape == "round"
     with pytest.raises(HeadwayError) as caught:
         build(Fixed, {"shape": "edged"}, "algo", "circle")
@@ -107,7 +107,7 @@ def test_a_missing_key_without_default_is_named() -> None:
         build(Needy, {}, "env.args")
 
 
-def test_impossible_values_of_the_engine_are_one_line() -> None:
+def test_impossible_values_of_platform_keys_are_one_line_errors() -> None:
     with pytest.raises(HeadwayError, match=r"^rollout\.block 3 must divide copies 8$"):
         build(ExperimentConfig, {"rollout": {"block": 3}})
     with pytest.raises(HeadwayError, match=r"^env_steps must be at least 1$"):
@@ -136,12 +136,12 @@ def test_seed_forms(value: object, seeds: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("value", ["a", "", "-1", -1, "1..", "range(3,3)", 1.5, True, None, "0;1"])
-def test_seeds_of_no_known_form_say_which_forms_there_are(value: object) -> None:
+def test_seeds_of_unknown_form_list_the_forms(value: object) -> None:
     with pytest.raises(HeadwayError, match=r"0\.\.49"):
         parse_seeds(value)
 
 
-def test_seeds_backwards_name_the_right_order() -> None:
+def test_reversed_seed_ranges_name_the_right_order() -> None:
     with pytest.raises(HeadwayError, match=r"did you mean 2\.\.9"):
         parse_seeds("9..2")
 
@@ -157,12 +157,12 @@ def test_describe_reads_types_defaults_and_the_docstrings_under_fields() -> None
     assert [row.default for row in describe(Needy)] == ["required"]
 
 
-def test_a_beginning_stands_for_a_name() -> None:
+def test_an_abbreviation_matches_a_name() -> None:
     assert nearest("idm", ["idle", "idm_mobil"]) == "idm_mobil"
     assert nearest("Merge", ["merge_two_lane", "merge"]) == "merge"
     assert nearest("id", ["idle"]) == "idle"  # two letters are compared as any others
 
 
-def test_nearest_is_none_for_something_unlike_anything() -> None:
+def test_nearest_is_none_without_a_similar_name() -> None:
     assert nearest("Mapo", ["mappo", "ippo"]) == "mappo"
     assert nearest("qqqq", ["mappo", "ippo"]) is None

@@ -1,4 +1,4 @@
-"""The checks of the contract fail for an environment that breaks it, each for its own reason."""
+"""Each check of the contract fails for an environment that violates it."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ Change = Callable[[StepResult, Observations, int], None]
 
 
 class Broken(Visitors):
-    """Visitors with one promise broken: `change` spoils what each step returns."""
+    """Visitors with one violation: `change` modifies the result of each step."""
 
     def __init__(self, copies: int, change: Change, promises: Mapping[str, Any]) -> None:
         super().__init__(VisitorsConfig(), copies)
@@ -92,7 +92,7 @@ def spoil_metrics(outcome: StepResult, observed: Observations, call: int) -> Non
         ("spec", keep, {"groups": ("one",)}),
     ],
 )
-def test_a_broken_promise_is_caught(check: str, change: Change, spec: dict[str, Any]) -> None:
+def test_a_violation_is_caught(check: str, change: Change, spec: dict[str, Any]) -> None:
     def make(copies: int) -> Broken:
         return Broken(copies, change, spec)
 
@@ -101,7 +101,7 @@ def test_a_broken_promise_is_caught(check: str, change: Change, spec: dict[str, 
 
 
 class Pickled(Visitors):
-    """Snapshots that a pickle holds and a checkpoint does not."""
+    """Snapshots that can be pickled but not stored in a checkpoint."""
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         return {"kept": super().snapshot(), "days": {1, 2}}
@@ -110,7 +110,7 @@ class Pickled(Visitors):
         return super().restore(snapshot["kept"])
 
 
-def test_a_snapshot_that_no_checkpoint_can_hold_is_caught() -> None:
+def test_a_snapshot_that_checkpoints_cannot_store_is_caught() -> None:
     def make(copies: int) -> Pickled:
         return Pickled(VisitorsConfig(), copies)
 
@@ -118,20 +118,20 @@ def test_a_snapshot_that_no_checkpoint_can_hold_is_caught() -> None:
         CHECKS["snapshots"](make, play(make))
 
 
-def test_promised_masks_that_are_missing_are_caught() -> None:
+def test_missing_declared_masks_are_caught() -> None:
     with pytest.raises(AssertionError, match="does not declare"):
         play(lambda copies: Broken(copies, keep, {"has_action_mask": False}))
 
 
 class Overruling(Visitors):
-    """Writes into the actions that it is given."""
+    """Overwrites the actions passed to `step`."""
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         actions[0] = 1 - actions[0].clip(0, 1)
         return super().step(actions)
 
 
-def test_actions_that_step_replaces_in_place_are_caught() -> None:
+def test_changing_actions_in_place_is_caught() -> None:
     with pytest.raises(AssertionError, match="step must not write to the actions it is given"):
         play(lambda copies: Overruling(VisitorsConfig(), copies))
 
@@ -146,8 +146,8 @@ def test_nan_in_a_live_row_is_caught_while_playing() -> None:
 
 
 @pytest.mark.parametrize("check", CHECKS)
-def test_a_check_starts_no_environment_only_to_ask_how_many_copies(check: str) -> None:
-    """A simulator takes seconds to start. Also a recording of fewer copies can be checked."""
+def test_checks_create_no_environment_to_query_the_copy_limit(check: str) -> None:
+    """Starting a simulator takes seconds. A recording of fewer copies can be checked as well."""
     started: list[int] = []
 
     def make(copies: int) -> Visitors:

@@ -1,4 +1,4 @@
-"""Every registered environment, native and through its ParallelEnv, keeps the contract."""
+"""Every registered environment keeps the contract, natively and through its ParallelEnv."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ SHORT: Mapping[str, Mapping[str, Any]] = {
     "intersection": {"horizon": 400},
     "bus_published": {"scenario": "line"},
 }
-"""Arguments of environments whose episodes are long, or take long to prepare."""
+"""Arguments that shorten environments with long episodes or slow preparation."""
 
 
 def config_of(name: str) -> Any:  # noqa: ANN401 - the entry's record
@@ -73,8 +73,8 @@ def test_keeps_the_contract(case: str, check: str) -> None:
 
 
 @pytest.mark.parametrize("name", WITH_PARALLEL_ENV)
-def test_batched_and_parallel_env_are_the_same_game(name: str) -> None:
-    """Episode i of the adapter is episode 0 of the batch with the seed that the adapter derives for i."""
+def test_batched_and_parallel_env_give_the_same_episodes(name: str) -> None:
+    """Episode i of the adapter equals episode 0 of the batch with the seed derived for i."""
     config = config_of(name)
     through = recorded(f"{name} adapted").of_copy(0)
     track, start = through.trajectory, 0
@@ -92,7 +92,7 @@ def test_batched_and_parallel_env_are_the_same_game(name: str) -> None:
             outcome, observed = env.step(track.actions[step])
             for field in ("rewards", "terminated", "truncated", "acting"):
                 np.testing.assert_array_equal(getattr(outcome, field), getattr(track, field)[step], field)
-            # An agent that had ended before is only marked again: its final observation was given then.
+            # An agent that ended earlier is marked again without a final observation.
             over = (outcome.terminated | outcome.truncated) & ~gone
             np.testing.assert_array_equal(
                 outcome.final_observations[over], track.final_observations[step][over]

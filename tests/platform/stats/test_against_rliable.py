@@ -1,4 +1,4 @@
-"""The statistics of scores equal rliable's on the same data; intervals, whose draws are random, nearly so."""
+"""Statistics of scores equal rliable's on the same data; intervals, whose draws are random, nearly so."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ SHAPES = [(10, 1), (7, 3), (50, 4)]
 
 
 def drawn(runs: int, tasks: int, seed: int = 0) -> Scores:
-    """Scores of each task on a scale of its own, rounded so that some are equal."""
+    """Draw scores, each task on its own scale, rounded so that some are equal."""
     generator = np.random.default_rng(seed)
     return np.round(generator.normal(generator.uniform(0, 3, tasks), 1.0, (runs, tasks)), 1)
 
@@ -73,7 +73,7 @@ def test_performance_profiles_and_their_intervals() -> None:
 
 
 def test_sample_efficiency_is_the_interquartile_mean_along_the_curve() -> None:
-    """As rliable's example has it: the metric at each frame, whole runs drawn."""
+    """As in rliable's example: the metric at each frame, with whole runs resampled."""
     generator = np.random.default_rng(3)
     curves = np.cumsum(generator.normal(1, 1, (12, 2, 5)), axis=-1)  # runs x tasks x points
     frames, found = library.get_interval_estimates(

@@ -22,13 +22,13 @@ from headway.stats import (
 def test_final_reward_is_the_mean_over_the_last_fifth_of_the_steps() -> None:
     steps = np.arange(0, 101, 10)
     assert final_reward(steps, steps) == 90.0  # points 80, 90, 100
-    # Of the steps, not of the points: a curve sampled densely at its start.
+    # A share of the steps, not of the points: this curve is sampled densely at its start.
     assert final_reward([0, 1, 2, 3, 4, 100], [9, 9, 9, 9, 9, 5]) == 5.0
     assert final_reward([3], [7]) == 7.0
 
 
 def test_difference_of_means_is_welch_s() -> None:
-    """The example of two samples whose variances differ, by the formulas written out."""
+    """Two samples with different variances, by the formulas written out."""
     a, b = [27.5, 21.0, 19.0, 23.6, 17.0], [27.1, 22.0, 20.8, 23.4, 23.4, 23.5, 25.8, 22.0]
     parts = [np.var(each, ddof=1) / len(each) for each in (a, b)]
     freedom = sum(parts) ** 2 / (parts[0] ** 2 / 4 + parts[1] ** 2 / 7)
@@ -41,7 +41,7 @@ def test_difference_of_means_is_welch_s() -> None:
     assert difference_of_means([9.0, 9.1, 8.9], [1.0, 1.2]).excludes_zero
 
 
-def test_means_of_what_never_varies_have_no_interval() -> None:
+def test_means_of_constant_samples_have_no_interval() -> None:
     found = difference_of_means([3.0, 3.0], [1.0, 1.0])
     assert found.estimate == 2.0
     assert np.isnan([found.low, found.high]).all()
@@ -61,8 +61,8 @@ def test_auc_of_known_shapes() -> None:
 
 
 @pytest.mark.parametrize("values", [[3], [3, 3], [-5, 5], [5, -5]])
-def test_a_curve_of_two_points_has_no_area_by_its_own_range(values: list[float]) -> None:
-    """It would be a half, whatever was learnt."""
+def test_the_own_range_area_of_two_points_is_nan(values: list[float]) -> None:
+    """Otherwise it would always be 0.5."""
     assert np.isnan(auc([10, 20][: len(values)], values))
 
 
@@ -112,7 +112,7 @@ def test_paired_difference_is_the_t_interval() -> None:
 @pytest.mark.parametrize("days", [10, 200])
 @pytest.mark.parametrize("seeds", [2, 3, 5, 10])
 @pytest.mark.parametrize("effects", [(1, 0), (1, 1), (1, 3), (0, 1)], ids="seed {0[0]}, day {0[1]}".format)
-def test_intervals_over_seeds_and_days_cover_the_truth(
+def test_intervals_over_seeds_and_episodes_cover_the_truth(
     effects: tuple[float, float], seeds: int, days: int
 ) -> None:
     of_seed, of_day = effects
@@ -128,7 +128,7 @@ def test_intervals_over_seeds_and_days_cover_the_truth(
         assert covered / 600 <= 0.97
 
 
-def test_without_a_day_effect_it_is_the_t_interval_over_seeds() -> None:
+def test_without_an_episode_effect_it_is_the_t_interval_over_seeds() -> None:
     learned = np.array([[3.0], [5.0], [10.0]]) + np.zeros((3, 4))
     result = paired_difference_over_seeds(learned, np.ones((3, 4)))
     expected = scipy_stats.ttest_1samp([2.0, 4.0, 9.0], 0).confidence_interval(0.95)
@@ -162,7 +162,7 @@ def test_interquartile_mean_takes_runs_by_tasks() -> None:
 
 
 def test_stratified_bootstrap_draws_within_tasks() -> None:
-    # Tasks whose runs agree leave nothing to draw; mixed draws would spread.
+    # If the runs of each task are equal, draws within tasks do not vary; draws across tasks would.
     result = stratified_bootstrap_interval([[0, 0, 0], [10, 10]], lambda scores: scores.mean(axis=-1))
     assert (result.estimate, result.low, result.high) == (4, 4, 4)
 
@@ -174,6 +174,6 @@ def test_stratified_bootstrap_agrees_with_theory_for_the_mean() -> None:
     assert stratified_bootstrap_interval([scores]) == stratified_bootstrap_interval([scores])
 
 
-def test_importing_it_is_cheap() -> None:
+def test_importing_stats_is_cheap() -> None:
     code = "import sys, headway.stats; sys.exit(bool({'pandas', 'scipy', 'torch'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

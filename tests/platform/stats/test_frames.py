@@ -1,4 +1,4 @@
-"""Frames in, frames out: the same figures as the functions that take arrays, and honest gaps."""
+"""Statistics of frames equal those of arrays; unknown values are NaN."""
 
 import numpy as np
 import pandas as pd
@@ -29,18 +29,18 @@ def curves(**by_run: list[float]) -> pd.DataFrame:
 
 
 def test_both_areas_of_a_curve_by_hand() -> None:
-    """The range of the study is 0 to 10; b climbs in its own range as a does, at half the height."""
+    """The range of the study is 0 to 10; b has the shape of a at half its height."""
     found = frames.curve_metrics(curves(a_0=[0, 10, 10], b_0=[0, 5, 5]))
     assert found["auc_own"].tolist() == [0.75, 0.75]
     assert found["auc_study"].tolist() == [0.75, 0.375]
     assert found["final_reward"].tolist() == [10, 5]
 
 
-def test_a_study_in_which_nothing_moves_has_half_areas() -> None:
+def test_areas_of_constant_curves_are_half() -> None:
     assert frames.curve_metrics(curves(a_0=[3, 3]))["auc_study"].tolist() == [0.5]
 
 
-def test_learning_curves_have_the_interval_of_student_and_only_common_steps() -> None:
+def test_mean_curves_have_t_intervals_at_common_steps() -> None:
     found = frames.mean_curves(curves(a_0=[0, 1, 2], a_1=[2, 5], b_0=[1, 1]))
     of_a = found[found["controller"] == "a"]
     assert of_a["env_steps"].tolist() == [0, 10]
@@ -50,7 +50,7 @@ def test_learning_curves_have_the_interval_of_student_and_only_common_steps() ->
     assert found[found["controller"] == "b"]["low"].isna().all()
 
 
-def test_curves_are_laid_on_the_steps_of_all_within_the_span_of_all() -> None:
+def test_curves_are_interpolated_to_common_steps() -> None:
     apart = curves(a_0=[0.0, 1.0, 2.0], a_1=[2.0, 5.0], b_0=[1.0, 1.0], b_1=[3.0, 4.0])
     apart.loc[apart["run_id"] == "a_1", "env_steps"] += 5  # at 5 and 15
     apart.loc[apart["run_id"] == "b_1", "env_steps"] += 50  # after all of b_0
@@ -63,13 +63,13 @@ def test_curves_are_laid_on_the_steps_of_all_within_the_span_of_all() -> None:
     assert set(frames.mean_curves(found)["controller"]) == {"a"}
 
 
-def test_curves_with_the_same_steps_stay_as_they_are() -> None:
+def test_curves_with_the_same_steps_are_unchanged() -> None:
     alike = curves(a_0=[0.1, 0.7, 0.2], a_1=[2, 5, 1], b_0=[1, 1])
     assert frames.on_common_steps(alike).equals(alike)
     assert frames.on_common_steps(alike.iloc[:0]).empty
 
 
-def test_one_run_has_neither_deviation_nor_interval() -> None:
+def test_one_run_has_no_deviation_and_no_interval() -> None:
     found = frames.summary(scores(a={"bus": [3.0]}, b={"bus": [1.0, 2.0, 4.0, 9.0]}))
     assert found.loc["a", ["mean", "iqm"]].tolist() == [3, 3]
     assert found.loc["a", ["std", "iqm_low", "iqm_high"]].isna().all()

@@ -1,4 +1,4 @@
-"""Pictures of many cells can be read."""
+"""Plots of many cells are readable."""
 
 import io
 import math
@@ -21,8 +21,8 @@ from headway.stats.plots import (
 LONG = "mappo, algo.model.hidden [128, 128, 128], algo.gae_lambda 0.95, 6 settings more, cell {}"
 
 
-def _whole_and_readable(figure: Figure) -> None:
-    """Every word is inside the picture, and none was squeezed out: matplotlib warns of that."""
+def _assert_readable(figure: Figure) -> None:
+    """Assert that all text is inside the figure, and that matplotlib warned of no collapsed layout."""
     figure.savefig(io.BytesIO())
     for axes in figure.axes:
         assert axes.bbox.width > 0.2 * figure.bbox.width
@@ -43,7 +43,7 @@ def _whole_and_readable(figure: Figure) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", ["curves", "intervals", "profiles", "footprint", "cost", "components"])
-def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
+def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
     names = [LONG.format(place) for place in range(12)]
     styles, rules = colours(names), {f"rule_{place}": float(place) for place in range(9)}
     if kind == "curves":
@@ -76,7 +76,7 @@ def test_pictures_of_twelve_cells_with_long_names_are_whole(kind: str) -> None:
     else:
         parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(8)}, index=names)
         figure = reward_components(parts)
-    _whole_and_readable(figure)
+    _assert_readable(figure)
 
 
 def test_a_footprint_without_co2_has_no_panel_for_it() -> None:
@@ -95,7 +95,7 @@ def test_a_footprint_without_co2_has_no_panel_for_it() -> None:
     ]
 
 
-def test_components_that_are_0_for_all_have_no_panel() -> None:
+def test_components_that_are_always_0_have_no_panel() -> None:
     parts = pd.DataFrame(
         {"speed": [1.0, 2.0], "lanes": [0.0, -2e-17], "crash": [math.nan, -1.0]}, index=["a", "b"]
     )

@@ -1,4 +1,4 @@
-"""What of a run can be looked at in a browser."""
+"""Views of a run for a browser."""
 
 import csv
 from pathlib import Path
@@ -10,7 +10,7 @@ from headway.store import RunLog
 from headway.store.artifacts import write_views
 
 
-def test_evaluations_are_a_table_and_curves_a_picture(tmp_path: Path) -> None:
+def test_evaluations_become_a_table_and_curves_a_picture(tmp_path: Path) -> None:
     log = RunLog(tmp_path)
     for iteration in range(4):
         row = {"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 0.5, "training/return": 1.0}
@@ -26,12 +26,12 @@ def test_evaluations_are_a_table_and_curves_a_picture(tmp_path: Path) -> None:
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_of_a_run_without_a_curve_there_is_nothing_to_see(tmp_path: Path) -> None:
+def test_a_run_without_a_curve_has_no_views(tmp_path: Path) -> None:
     write_views(tmp_path, "a run")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_broken_log_is_one_line(tmp_path: Path) -> None:
+def test_a_broken_log_is_a_headway_error(tmp_path: Path) -> None:
     (tmp_path / "curve-000001.parquet").write_text("broken")
     with pytest.raises(HeadwayError, match="cannot be read as Parquet"):
         write_views(tmp_path, "a run")

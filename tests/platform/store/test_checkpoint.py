@@ -1,4 +1,4 @@
-"""Checkpoints come back exactly, and broken ones are recognised."""
+"""Checkpoints are restored exactly, and broken ones are detected."""
 
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def test_the_last_two_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
-def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, damage: str) -> None:
+def test_a_broken_checkpoint_is_skipped(tmp_path: Path, damage: str) -> None:
     save_checkpoint(tmp_path, 20, {"at": 20})
     path = save_checkpoint(tmp_path, 40, {"at": 40, "weights": torch.ones(1000)})
     content = bytearray(path.read_bytes())
@@ -70,19 +70,19 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, damage: str) -> None
     assert "checkpoint-000040.pt" in notices[0]
 
 
-def test_none_whole_is_an_error(tmp_path: Path) -> None:
+def test_no_valid_checkpoint_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(HeadwayError, match="no checkpoint in"):
         load_latest(tmp_path)
     (tmp_path / "checkpoint-000020.pt").write_bytes(b"half")
-    with pytest.raises(HeadwayError, match="is whole: start the run anew"):
+    with pytest.raises(HeadwayError, match="is broken: start the run anew"):
         load_latest(tmp_path)
 
 
-def test_nothing_in_a_checkpoint_is_run(tmp_path: Path) -> None:
+def test_objects_with_code_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"state\['env'\]\[0\] is a PosixPath"):
         save_checkpoint(tmp_path, 1, {"env": [tmp_path]})
 
 
-def test_a_view_does_not_drag_its_storage_along(tmp_path: Path) -> None:
+def test_a_view_is_stored_without_its_whole_storage(tmp_path: Path) -> None:
     path = save_checkpoint(tmp_path, 1, {"row": torch.zeros(1_000_000)[:10]})
     assert path.stat().st_size < 10_000

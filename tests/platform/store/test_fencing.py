@@ -1,4 +1,4 @@
-"""One writer at a time: whoever was shut out changes nothing in a run's folder, whenever that was."""
+"""Fencing: a process whose gate was closed can change nothing in a run's folder."""
 
 import errno
 import multiprocessing
@@ -13,7 +13,7 @@ import pytest
 
 from headway.contracts import HeadwayError
 from headway.store.checkpoint import latest_iteration, load_latest, save_checkpoint, write_checkpoint
-from headway.store.fencing import discard, open_gate, shut_gates, write_through
+from headway.store.fencing import close_gates, discard, open_gate, write_through
 from headway.store.parquet_log import RunLog, read_rows
 
 TAKEN_OVER = "another training process has taken over"
@@ -31,7 +31,7 @@ def _contents(directory: Path) -> dict[str, bytes]:
     return {str(path.relative_to(directory)): path.read_bytes() for path in files}
 
 
-def test_what_is_written_through_a_gate_is_as_without_one(tmp_path: Path) -> None:
+def test_files_are_the_same_with_and_without_a_gate(tmp_path: Path) -> None:
     plain, gated = tmp_path / "plain", tmp_path / "gated"
     for directory in (plain, gated):
         directory.mkdir()
@@ -40,12 +40,12 @@ def test_what_is_written_through_a_gate_is_as_without_one(tmp_path: Path) -> Non
             log = _filled(directory, iteration, gate)
             write_checkpoint(directory / "checkpoints", iteration, b"%d" % iteration, gate)
         log.rewind(2)
-    shut_gates(gated)
+    close_gates(gated)
     assert _contents(gated) == _contents(plain)
     assert [path.name for path in gated.glob(".*")] == []
 
 
-def test_whoever_was_shut_out_neither_adds_nor_replaces_nor_removes(tmp_path: Path) -> None:
+def test_a_former_writer_cannot_add_replace_or_remove_files(tmp_path: Path) -> None:
     before = open_gate(tmp_path)
     log = _filled(tmp_path, 2, before)
     log.append("curve", [{"iteration": 4, "reward": 1.0}])
@@ -64,7 +64,7 @@ def test_whoever_was_shut_out_neither_adds_nor_replaces_nor_removes(tmp_path: Pa
     assert load_latest(tmp_path / "checkpoints")[0] == latest_iteration(tmp_path / "checkpoints") == 4
 
 
-def test_who_is_shut_out_in_the_middle_of_a_file_does_not_finish_it(tmp_path: Path) -> None:
+def test_a_gate_closed_during_a_write_prevents_the_file(tmp_path: Path) -> None:
     gate = open_gate(tmp_path)
 
     def write(stream: IO[bytes]) -> None:
@@ -77,7 +77,7 @@ def test_who_is_shut_out_in_the_middle_of_a_file_does_not_finish_it(tmp_path: Pa
     assert _contents(tmp_path) == {}
 
 
-def test_other_errors_are_told_as_without_a_gate(tmp_path: Path) -> None:
+def test_other_errors_are_reported_as_without_a_gate(tmp_path: Path) -> None:
     gate = open_gate(tmp_path)
     with pytest.raises(HeadwayError, match=r"cannot write .*nowhere/file"):
         write_through(tmp_path / "nowhere" / "file", lambda stream: stream.write(b""), gate)
@@ -90,9 +90,7 @@ def _failing(number: int) -> Callable[..., None]:
     return fail
 
 
-def test_a_gate_that_cannot_be_removed_yet_is_shut_and_goes_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_busy_gate_is_closed_now_and_removed_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = open_gate(tmp_path)
     (before / ".nfs0001").write_bytes(b"open on this machine")
     with monkeypatch.context() as nfs:
@@ -101,23 +99,23 @@ def test_a_gate_that_cannot_be_removed_yet_is_shut_and_goes_later(
     with pytest.raises(HeadwayError, match=TAKEN_OVER):
         write_through(tmp_path / "file", lambda stream: stream.write(b"late"), before)
     write_through(tmp_path / "file", lambda stream: stream.write(b"good"), after)
-    shut_gates(tmp_path)
+    close_gates(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_removal_waits_between_its_attempts_and_says_what_fills(
+def test_removal_waits_between_attempts_and_names_the_gate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_gate(tmp_path)
     pauses: list[float] = []
     monkeypatch.setattr("time.sleep", pauses.append)
     monkeypatch.setattr(shutil, "rmtree", _failing(errno.ENOTEMPTY))
-    with pytest.raises(HeadwayError, match="which fills again and again"):
-        shut_gates(tmp_path)
+    with pytest.raises(HeadwayError, match="which another process keeps writing to"):
+        close_gates(tmp_path)
     assert sum(pauses) >= 0.5
 
 
-def test_a_stale_handle_is_a_gate_that_was_shut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stale_handle_means_a_closed_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gate = open_gate(tmp_path)
     (tmp_path / "file").write_bytes(b"kept")
     monkeypatch.setattr(Path, "replace", _failing(errno.ESTALE))
@@ -127,26 +125,26 @@ def test_a_stale_handle_is_a_gate_that_was_shut(tmp_path: Path, monkeypatch: pyt
         discard(tmp_path / "file", gate)
 
 
-def _write_on_and_on(directory: Path, gate: Path) -> None:
+def _write_repeatedly(directory: Path, gate: Path) -> None:
     for number in range(10**6):
         write_through(directory / f"file-{number}", lambda stream: stream.write(b"late"), gate)
 
 
-def test_a_gate_is_shut_whatever_is_being_written(tmp_path: Path) -> None:
+def test_a_gate_can_be_closed_during_concurrent_writes(tmp_path: Path) -> None:
     gates = [open_gate(tmp_path)]
     context = multiprocessing.get_context("fork" if threading.active_count() == 1 else "spawn")
-    writers = [context.Process(target=_write_on_and_on, args=(tmp_path, gates[0])) for _ in range(2)]
+    writers = [context.Process(target=_write_repeatedly, args=(tmp_path, gates[0])) for _ in range(2)]
     for writer in writers:
         writer.start()
     try:
         while len(list(tmp_path.glob("file-*"))) < 5:
             assert all(writer.is_alive() for writer in writers)
         open_gate(tmp_path)
-        there = _contents(tmp_path)
+        written = _contents(tmp_path)
         for writer in writers:
             writer.join(60)
     finally:
         for writer in writers:
             writer.kill()
     assert [writer.exitcode for writer in writers] == [1, 1]
-    assert _contents(tmp_path) == there
+    assert _contents(tmp_path) == written

@@ -1,4 +1,4 @@
-"""The summary index follows the run folders, whatever happens to it."""
+"""The summary index matches the run folders, even after it was damaged."""
 
 import json
 import shutil
@@ -33,7 +33,7 @@ def _run(root: Path, seed: int, study: str = "study", **summary: float | None) -
     return directory
 
 
-def test_rows_tell_what_the_folders_hold(tmp_path: Path) -> None:
+def test_rows_match_the_folders(tmp_path: Path) -> None:
     _run(tmp_path, 0, final_reward=1.5, kwh=float("nan"), auc=None)
     _run(tmp_path, 1, study="other", final_reward=2.5)
     first, second = RunIndex(tmp_path).rows()
@@ -42,7 +42,7 @@ def test_rows_tell_what_the_folders_hold(tmp_path: Path) -> None:
     assert RunIndex(tmp_path / "absent").rows() == []
 
 
-def test_changes_and_removals_are_seen(tmp_path: Path) -> None:
+def test_changed_and_removed_runs_are_updated(tmp_path: Path) -> None:
     kept, removed = _run(tmp_path, 0), _run(tmp_path, 1)
     assert len(RunIndex(tmp_path).rows()) == 2
     shutil.rmtree(removed)
@@ -53,7 +53,7 @@ def test_changes_and_removals_are_seen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["lost", "corrupt", "stale", "of another version"])
-def test_a_damaged_index_is_made_anew(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_index_is_rebuilt(tmp_path: Path, damage: str) -> None:
     _run(tmp_path, 0, final_reward=1.0)
     expected = RunIndex(tmp_path).rows()
     path = tmp_path / "index.sqlite"
@@ -73,7 +73,7 @@ def test_a_damaged_index_is_made_anew(tmp_path: Path, damage: str) -> None:
     assert RunIndex(tmp_path).rows() == expected
 
 
-def test_a_locked_index_does_not_hold_up_the_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_locked_index_does_not_block_a_query(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("headway.store.index._WAIT_SECONDS", 0.1)
     _run(tmp_path, 0)
     RunIndex(tmp_path).rows()
@@ -93,11 +93,11 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
     assert str(broken) in index.notices[0]
     (broken / "run.json").write_text(json.dumps({"run_id": "x"}))
     index.rows()
-    assert "is no record of a run" in index.notices[0]
+    assert "is no valid run record" in index.notices[0]
 
 
-def test_a_query_reads_nothing_but_what_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether a run has changed its files' dates and sizes tell."""
+def test_a_query_reads_only_changed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Changes are detected by the times and sizes of the files."""
     folders = [_run(tmp_path, seed, final_reward=1.0) for seed in range(20)]
     read: list[Path] = []
 

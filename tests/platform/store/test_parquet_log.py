@@ -1,4 +1,4 @@
-"""The Parquet log: what is committed survives, what is not is not seen."""
+"""Parquet log: committed rows survive a kill, uncommitted rows are invisible."""
 
 import errno
 import os
@@ -20,7 +20,7 @@ from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import RunLog
 
 
-def test_rows_are_seen_after_commit_only(tmp_path: Path) -> None:
+def test_rows_are_visible_after_commit_only(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     run.append("curve", [{"iteration": 1, "env_steps": 10, "train/reward": 0.5}])
     assert parquet_log.read(tmp_path, "curve").empty
@@ -58,7 +58,7 @@ def test_an_integer_column_may_become_floats_later(tmp_path: Path) -> None:
     assert list(parquet_log.read(tmp_path, "curve")["x"]) == [3.0, 0.25]
 
 
-def test_a_second_commit_of_an_iteration_adds_to_it(tmp_path: Path) -> None:
+def test_a_second_commit_of_an_iteration_extends_it(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for value in (1.0, 2.0):
         run.append("curve", [{"iteration": 5, "x": value}])
@@ -67,7 +67,7 @@ def test_a_second_commit_of_an_iteration_adds_to_it(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("curve-*.parquet"))) == 1
 
 
-def test_rewind_drops_what_the_checkpoint_does_not_know(tmp_path: Path) -> None:
+def test_rewind_removes_rows_newer_than_the_checkpoint(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for iteration in (10, 20, 30):
         run.append("curve", [{"iteration": iteration}])
@@ -80,7 +80,7 @@ def test_rewind_drops_what_the_checkpoint_does_not_know(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [None, [1.0], object()])
-def test_other_values_are_refused_by_name(tmp_path: Path, value: object) -> None:
+def test_other_value_types_are_refused_with_the_column_name(tmp_path: Path, value: object) -> None:
     with pytest.raises(ValueError, match="'train/x'"):
         RunLog(tmp_path).append("curve", [{"train/x": value}])  # type: ignore[dict-item] # the bad input
 
@@ -92,7 +92,9 @@ def test_text_and_numbers_do_not_mix(tmp_path: Path) -> None:
         run.commit(1)
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_a_one_line_error_and_loses_no_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = RunLog(tmp_path)
     run.append("curve", [{"iteration": 1}])
     run.commit(1)
@@ -124,7 +126,7 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(disk)], check=False)
 
 
-def test_a_disk_that_fills_up_keeps_what_was_kept(tiny_disk: Path) -> None:
+def test_a_full_disk_keeps_committed_data(tiny_disk: Path) -> None:
     run, checkpoints = RunLog(tiny_disk / "run"), tiny_disk / "run" / "checkpoints"
     noise, kept = np.random.default_rng(0), [0]
 
@@ -165,7 +167,7 @@ for iteration in range(1, 100_000):
 """
 
 
-def test_a_killed_writer_leaves_whole_segments(tmp_path: Path) -> None:
+def test_a_killed_writer_leaves_complete_segments(tmp_path: Path) -> None:
     writer = subprocess.Popen(
         [sys.executable, "-c", _WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )

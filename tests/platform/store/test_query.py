@@ -1,4 +1,4 @@
-"""Any runs of a store as frames."""
+"""Selected runs of a store as frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -45,8 +45,8 @@ def keep_run(
     energy = EnergyLog(directory)
     energy.append({"time": 1.0, "kwh": 0.25})
     energy.write()
-    days = [{"episode_seed": day, "return": 10.0 * day} for day in range(2)]
-    write_json(rules_file(root, study, cell), {"hold": days})
+    episodes = [{"episode_seed": seed, "return": 10.0 * seed} for seed in range(2)]
+    write_json(rules_file(root, study, cell), {"hold": episodes})
     return run_id
 
 
@@ -60,7 +60,7 @@ def root(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_runs_are_chosen_by_one_value_or_several(root: Path) -> None:
+def test_filters_take_one_value_or_several(root: Path) -> None:
     assert len(select(root).rows) == 5
     assert [row.algorithm for row in select(root, study="bus", seed=0).rows] == ["ippo", "mappo", "mappo"]
     assert len(select(root, algorithm=("ippo", "mappo"), status="FINISHED").rows) == 4
@@ -70,18 +70,18 @@ def test_runs_are_chosen_by_one_value_or_several(root: Path) -> None:
     assert len(select(root, cell=last.cell).rows) == 2
 
 
-def test_runs_are_chosen_by_preset(root: Path) -> None:
+def test_runs_can_be_selected_by_preset(root: Path) -> None:
     tuned = keep_run(root, "coma", 0, preset="bus_tuned")
     paper = keep_run(root, "coma", 0, preset="paper", lr="0.3")
     assert [row.run_id for row in select(root, preset="paper").rows] == [paper]
     assert {row.run_id for row in select(root, preset=("bus_tuned", "paper")).rows} == {tuned, paper}
-    assert len(select(root, preset="").rows) == 5  # of which it is not known
+    assert len(select(root, preset="").rows) == 5  # runs stored without a preset
     assert set(select(root, algorithm="coma").runs()["preset"]) == {"bus_tuned", "paper"}
     with pytest.raises(HeadwayError, match=r"has preset 'papre'; did you mean paper\?"):
         select(root, preset="papre")
 
 
-def test_unknown_values_are_one_line_with_the_nearest(root: Path) -> None:
+def test_an_unknown_value_is_an_error_with_the_nearest_one(root: Path) -> None:
     with pytest.raises(HeadwayError, match=r"has algorithm 'mapo'; did you mean mappo\?"):
         select(root, algorithm="mapo")
     with pytest.raises(HeadwayError, match="there is no store"):
@@ -90,13 +90,13 @@ def test_unknown_values_are_one_line_with_the_nearest(root: Path) -> None:
         select(root, status="finished")
 
 
-def test_of_a_seed_trained_twice_the_newest_counts(root: Path) -> None:
+def test_newest_keeps_the_last_run_of_a_seed(root: Path) -> None:
     again = keep_run(root, "ippo", 0)
     chosen = select(root, algorithm="ippo", seed=0, newest=True)
     assert [row.run_id for row in chosen.rows] == [again]
 
 
-def test_every_frame_says_whose_rows_it_has(root: Path) -> None:
+def test_every_frame_has_labels(root: Path) -> None:
     chosen = select(root, study="bus")
     frames = {
         "runs": (chosen.runs(), 4),
@@ -120,7 +120,7 @@ def test_every_frame_says_whose_rows_it_has(root: Path) -> None:
     assert set(chosen.configurations().values()) == {"seed: 0\n", "seed: 1\n"}
 
 
-def test_of_a_curve_only_what_is_asked_for_is_read(root: Path) -> None:
+def test_only_requested_metrics_are_read(root: Path) -> None:
     found = select(root, algorithm="ippo", seed=0).curves(["evaluation_greedy/return", "absent"])
     assert found["env_steps"].tolist() == [0, 20]
     assert found["evaluation_greedy/return"].tolist() == [0, 2]
@@ -128,14 +128,14 @@ def test_of_a_curve_only_what_is_asked_for_is_read(root: Path) -> None:
     assert select(root).curves(["absent"]).empty
 
 
-def test_evaluations_by_mode_and_moment(root: Path) -> None:
+def test_evaluations_by_mode_and_final(root: Path) -> None:
     chosen = select(root, algorithm="ippo", seed=0)
     found = chosen.evaluations(["return"], mode="greedy", final=True)
     assert found[["iteration", "mode", "episode_seed", "return"]].to_numpy().tolist() == [[3, "greedy", 5, 7]]
     assert len(chosen.evaluations(final=False)) == 6
 
 
-def test_rules_of_cells_that_have_the_same_count_once(root: Path) -> None:
+def test_rules_shared_by_cells_appear_once(root: Path) -> None:
     found = select(root, study="bus").rules()
     assert found[["task", "rule", "episode_seed", "return"]].to_numpy().tolist() == [
         ["bus", "hold", 0, 0.0],
@@ -156,7 +156,7 @@ def test_without_runs_frames_are_empty_and_have_labels(root: Path) -> None:
         assert "task" in frame
 
 
-def test_of_many_runs_each_log_is_opened_once_and_each_cell_s_record_is_read_once(
+def test_each_log_is_opened_once_and_one_record_per_cell_is_read(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for seed in range(2, 12):

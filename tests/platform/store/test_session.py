@@ -1,4 +1,4 @@
-"""The session's side of the store, with the real MLflow on SQLite."""
+"""Session side of the store, with the real MLflow on SQLite."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ ITERATIONS = 40
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A root with an MLflow database, made once: creating one takes a second."""
+    """An empty MLflow database, created once because that takes a second."""
     root = tmp_path_factory.mktemp("prepared")
     Tracker(root)
     return root / "mlflow.db"
@@ -44,7 +44,7 @@ def root(tmp_path: Path, prepared: Path) -> Path:
 @pytest.fixture(autouse=True)
 def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
-        raise AssertionError("the store reached for the network")
+        raise AssertionError("the store used the network")
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
     monkeypatch.setattr(socket, "getaddrinfo", refuse)
@@ -61,7 +61,7 @@ def _begin(store: SessionStore, seed: int = 0, algorithm: str = "mappo") -> Run:
 
 
 def _train(run: Run, first: int, last: int) -> None:
-    """What a training process and its session do from iteration `first` to `last`."""
+    """Write what a training process and its session write from iteration `first` to `last`."""
     log = RunLog(run.directory)
     for iteration in range(first, last + 1):
         log.append("curve", [_row(iteration)])
@@ -73,7 +73,7 @@ def _train(run: Run, first: int, last: int) -> None:
 
 
 def _histories(root: Path, run: Run) -> dict[str, list[tuple[int, float]]]:
-    """Every metric's (step, value) of a run in MLflow, from the database itself."""
+    """Return the (step, value) pairs of each metric of a run, read from MLflow's database."""
     child = read_json(run.directory / "tracking.json")["run"]
     with sqlite3.connect(root / "mlflow.db") as database:
         rows = database.execute(
@@ -128,8 +128,8 @@ def test_a_run_from_beginning_to_end(root: Path) -> None:
     assert curve[-1] == (4000, 40.0)
 
 
-def test_a_checkpoint_that_no_session_heard_of_counts_with_the_steps_of_the_log(root: Path) -> None:
-    """The session was killed between the two; the next one finds nothing left to train."""
+def test_env_steps_of_an_unrecorded_checkpoint_come_from_the_log(root: Path) -> None:
+    """The session was killed before it received the rows; the next one has nothing left to train."""
     store = SessionStore.open(StoreConfig(root=str(root)))
     run = _begin(store)
     log = RunLog(run.directory)
@@ -151,7 +151,7 @@ def test_only_durable_points_reach_mlflow(root: Path) -> None:
     assert (run.record.durable_iteration, run.record.durable_env_steps) == (20, 2000)
 
 
-def test_a_resumed_run_repeats_no_point(root: Path) -> None:
+def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     config = StoreConfig(root=str(root))
     first = SessionStore.open(config)
     run = _begin(first)
@@ -170,7 +170,7 @@ def test_a_resumed_run_repeats_no_point(root: Path) -> None:
     assert second.close() == ()
     expected = [(100 * i, float(i)) for i in range(1, ITERATIONS + 1)]
     assert _histories(root, run)["train/reward"] == expected
-    # Of the end that was not the last there is no summary that could be taken for the result.
+    # The summary of the killed run was not sent: it is not the result.
     assert _histories(root, run)["summary/final_reward"] == [(0, 1.0)]
     assert _mlflow(root).get_run(read_json(run.directory / "tracking.json")["run"]).data.tags[
         "episodes_restarted"
@@ -181,7 +181,7 @@ def test_a_resumed_run_repeats_no_point(root: Path) -> None:
         second.resume(run.run_id)
 
 
-def test_rules_kept_by_earlier_sessions_stay(root: Path) -> None:
+def test_rules_stored_by_earlier_sessions_stay(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     cell = store.begin_cell("study one", "bus", "mappo", {})
     cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
@@ -204,11 +204,11 @@ def test_a_running_run_is_not_taken_over(root: Path) -> None:
 
 
 def _statuses(root: Path) -> list[str]:
-    """Of runs and cells in MLflow."""
+    """Return the statuses of runs and cells in MLflow, sorted."""
     return sorted(run.info.status for run in _mlflow(root).search_runs(["1"]))
 
 
-def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
+def test_a_failing_mlflow_is_a_notice_and_sync_repairs_it(root: Path) -> None:
     whole = (root / "mlflow.db").read_bytes()
     (root / "mlflow.db").write_bytes(b"no database at all" * 100)
     store = SessionStore.open(StoreConfig(root=str(root)))
@@ -225,24 +225,24 @@ def test_a_failing_mlflow_is_a_notice_and_sync_mends_it(root: Path) -> None:
     histories = _histories(root, run)
     assert histories["train/loss"][-1] == (4000, 1 / 40)
     assert histories["summary/final_reward"] == [(0, 2.0)]
-    assert _statuses(root) == ["FINISHED"] * 2  # its cell's, too, which no session ended
+    assert _statuses(root) == ["FINISHED"] * 2  # the run and its cell, which no session ended
 
-    # A run that a killed session had finished, and not sent, is sent by the next one at its end.
+    # A finished run that a killed session did not send is sent by the next session.
     (run.directory / "tracking.json").unlink()
     other = SessionStore.open(StoreConfig(root=str(root)))
     assert other.close() == ()
     assert sync(root) == ()
     assert _histories(root, run) == histories
 
-    # As after a crash between sending and noting it: nothing is sent twice.
+    # After a crash between sending and recording it, nothing is sent twice.
     (run.directory / "tracking.json").unlink()
     sync(root)
     assert _histories(root, run)["train/loss"] == histories["train/loss"]
     assert _statuses(root) == ["FINISHED"] * 2
 
 
-def test_a_run_that_cannot_be_read_keeps_no_other_from_mlflow(root: Path) -> None:
-    """While they are trained, at the next session's end, and by `sync`; it says so each time."""
+def test_an_unreadable_run_does_not_block_other_runs(root: Path) -> None:
+    """In training, at the end of the next session and in `sync`; each time with a notice."""
     store = SessionStore.open(StoreConfig(root=str(root)))
     broken, whole = _begin(store, seed=0), _begin(store, seed=1)
     for run in (broken, whole):
@@ -264,22 +264,20 @@ def test_a_run_that_cannot_be_read_keeps_no_other_from_mlflow(root: Path) -> Non
     assert line.startswith(f"{broken.run_id} is not sent to MLflow: ")
 
     segment.write_bytes(content)
-    (whole.directory / "tracking.json").write_text("{half of it")  # what MLflow has is asked for
+    (whole.directory / "tracking.json").write_text("{half of it")  # broken: MLflow is queried instead
     assert set(sync(root)) == {f"{run.run_id} is up to date in MLflow" for run in (broken, whole)}
     assert sync(root) == ()
     assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
     assert len(_histories(root, broken)["train/reward"]) == 10
-    assert _statuses(root) == ["FINISHED", "KILLED", "KILLED"]  # the cell's is the worse of the two
+    assert _statuses(root) == ["FINISHED", "KILLED", "KILLED"]  # the cell has the worse status of its runs
 
 
-def test_a_living_run_that_cannot_be_read_is_told_of_once_and_others_go_on(root: Path) -> None:
+def test_an_unreadable_active_run_gives_one_notice(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     broken = _begin(store, seed=0)
     (broken.directory / "curve-000001.parquet").write_bytes(b"no Parquet")
     for iteration in (1, 2, 3):
-        store.follow(
-            TrackingTask(broken._follower.catch_up, broken._follower.forget, broken._follower.catch_up)
-        )
+        store.submit(TrackingTask(broken._sync.catch_up, broken._sync.reset, broken._sync.catch_up))
         broken.record = replace(broken.record, durable_iteration=iteration)
     whole = _begin(store, seed=1)
     _train(whole, 1, ITERATIONS)
@@ -291,7 +289,7 @@ def test_a_living_run_that_cannot_be_read_is_told_of_once_and_others_go_on(root:
     assert read_json(whole.directory / "tracking.json")["complete"]
 
 
-def test_what_of_a_run_can_be_looked_at_is_there_when_it_ends(root: Path) -> None:
+def test_views_are_written_and_sent_when_a_run_ends(root: Path) -> None:
     store = SessionStore(StoreConfig(root=str(root)))
     run = _begin(store)
     log = RunLog(run.directory)
@@ -307,8 +305,8 @@ def test_what_of_a_run_can_be_looked_at_is_there_when_it_ends(root: Path) -> Non
 
 
 @pytest.fixture
-def impatient_mlflow() -> Iterator[None]:
-    """MLflow's own wait for a lock, 20 s, made short."""
+def short_lock_wait() -> Iterator[None]:
+    """Shorten MLflow's own wait for a lock from 20 s to 0.1 s."""
     import sqlalchemy
 
     def shorten(_connection: object, _cursor: object, statement: str, parameters: Any, *_: object) -> Any:  # noqa: ANN401
@@ -319,8 +317,8 @@ def impatient_mlflow() -> Iterator[None]:
     sqlalchemy.event.remove(sqlalchemy.Engine, "before_cursor_execute", shorten)
 
 
-@pytest.mark.usefixtures("impatient_mlflow")
-def test_a_locked_database_is_waited_for_within_a_bound(root: Path) -> None:
+@pytest.mark.usefixtures("short_lock_wait")
+def test_the_wait_for_a_locked_database_is_bounded(root: Path) -> None:
     other = sqlite3.connect(root / "mlflow.db", isolation_level=None)
     tracker = Tracker(root, wait_s=0.5)
     other.execute("BEGIN EXCLUSIVE")
@@ -347,7 +345,7 @@ sys.exit(str(notices) if notices or not rows else 0)
 """
 
 
-def test_four_sessions_open_a_new_store_at_once(tmp_path: Path) -> None:
+def test_four_sessions_can_open_a_new_store_together(tmp_path: Path) -> None:
     moment, here = str(time.time() + 1.5), str(Path(__file__).parent)
     commands = [
         [sys.executable, "-c", _ONE_OF_FOUR, str(tmp_path), here, str(seed), moment] for seed in range(4)
@@ -357,7 +355,7 @@ def test_four_sessions_open_a_new_store_at_once(tmp_path: Path) -> None:
     assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1, 2, 3]
     client = _mlflow(tmp_path)
     assert len(client.search_experiments()) == 2
-    # One parent for the cell that all four share.
+    # Four runs and one parent for their common cell.
     assert len(client.search_runs(["1"])) == 5
 
 

@@ -129,7 +129,7 @@ def test_broken_experience_falls_back_to_the_checkpoint_before(
     else:
         newest.unlink()
     events = trained(replace(job, resume=True))
-    assert "experience-000004.pt, which it needs, is " in _notices(events)[0]
+    assert "its replay buffer experience-000004.pt is " in _notices(events)[0]
     started = [event for event in events if isinstance(event, Started)]
     assert started[0].iteration == 2
     assert logs_of(job) == [whole["madqn"]]
@@ -140,6 +140,6 @@ def test_a_run_whose_experience_is_gone_says_so_in_one_line(tmp_path: Path) -> N
     trained(job, stop_after=4)
     for path in (tmp_path / "5" / "checkpoints").glob("experience-*.pt"):
         path.unlink()
-    with pytest.raises(HeadwayError, match=r"start the run anew .*which it needs, is not there") as caught:
+    with pytest.raises(HeadwayError, match=r"start the run anew .*its replay buffer .* is missing") as caught:
         trained(replace(job, resume=True))
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""The list of wrappers: names, arguments, and what is refused in one line."""
+"""The list of wrappers: names, arguments, one-line errors."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,7 +17,7 @@ from headway.wrappers.supersuit import supersuit_names, why_not
 from headway_envs.registry import ENTRIES
 
 
-def test_names_and_mappings_stand_side_by_side_with_defaults_spelt_out() -> None:
+def test_names_and_mappings_can_be_mixed() -> None:
     listed = listed_wrappers([{"name": "frame_stack_v1", "stack_size": 2}, "clip_reward_v0"])
     assert [wrapper.mapping for wrapper in listed] == [
         {"name": "frame_stack_v1", "stack_size": 2, "stack_dim": -1},
@@ -59,7 +59,7 @@ def test_names_and_mappings_stand_side_by_side_with_defaults_spelt_out() -> None
         ({"name": "__builtins__"}, "'__builtins__' is no wrapper"),
     ],
 )
-def test_what_cannot_be_used_is_one_line(item: Any, message: str) -> None:  # noqa: ANN401 - whatever YAML holds
+def test_unusable_items_are_one_line_errors(item: Any, message: str) -> None:  # noqa: ANN401 - whatever YAML holds
     with pytest.raises(HeadwayError, match=message):
         listed_wrappers([item])
 
@@ -74,7 +74,7 @@ def test_every_wrapper_of_supersuit_is_listed_or_refused_with_a_reason() -> None
 
 @pytest.mark.parametrize("name", sorted(set(supersuit_names()) & set(wrapper_entries())))
 def test_arguments_and_defaults_are_supersuits(name: str) -> None:
-    """Those with twins have records of their own, which must not drift from SuperSuit's signatures."""
+    """The argument records of batched forms must match SuperSuit's signatures."""
     wrapper = vars(supersuit)[name]
     function = getattr(wrapper, "parallel_wrapper", None) or getattr(wrapper, "aec_wrapper", None) or wrapper
     mine = {row.key: row.default for row in describe(wrapper_entries()[name].config)}
@@ -91,8 +91,8 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def test_a_clip_that_leaves_zero_out_is_refused_because_supersuit_counts_it_once_an_agent() -> None:
-    """The reason for the rule, so that it can go once SuperSuit no longer does it."""
+def test_clip_bounds_without_zero_are_refused() -> None:
+    """Shows SuperSuit's behaviour that requires the check; remove both once SuperSuit changes."""
     make = ENTRIES["matrix"].parallel_env
     assert make is not None
     env = supersuit.clip_reward_v0(make(ENTRIES["matrix"].config()), 0.5, 20)
@@ -127,7 +127,7 @@ ENTRIES = {"NAME": WrapperEntry("half the pay", Nothing, halved, halved_batch)}
 
 @pytest.fixture
 def package(install: Callable[[str, str, str], None], request: pytest.FixtureRequest) -> Iterator[str]:
-    """A package with a wrapper of its own, of the name asked for."""
+    """A package with a wrapper of the requested name."""
     name = request.param
     install(f"package_of_{name}", PACKAGE.replace("NAME", name), "headway.wrappers")
     wrapper_entries.cache_clear()
@@ -151,6 +151,6 @@ def test_another_package_adds_a_wrapper_by_entry_point(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", ["frame_stack_v1"], indirect=True)
-def test_a_name_that_there_is_cannot_be_taken(package: str) -> None:
+def test_a_registered_name_cannot_be_taken(package: str) -> None:
     with pytest.raises(HeadwayError, match=r"'frame_stack_v1' is registered twice in headway\.wrappers"):
         wrapper_entries()

@@ -1,4 +1,4 @@
-"""Wrappers without a twin: around the ParallelEnv, with what infos carry, and rules that look behind them."""
+"""Wrappers without a batched form: around the ParallelEnv, with its infos, and rules behind them."""
 
 import pickle
 from collections.abc import Mapping
@@ -46,8 +46,8 @@ KEEPS_THE_GAME: dict[str, list[Any]] = {
 
 
 @pytest.mark.parametrize("case", KEEPS_THE_GAME)
-def test_what_infos_say_survives(case: str) -> None:
-    """Everything but observations is as it was; `visitors` uses every key."""
+def test_wrappers_pass_infos_on(case: str) -> None:
+    """Everything except observations is unchanged; `visitors` uses every key."""
     entry = ENTRIES["visitors"]
     make, config = entry.parallel_env, entry.config()
     assert make is not None
@@ -61,7 +61,7 @@ def test_what_infos_say_survives(case: str) -> None:
     np.testing.assert_array_equal(other.metrics, plain.metrics)
 
 
-def test_the_longest_tail_of_twins_stays_batched_and_one_line_says_what_is_lost() -> None:
+def test_the_longest_batched_tail_stays_batched_with_a_notice() -> None:
     wrapped = prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["around delay"])
     assert wrapped.parallel is not None
     assert [name for name, _ in wrapped.parallel.wrappers] == ["delay_observations_v0"]
@@ -77,8 +77,8 @@ def test_the_longest_tail_of_twins_stays_batched_and_one_line_says_what_is_lost(
     assert within.batched == ()
 
 
-def test_a_delayed_stack_is_the_stack_of_a_step_before() -> None:
-    """SuperSuit's frame stack writes over what its delay keeps, so that alone it delays nothing."""
+def test_a_delayed_stack_is_the_previous_stack() -> None:
+    """SuperSuit's frame stack overwrites the stored observations of its delay, which alone delays nothing."""
     stack, delay = listed_wrappers([STACK, DELAY])
     now, late = (DUELS["cut off"] for _ in range(2))
     now = stack.entry.wrap(pickle.loads(pickle.dumps(now)), stack.arguments)
@@ -95,8 +95,8 @@ def test_a_delayed_stack_is_the_stack_of_a_step_before() -> None:
         before = {agent: seen.copy() for agent, seen in seen_now.items()}
 
 
-def test_twins_behind_supersuits_wrappers_give_what_supersuit_gives_throughout() -> None:
-    """The split of a list changes nothing: [delay, indicator, stack] against SuperSuit's three."""
+def test_mixed_lists_equal_supersuit() -> None:
+    """Splitting a list has no effect: [delay, indicator, stack] against SuperSuit's three."""
     listed = listed_wrappers(KEEPS_THE_GAME["around delay"])
     make, config = ENTRIES["visitors"].parallel_env, ENTRIES["visitors"].config()
     assert make is not None
@@ -140,7 +140,7 @@ def dropping(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) ->
 
 
 @pytest.mark.parametrize("dropping", ["alive", "acting", "action_mask", "slot_ended"], indirect=True)
-def test_a_wrapper_that_loses_what_infos_carry_is_refused(
+def test_a_wrapper_that_drops_info_keys_is_refused(
     dropping: ListedWrapper, request: pytest.FixtureRequest
 ) -> None:
     entry = wrapped_entry("visitors", ENTRIES["visitors"], [dropping])
@@ -152,7 +152,7 @@ def test_a_wrapper_that_loses_what_infos_carry_is_refused(
 
 
 @pytest.mark.parametrize("dropping", ["episode_metrics"], indirect=True)
-def test_metrics_that_do_not_arrive_are_an_error(dropping: ListedWrapper) -> None:
+def test_missing_metrics_are_an_error(dropping: ListedWrapper) -> None:
     entry = wrapped_entry("visitors", ENTRIES["visitors"], [dropping])
     wrapped = entry.prepare(ENTRIES["visitors"].config())
     with pytest.raises(HeadwayError, match="declares episode_metrics, but an episode ended without them"):
@@ -174,18 +174,16 @@ def test_metrics_that_do_not_arrive_are_an_error(dropping: ListedWrapper) -> Non
         ),
     ],
 )
-def test_a_wrapper_that_does_not_fit_is_named_before_anything_starts(
-    name: str, wrapper: object, message: str
-) -> None:
+def test_an_unsuitable_wrapper_is_named_before_training(name: str, wrapper: object, message: str) -> None:
     with pytest.raises(HeadwayError, match=message):
         prepared(name, ENTRIES[name], [wrapper])
 
 
 @pytest.mark.parametrize("skips", [True, False])
-def test_a_wrapper_that_skips_steps_is_refused_where_agents_do_not_act_at_all_of_them(
+def test_skipping_steps_is_refused_if_agents_act_at_some_steps_only(
     skips: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever it is called, and whoever wrote it."""
+    """For wrappers of any name and package."""
     entry = replace(losing("nothing"), skips_steps=skips)
     monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)
     wrapped = wrapped_entry("bus", ENTRIES["bus"], [ListedWrapper("twice_v0", entry, NoArguments(), "[0]")])
@@ -193,16 +191,16 @@ def test_a_wrapper_that_skips_steps_is_refused_where_agents_do_not_act_at_all_of
         wrapped.prepare(ENTRIES["bus"].config())
 
 
-def test_what_skips_steps_in_supersuit_is_known() -> None:
+def test_supersuit_wrappers_that_skip_steps_are_marked() -> None:
     assert [name for name, entry in supersuit_entries().items() if entry.skips_steps] == ["frame_skip_v0"]
 
 
-def test_the_second_wrapper_is_named_where_the_second_fails() -> None:
+def test_the_failing_wrapper_of_a_list_is_named() -> None:
     with pytest.raises(HeadwayError, match=r"env.wrappers\[1\]: color_reduction_v0 cannot wrap bus"):
         prepared("bus", ENTRIES["bus"], [DELAY, "color_reduction_v0"])
 
 
-def test_an_environment_without_a_parallel_env_takes_twins_only() -> None:
+def test_without_a_parallel_env_only_batched_wrappers_work() -> None:
     entry = replace(ENTRIES["matrix"], parallel_env=None)
     assert prepared("matrix", entry, ["agent_indicator_v0"]).batch(2).spec.observation_size == 4
     with pytest.raises(
@@ -213,8 +211,8 @@ def test_an_environment_without_a_parallel_env_takes_twins_only() -> None:
 
 @pytest.mark.parametrize("name", ["bus", "visitors", "tracking", "matrix"])
 @pytest.mark.parametrize("wrappers", [["agent_indicator_v0"], [DELAY]], ids=["twins", "through SuperSuit"])
-def test_an_environments_own_rules_look_behind_wrappers(name: str, wrappers: list[Any]) -> None:
-    """They see what they always saw, so they earn on the same days what they always earned."""
+def test_rules_inspect_the_unwrapped_environment(name: str, wrappers: list[Any]) -> None:
+    """They read the same observations and get the same returns in the same episodes."""
     entry = ENTRIES[name]
     rule = {"bus": "headway_holding_0.9"}.get(name, "optimal")
     wrapped = wrapped_entry(name, entry, listed_wrappers(wrappers))
@@ -229,7 +227,7 @@ def test_an_environments_own_rules_look_behind_wrappers(name: str, wrappers: lis
 
 
 def _played(name: str, rule: str, shared: object, index: int) -> float:
-    """The return of a rule on the native environment, on the day that the adapter makes of a seed."""
+    """Return of a rule on the native environment, in the episode with the adapter's derived seed."""
     from headway.contracts import child_seeds
 
     entry = ENTRIES[name]
@@ -243,7 +241,7 @@ def _played(name: str, rule: str, shared: object, index: int) -> float:
             return total
 
 
-def test_behind_a_wrapper_that_changes_what_actions_mean_only_random_is_left() -> None:
+def test_wrappers_that_change_actions_leave_only_random() -> None:
     listed = listed_wrappers([{"name": "scale_actions_v0", "scale": 2.0}])
     wrapped = wrapped_entry("tracking", ENTRIES["tracking"], listed)
     assert list(wrapped.rules) == ["random"]
@@ -253,7 +251,7 @@ def test_behind_a_wrapper_that_changes_what_actions_mean_only_random_is_left() -
 
 
 class Defend:
-    """A rule of an environment that another package has written as a ParallelEnv."""
+    """A rule of another package's environment, written as a ParallelEnv."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         assert isinstance(env, ParallelEnvBatch)
@@ -261,7 +259,7 @@ class Defend:
         return np.ones(observed.alive.shape, dtype=np.int64)
 
 
-def test_rules_of_an_adapted_environment_are_given_the_adapter() -> None:
+def test_rules_of_an_adapted_environment_get_the_adapter() -> None:
     entry = parallel_entry(
         "duel",
         "duel",
@@ -278,8 +276,8 @@ def test_rules_of_an_adapted_environment_are_given_the_adapter() -> None:
     np.testing.assert_array_equal(outcome.rewards, np.full((2, 3), 2.0))
 
 
-def test_a_rule_that_cannot_look_behind_says_so() -> None:
-    """`trivial` has a ParallelEnv written by hand, with no batch behind it."""
+def test_a_rule_that_cannot_inspect_the_environment_is_an_error() -> None:
+    """`trivial` has a hand-written ParallelEnv without a native batch."""
     wrapped = wrapped_entry("trivial", ENTRIES["trivial"], listed_wrappers([DELAY]))
     shared = wrapped.prepare(ENTRIES["trivial"].config())
     with pytest.raises(HeadwayError, match="rule 'optimal' of trivial cannot look behind these wrappers"):
@@ -339,7 +337,7 @@ DUELS = {
 
 
 @pytest.mark.parametrize("duel", DUELS)
-def test_black_death_is_supersuits_until_the_last_step(duel: str) -> None:
+def test_black_death_equals_supersuit_until_the_last_step(duel: str) -> None:
     mine, theirs = BlackDeath(DUELS[duel]), supersuit.black_death_v3(pickle.loads(pickle.dumps(DUELS[duel])))
     one, other = mine.reset(seed=1)[0], theirs.reset(seed=1)[0]
     while mine.agents:
@@ -372,7 +370,7 @@ def _duel(config: NoArguments) -> Duel:
         ["normalize_obs_v0", STACK, "agent_indicator_v0", {"name": "scale_reward_v0", "scale": 3.0}],
     ],
 )
-def test_twins_around_a_parallel_env_whose_agents_die_give_what_supersuit_gives(wrappers: list[Any]) -> None:
+def test_batched_forms_equal_supersuit_if_agents_die(wrappers: list[Any]) -> None:
     options = AdapterOptions(agents_come_and_go=True)
     wrapped = prepared("duel", parallel_entry("duel", "a duel", NoArguments, _duel, options), wrappers)
     assert wrapped.parallel is None
@@ -390,13 +388,13 @@ def test_twins_around_a_parallel_env_whose_agents_die_give_what_supersuit_gives(
     for name in ("alive", "acting", "rewards", "terminated", "truncated"):
         np.testing.assert_array_equal(getattr(twins, name), getattr(whole, name), name)
     np.testing.assert_array_equal(twins.observations[twins.alive], whole.observations[whole.alive])
-    # An agent that had ended before is only marked again: its final observation was given then.
+    # An agent that ended earlier is marked again without a final observation.
     over = (twins.terminated | twins.truncated) & twins.alive[:-1]
     np.testing.assert_array_equal(twins.final_observations[over], whole.final_observations[over])
 
 
-def test_dead_agents_leave_or_stay_as_the_list_says() -> None:
-    """The adapter takes both: gone and not alive, or there and observing zeros."""
+def test_dead_agents_leave_or_stay_by_the_list() -> None:
+    """The adapter supports both: absent and not alive, or present and observing zeros."""
 
     def make() -> Duel:
         return Duel({"fighter_1": 2}, steps=4)
@@ -421,7 +419,7 @@ def test_dead_agents_leave_or_stay_as_the_list_says() -> None:
 
 
 class BrokenDuel(Duel):
-    """One number is missing at step 3."""
+    """An observation has NaN at step 3."""
 
     def _observed(self) -> dict[str, NDArray[np.float32]]:
         observed = super()._observed()
@@ -436,7 +434,7 @@ def _broken_duel(config: NoArguments) -> BrokenDuel:
 
 @pytest.mark.parametrize("wrappers", [[STACK], [STACK, DELAY], ["agent_indicator_v0"]])
 def test_nan_in_a_wrapped_environment_is_named(wrappers: list[Any]) -> None:
-    """At the step in which the first of the wrapped observations holds it."""
+    """At the first step whose wrapped observations contain it."""
     entry = parallel_entry("broken", "duel", NoArguments, _broken_duel)
     shared = prepared("broken", entry, wrappers)
     step = 4 if DELAY in wrappers else 3
@@ -446,7 +444,7 @@ def test_nan_in_a_wrapped_environment_is_named(wrappers: list[Any]) -> None:
         play(shared.batch)
 
 
-def test_the_entrys_make_is_what_workers_are_given() -> None:
+def test_workers_get_the_entry_s_make() -> None:
     entry = wrapped_entry("matrix", ENTRIES["matrix"], listed_wrappers([DELAY]))
     assert entry.make is make_wrapped
     assert wrapper_entries()["delay_observations_v0"].batched is None

@@ -49,7 +49,7 @@ CASES: dict[str, tuple[str, list[Any]]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_twin_gives_what_supersuit_gives(case: str) -> None:
+def test_a_batched_form_equals_supersuit(case: str) -> None:
     name, wrappers = CASES[case]
     wrapped = prepared(name, ENTRIES[name], wrappers)
     assert wrapped.parallel is None
@@ -58,7 +58,7 @@ def test_a_twin_gives_what_supersuit_gives(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", ["all bus", "indicator between bounds", "normalise trivial"])
-def test_a_twin_knows_the_bounds_that_supersuits_space_has(case: str) -> None:
+def test_a_batched_form_has_supersuit_s_bounds(case: str) -> None:
     name, wrappers = CASES[case]
     wrapped = prepared(name, ENTRIES[name], wrappers)
     make = ENTRIES[name].parallel_env
@@ -76,15 +76,15 @@ def test_a_twin_knows_the_bounds_that_supersuits_space_has(case: str) -> None:
 @pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize("case", ["all visitors", "all bus", "stack repeating visitors"])
 def test_a_wrapped_batch_keeps_the_contract(case: str, check: str) -> None:
-    """Snapshots too: a stack's memory is part of them."""
+    """Snapshots too, which include the frames of a stack."""
     name, wrappers = CASES[case]
     wrapped = pickle.loads(pickle.dumps(prepared(name, ENTRIES[name], wrappers)))
     assert wrapped.batch(1).spec.snapshots
     CHECKS[check](wrapped.batch, play(wrapped.batch))
 
 
-def test_a_stack_forgets_an_agent_that_ended_and_holds_zeros_for_one_that_is_away() -> None:
-    """By hand, with NaN in every absent row of `visitors`."""
+def test_a_stack_is_cleared_for_ended_and_absent_agents() -> None:
+    """Computed by hand, with NaN in every absent row of `visitors`."""
     wrapped = prepared("visitors", ENTRIES["visitors"], [STACK])
     plain = ENTRIES["visitors"].make(wrapped.prepared, 4)
     env, seeds = wrapped.batch(4), np.arange(4, dtype=np.uint64)
@@ -110,7 +110,7 @@ def test_a_stack_forgets_an_agent_that_ended_and_holds_zeros_for_one_that_is_awa
     assert seen_over > 0
 
 
-def test_a_type_only_indicator_tells_types_apart() -> None:
+def test_a_type_only_indicator_marks_types() -> None:
     bounds = ObservationBounds(
         ("bus_0", "bus_1", "tram_0"), np.zeros(2, dtype=np.float32), np.ones(2, dtype=np.float32)
     )
@@ -129,7 +129,7 @@ def test_a_type_only_indicator_tells_types_apart() -> None:
 
 
 class _Stub(BatchWrapper):
-    """As much of an environment as a wrapper asks for when it is made."""
+    """The part of an environment that a wrapper uses at its creation."""
 
     def __init__(self, agents: int, size: int) -> None:
         from headway.contracts import Discrete
@@ -142,7 +142,7 @@ class _Stub(BatchWrapper):
         return 1
 
 
-def test_a_type_that_is_not_float32_has_no_twin() -> None:
+def test_a_dtype_other_than_float32_has_no_batched_form() -> None:
     with_twin = prepared("trivial", ENTRIES["trivial"], [{"name": "dtype_v0", "dtype": "float32"}])
     assert with_twin.parallel is None
     without = prepared("trivial", ENTRIES["trivial"], [{"name": "dtype_v0", "dtype": "float64"}, STACK])

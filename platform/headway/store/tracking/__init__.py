@@ -1,1 +1,1 @@
-"""MLflow as a follower of the run folders."""
+"""MLflow tracking, derived from the run folders."""

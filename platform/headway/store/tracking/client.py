@@ -1,6 +1,6 @@
-"""MLflow as a follower of the run folders: studies are experiments, cells parent runs, seeds child runs.
+"""MLflow client for the run folders: studies are experiments, cells parent runs, seeds child runs.
 
-Everything here can be done again: what MLflow already has is asked for, never assumed.
+Every operation can be repeated: it queries what MLflow already has.
 """
 
 import logging
@@ -21,7 +21,7 @@ _Result = TypeVar("_Result")
 _ANSWER_SECONDS = 5.0
 _BATCH = 1000  # MLflow's limit of metrics in one request
 _PARAMETERS = 100  # and of parameters
-_TEXT = 5000  # longest tag; parameters take 6000
+_MAX_TEXT = 5000  # longest tag; parameters take 6000
 _DATABASE = "mlflow.db"
 _CELL_TAG = "headway.cell"
 _RUN_TAG = "headway.run_id"
@@ -32,32 +32,32 @@ _QUIET = {
     "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING": "false",
     "MLFLOW_LOGGING_LEVEL": "CRITICAL",
     "GIT_PYTHON_REFRESH": "quiet",
-    # A server that is gone is told of soon, and tried again later.
+    # Fail soon if the server is down; the tracking thread retries later.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",
 }
 
 
 class TrackingError(HeadwayError):
-    """MLflow does not answer, or not as it should: of the runs that it is told of nothing is wrong."""
+    """MLflow does not respond or fails; the run folders are not affected."""
 
 
 class Tracker:
-    """A connection to MLflow. Used from one thread. Every method raises TrackingError, in one line, where
-    MLflow does not answer as it should, or its database stays locked for `wait_s` seconds (in steps of the
-    20 that MLflow itself waits)."""
+    """Connection to MLflow, for use from one thread. Every method raises TrackingError, with one line, if
+    MLflow fails or its database stays locked for `wait_s` seconds (rounded up to MLflow's own waits of 20
+    s)."""
 
     def __init__(self, root: Path, tracking_uri: str | None = None, wait_s: float = 60.0) -> None:
         self.root = root.resolve()
         self.local = tracking_uri is None
-        """Whether it is the database in the root."""
+        """True for the SQLite database in the store's root."""
         self.uri = tracking_uri or database_uri(root)
         self._wait_s = wait_s
         make_folder(self.root)
         _import_quietly()
         if self.local:
             self._create_database()
-        self._client = _within(wait_s, self.uri, lambda: _client(self.uri))
+        self._client = _retry_while_locked(wait_s, self.uri, lambda: _client(self.uri))
         self._ask("search_experiments", max_results=1)
 
     def cell(
@@ -66,20 +66,20 @@ class Tracker:
         cell: str,
         parameters: Mapping[str, str],
         tags: Mapping[str, str],
-        going_on: bool = True,
+        running: bool = True,
     ) -> tuple[str, str]:
-        """(experiment, parent run) of a cell of a study, created where they do not exist; `going_on`: the
-        parent runs again."""
-        with self._alone("a study was looked up"):
+        """Return (experiment, parent run) of a cell of a study; create them if missing. `running`: set the
+        parent run's status to RUNNING."""
+        with self._locked("a study was looked up"):
             experiment = self._experiment(study)
             query = f"tags.`{_CELL_TAG}` = '{cell}'"
             found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
             if found:
                 parent = str(found[0].info.run_id)
-                if going_on:
+                if running:
                     self._ask("update_run", parent, status="RUNNING")
             else:
-                marked = {**_cut(tags), _CELL_TAG: cell}
+                marked = {**_truncated(tags), _CELL_TAG: cell}
                 parent = str(self._ask("create_run", experiment, tags=marked, run_name=cell).info.run_id)
         self._parameters(parent, parameters)
         return experiment, parent
@@ -93,17 +93,17 @@ class Tracker:
         parameters: Mapping[str, str],
         tags: Mapping[str, str],
     ) -> str:
-        """MLflow's identity of the run `run_id`, created as a child of `parent`."""
+        """Return MLflow's identity of the run `run_id`; create it as a child of `parent` if missing."""
         query = f"tags.`{_RUN_TAG}` = '{run_id}'"
         found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
         if found:
             child = str(found[0].info.run_id)
             self._ask("update_run", child, status="RUNNING")
             for name, text in tags.items():
-                if found[0].data.tags.get(name) != text[:_TEXT]:
+                if found[0].data.tags.get(name) != text[:_MAX_TEXT]:
                     self.tag(child, name, text)
         else:
-            marked = {**_cut(tags), "mlflow.parentRunId": parent, _RUN_TAG: run_id}
+            marked = {**_truncated(tags), "mlflow.parentRunId": parent, _RUN_TAG: run_id}
             moment = milliseconds(started)
             created = self._ask("create_run", experiment, start_time=moment, tags=marked, run_name=run_id)
             child = str(created.info.run_id)
@@ -112,10 +112,10 @@ class Tracker:
 
     def tag(self, child: str, name: str, text: str) -> None:
         """Set a tag of a run."""
-        self._ask("set_tag", child, name, text[:_TEXT])
+        self._ask("set_tag", child, name, text[:_MAX_TEXT])
 
     def points(self, child: str, started: str, points: Sequence[Point]) -> None:
-        """Send points of the curve. MLflow only appends: each point is to be sent once."""
+        """Send points of the learning curve. MLflow only appends: send each point once."""
         from mlflow.entities import Metric
 
         zero = milliseconds(started)
@@ -126,7 +126,7 @@ class Tracker:
         self._metrics(child, metrics)
 
     def sent_steps(self, child: str) -> dict[str, frozenset[int]]:
-        """Steps of each metric's curve that MLflow has."""
+        """Return the steps that MLflow already has, per metric."""
         metrics = self._ask("get_run", child).data.metrics
         return {
             metric: frozenset(int(entry.step) for entry in self._ask("get_metric_history", child, metric))
@@ -134,10 +134,10 @@ class Tracker:
         }
 
     def finish(
-        self, run: str, status: Status, ended: str, figures: Mapping[str, float], files: Sequence[Path]
+        self, run: str, status: Status, ended: str, summary: Mapping[str, float], files: Sequence[Path]
     ) -> None:
-        """Send summary figures, those that MLflow does not have, and files of a run, then its status, unless
-        it has ended so already and nothing is new."""
+        """Send the changed values of a run's summary and its files, then its status unless nothing
+        changed."""
         from mlflow.entities import Metric
 
         moment = milliseconds(ended)
@@ -145,7 +145,7 @@ class Tracker:
         known = found.data.metrics
         metrics = [
             Metric(f"summary/{name}", value, moment, 0)
-            for name, value in figures.items()
+            for name, value in summary.items()
             if known.get(f"summary/{name}") != value
         ]
         self._metrics(run, metrics)
@@ -155,22 +155,22 @@ class Tracker:
             self._ask("set_terminated", run, status, end_time=moment)
 
     def end(self, run: str, status: Status, ended: str) -> None:
-        """Set the status of a run that MLflow has as running."""
+        """Set the final status of a run, if its status in MLflow is RUNNING."""
         if self._ask("get_run", run).info.status == "RUNNING":
             self._ask("set_terminated", run, status, end_time=milliseconds(ended))
 
     def _create_database(self) -> None:
-        """Sessions that start at once would race to create its tables, and one killed meanwhile would
-        leave half of them: so one at a time, under another name."""
+        """Create MLflow's database if missing: under a lock and a temporary name, so that sessions starting
+        together do not race and a killed one leaves no partial tables."""
         path, draft = self.root / _DATABASE, self.root / f".{_DATABASE}.partial"
         if path.exists():
             return
-        with self._alone("MLflow's database was created"):
+        with self._locked("MLflow's database was created"):
             if path.exists():
                 return
             draft.unlink(missing_ok=True)
             uri = f"sqlite:///{draft}"
-            _within(self._wait_s, uri, lambda: _client(uri).search_experiments(max_results=1))
+            _retry_while_locked(self._wait_s, uri, lambda: _client(uri).search_experiments(max_results=1))
             draft.replace(path)
             sync_folder(self.root)
 
@@ -190,12 +190,12 @@ class Tracker:
     def _parameters(self, run: str, parameters: Mapping[str, str]) -> None:
         from mlflow.entities import Param
 
-        params = [Param(name, value) for name, value in _cut(parameters).items()]
+        params = [Param(name, value) for name, value in _truncated(parameters).items()]
         for first in range(0, len(params), _PARAMETERS):
             self._ask("log_batch", run, params=params[first : first + _PARAMETERS])
 
     @contextmanager
-    def _alone(self, purpose: str) -> Iterator[None]:
+    def _locked(self, purpose: str) -> Iterator[None]:
         with ExitStack() as held:
             try:
                 held.enter_context(locked(self.root / ".mlflow.lock", self._wait_s, purpose))
@@ -204,23 +204,23 @@ class Tracker:
             yield
 
     def _ask(self, method: str, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - MLflow is not typed
-        ask = getattr(self._client, method)
-        return _within(self._wait_s, self.uri, lambda: ask(*arguments, **named))
+        bound = getattr(self._client, method)
+        return _retry_while_locked(self._wait_s, self.uri, lambda: bound(*arguments, **named))
 
 
 def database_uri(root: Path) -> str:
-    """The tracking URI of the database in a store's root."""
+    """Return the tracking URI of the SQLite database in a store's root."""
     return f"sqlite:///{root.resolve() / _DATABASE}"
 
 
 def without_password(uri: str) -> str:
-    """A URI as it may be shown."""
+    """Return a URI with its password replaced by `...`, for messages."""
     return re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:...@", uri)
 
 
 def require_answer(uri: str) -> None:
-    """Raise TrackingError if the server of an `http` URI cannot be reached; of others nothing is known before
-    MLflow is asked."""
+    """Raise TrackingError if the server of an `http` or `https` URI cannot be reached. Other URIs are not
+    checked."""
     from urllib.error import HTTPError
     from urllib.parse import urlsplit
     from urllib.request import urlopen
@@ -231,12 +231,12 @@ def require_answer(uri: str) -> None:
         with urlopen(uri.rstrip("/") + "/health", timeout=_ANSWER_SECONDS):
             return
     except HTTPError:
-        return  # something answers; MLflow finds out what it is
+        return  # the server responds; MLflow reports any further error
     except (OSError, ValueError) as error:
         reason = getattr(error, "reason", None) or error
         raise TrackingError(
-            f"MLflow's server at {without_password(uri)} cannot be reached ({reason}): start it, give another"
-            " one, or leave out store.tracking_uri to keep runs here"
+            f"MLflow's server at {without_password(uri)} cannot be reached ({reason}): start it, set another"
+            " URI, or leave out store.tracking_uri to use the store's own database"
         ) from error
 
 
@@ -255,22 +255,23 @@ def _client(uri: str) -> Any:  # noqa: ANN401
     return MlflowClient(tracking_uri=uri)
 
 
-def _within(seconds: float, uri: str, ask: Callable[[], _Result]) -> _Result:
+def _retry_while_locked(seconds: float, uri: str, request: Callable[[], _Result]) -> _Result:
+    """Return the result of `request`, retried while MLflow's database is locked. Raises TrackingError."""
     deadline = time.monotonic() + seconds
     while True:
         try:
-            return ask()
-        except Exception as error:  # MLflow lets its libraries' exceptions through
+            return request()
+        except Exception as error:  # MLflow also raises exceptions of its libraries
             line = " ".join(str(error).split())[:300]
             if "database is locked" not in line:
                 raise TrackingError(f"MLflow at {without_password(uri)} failed: {line}") from error
             if time.monotonic() >= deadline:
                 raise TrackingError(
                     f"MLflow's database {without_password(uri)} stayed locked for {seconds:g} s: "
-                    "close what else writes to it"
+                    "close other programs that write to it"
                 ) from error
             time.sleep(0.1)
 
 
-def _cut(texts: Mapping[str, str]) -> dict[str, str]:
-    return {name: text[:_TEXT] for name, text in texts.items()}
+def _truncated(texts: Mapping[str, str]) -> dict[str, str]:
+    return {name: text[:_MAX_TEXT] for name, text in texts.items()}

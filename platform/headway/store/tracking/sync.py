@@ -1,4 +1,4 @@
-"""How MLflow follows one run's folder: live, after a resume, or long afterwards."""
+"""Synchronisation of run folders to MLflow: during training, after a resume, or any time later."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -39,8 +39,8 @@ _FILES = (
 )
 
 
-class RunFollower:
-    """Brings MLflow up to date with the run in `directory`. Used from one thread."""
+class RunSync:
+    """Synchronisation of the run in `directory` to MLflow, for use from one thread."""
 
     def __init__(self, directory: Path, curve_points: int) -> None:
         self.directory = directory
@@ -48,15 +48,15 @@ class RunFollower:
         self._record = RunRecord.read(directory)
         self._curve = ThinnedCurve(self._record.iterations, curve_points)
         self._child = ""
-        """Its run in MLflow; empty before `begin`, and where something was not sent."""
+        """MLflow's identity of the run; empty before `begin` and after a failure."""
 
-    def begin(self, tracker: Tracker, going_on: bool = True) -> None:
-        """Find or create the run in MLflow, and send what its folder holds already; `going_on`: its cell is
-        trained."""
+    def begin(self, tracker: Tracker, running: bool = True) -> None:
+        """Find or create the run in MLflow and send what its folder already holds. `running`: set the status
+        of its cell's parent run to RUNNING."""
         self._record = record = RunRecord.read(self.directory)
         self._curve = ThinnedCurve(record.iterations, self._curve_points)
         experiment, parent = tracker.cell(
-            record.study, record.cell, record.parameters, _cell_tags(record), going_on
+            record.study, record.cell, record.parameters, _cell_tags(record), running
         )
         child = tracker.child(
             experiment, parent, record.run_id, record.started, record.parameters, _run_tags(record)
@@ -68,27 +68,27 @@ class RunFollower:
         rows = [row for row in curve if int(row.get("iteration", 0)) <= iteration]
         if rows:
             self._curve.add(rows)
-            tracker.points(child, record.started, self._curve.durable(iteration, tracker.sent_steps(child)))
+            tracker.points(child, record.started, self._curve.take(iteration, tracker.sent_steps(child)))
         self._child = child
 
-    def forget(self) -> None:
-        """Something was not sent: what follows begins anew, with what the folder holds."""
+    def reset(self) -> None:
+        """Restart from the contents of the folder at the next call, because something was not sent."""
         self._child = ""
 
     def catch_up(self, tracker: Tracker) -> None:
-        """Send all that is missing."""
+        """Send everything that MLflow lacks."""
         ended = RunRecord.read(self.directory).settled_status != "RUNNING"
-        self.begin(tracker, going_on=not ended)
+        self.begin(tracker, running=not ended)
         if ended:
             self.complete(tracker)
 
     def advance(self, tracker: Tracker, rows: Iterable[Row], iteration: int) -> None:
-        """Take new rows and send the points up to `iteration`, which the run's log holds durably."""
+        """Add new rows and send the points up to `iteration`, the last one durable in the run's log."""
         if not self._child:
             self.begin(tracker)
             return
         self._curve.add(rows)
-        tracker.points(self._child, self._record.started, self._curve.durable(iteration))
+        tracker.points(self._child, self._record.started, self._curve.take(iteration))
 
     def tag(self, tracker: Tracker, name: str, text: str) -> None:
         """Set a tag of the run."""
@@ -97,48 +97,49 @@ class RunFollower:
         tracker.tag(self._child, name, text)
 
     def complete(self, tracker: Tracker) -> None:
-        """Send the files and the status of a run that has ended, and the summary of one that has finished:
-        another's may yet change, and MLflow only appends."""
+        """Send the files and the status of an ended run, and the summary of a finished one."""
         if not self._child:
-            self.begin(tracker, going_on=False)
+            self.begin(tracker, running=False)
         record = RunRecord.read(self.directory)
         files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
         status = record.settled_status
-        figures = _figures(read_summary(self.directory)) if status == "FINISHED" else {}
-        tracker.finish(self._child, status, record.ended or now(), figures, files)
+        # The summary of a run that may be resumed can still change, and MLflow only appends.
+        summary = _numbers(read_summary(self.directory)) if status == "FINISHED" else {}
+        tracker.finish(self._child, status, record.ended or now(), summary, files)
         path = _state_file(self.directory, tracker.uri, tracker.local)
-        write_json(path, read_json(path) | {"complete": _end(record)})
+        write_json(path, read_json(path) | {"complete": _end_state(record)})
 
 
 def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
-    """Bring MLflow (None: the database in the root) up to date with every run folder under `root`, but those
-    whose session still runs.
+    """Bring MLflow (None: the database in the root) up to date with every run folder under `root`, except
+    those whose session may still be running.
 
-    Safe to repeat: nothing is sent twice. Returns one line for each run brought up to date or unreadable: one
-    that cannot be read keeps back no other. Raises TrackingError if MLflow fails.
+    Safe to repeat: nothing is sent twice. Returns one line for each run that was sent or could not be read.
+    Raises TrackingError if MLflow fails.
     """
     runs, lines = _ended_runs(root)
     return (*lines, *_send_missing(root, tracking_uri, runs))
 
 
 def sync_each(root: Path) -> tuple[str, ...]:
-    """As `sync`, each run to where it was to be sent when it was trained."""
+    """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with. Returns one line
+    for each run that was sent or could not be read. Raises TrackingError if MLflow fails."""
     runs, lines = _ended_runs(root)
     for uri in dict.fromkeys(record.tracking_uri for _, record in runs):
         lines += _send_missing(root, uri, [run for run in runs if run[1].tracking_uri == uri])
     return tuple(lines)
 
 
-def behind(root: Path, tracking_uri: str | None) -> list[Path]:
-    """Folders of ended runs that MLflow at this URI was to know of and does not know all of."""
+def unsent_runs(root: Path, tracking_uri: str | None) -> list[Path]:
+    """Return the folders of ended runs trained with this tracking URI and not yet sent completely."""
     runs = [run for run in _ended_runs(root)[0] if run[1].tracking_uri == tracking_uri]
     return _missing(root, tracking_uri, runs)
 
 
-def deliver(root: Path, tracker: Tracker) -> None:
-    """Send what is `behind` at a tracker's URI. Raises TrackingError if MLflow fails, and HeadwayError for
-    runs that cannot be read, after all others are sent."""
-    _, unreadable = _send(root, tracker, behind(root, None if tracker.local else tracker.uri))
+def send_unsent(root: Path, tracker: Tracker) -> None:
+    """Send the `unsent_runs` of a tracker's URI. Raises TrackingError if MLflow fails and, after all other
+    runs are sent, HeadwayError if runs cannot be read."""
+    _, unreadable = _send(root, tracker, unsent_runs(root, None if tracker.local else tracker.uri))
     if unreadable:
         raise HeadwayError("; ".join(unreadable))
 
@@ -158,8 +159,8 @@ def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, Ru
 
 
 def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[str], list[str]]:
-    """A line for each run sent, and for each unreadable one. One session at a time, so that no run is created
-    twice."""
+    """Send runs and return one line per run sent and one per unreadable run. A lock admits one session at a
+    time, so that no run is created twice in MLflow."""
     sent: list[RunRecord] = []
     unreadable: list[str] = []
     with locked(root / ".sync.lock", _SYNC_SECONDS, "MLflow was brought up to date"):
@@ -168,7 +169,7 @@ def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[s
                 record = RunRecord.read(folder)
                 if _is_complete(folder, record, root, None if tracker.local else tracker.uri):
                     continue
-                RunFollower(folder, record.curve_points).catch_up(tracker)
+                RunSync(folder, record.curve_points).catch_up(tracker)
                 sent.append(record)
             except TrackingError:
                 raise
@@ -179,29 +180,29 @@ def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[s
 
 
 def _end_cells(root: Path, tracker: Tracker, sent: Iterable[RunRecord]) -> None:
-    """End what MLflow has as running of the cells of runs just sent, where nobody trains them any more: a
-    session that had no time to tell of its runs had none to tell of their cells."""
-    of_cells: dict[tuple[str, str], list[RunRecord]] = {(run.study, run.cell): [] for run in sent}
-    if not of_cells:
+    """End the MLflow parent runs of the cells of `sent` runs, if none of their runs is still trained."""
+    # A session that ended before it sent its runs did not end their cells either.
+    cells: dict[tuple[str, str], list[RunRecord]] = {(run.study, run.cell): [] for run in sent}
+    if not cells:
         return
     for folder in sorted(run_folders(root)):
         with suppress(HeadwayError):
             record = RunRecord.read(folder)
-            if (runs := of_cells.get((record.study, record.cell))) is not None:
+            if (runs := cells.get((record.study, record.cell))) is not None:
                 runs.append(record)
-    for runs in of_cells.values():
+    for runs in cells.values():
         newest = {run.seed: run for run in sorted(runs, key=lambda run: run.started)}.values()
         statuses = {run.settled_status for run in newest}
         if "RUNNING" in statuses:
             continue
         [*_, last] = newest
-        _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, going_on=False)
+        _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, running=False)
         ended = max(run.ended or run.started for run in newest)
         tracker.end(parent, status_of_all(statuses), ended)
 
 
 def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
-    """Runs that no other living session may be telling MLflow of; a line for each unreadable one."""
+    """Return the ended runs that no other live session may be sending, and one line per unreadable run."""
     runs, lines = [], []
     for folder in sorted(run_folders(root)):
         try:
@@ -216,8 +217,7 @@ def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
 
 
 def local_experiment(folder: Path) -> str | None:
-    """The experiment, in the MLflow database beside the runs, that holds the run in a folder; None where that
-    database does not have it."""
+    """Return the experiment of a run in the MLflow database beside the runs; None: the run is not in it."""
     try:
         return str(read_json(folder / _STATE)["experiment"])
     except (HeadwayError, KeyError):
@@ -225,7 +225,7 @@ def local_experiment(folder: Path) -> str | None:
 
 
 def _state_file(folder: Path, uri: str, local: bool) -> Path:
-    """What is known of the run at one MLflow: `tracking.json` for the database in the root."""
+    """Return the file with the run's state at one tracking URI; `tracking.json` for the local database."""
     return folder / (_STATE if local else f"tracking-{sha256(uri.encode()).hexdigest()[:8]}.json")
 
 
@@ -237,17 +237,17 @@ def _is_complete(folder: Path, record: RunRecord, root: Path, tracking_uri: str 
     try:
         state = read_json(path)
     except HeadwayError:
-        return False  # MLflow is asked what it has, and the file written anew
-    return state.get("uri") == uri and state.get("complete") == _end(record)
+        return False  # the run is sent again, which rewrites the file
+    return state.get("uri") == uri and state.get("complete") == _end_state(record)
 
 
-def _end(record: RunRecord) -> str:
-    """Tells one end of a run from another: a run may be resumed and end again."""
+def _end_state(record: RunRecord) -> str:
+    """Return a text that identifies this end of the run; a resumed run ends again."""
     return f"{record.settled_status} {record.ended or ''} {record.durable_iteration}"
 
 
 def _durable_iteration(directory: Path, record: RunRecord) -> int:
-    # A session killed with its run may have missed the last checkpoints; the folder knows them.
+    # A session killed with its run may not have recorded the last checkpoints.
     latest = latest_iteration(directory / CHECKPOINTS) or 0
     return max(latest, record.durable_iteration)
 
@@ -262,7 +262,7 @@ def _run_tags(record: RunRecord) -> dict[str, str]:
     return {**known, "seed": str(record.seed), "policies": record.policies}
 
 
-def _figures(summary: Mapping[str, Any]) -> dict[str, float]:
+def _numbers(summary: Mapping[str, Any]) -> dict[str, float]:
     return {
         name: float(value)
         for name, value in summary.items()

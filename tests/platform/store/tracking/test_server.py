@@ -1,4 +1,4 @@
-"""The store with a real MLflow server: there from the start, not there, lost in the middle, back again."""
+"""The store with a real MLflow server: reachable, unreachable, disconnected during training, reconnected."""
 
 import contextlib
 import os
@@ -35,7 +35,7 @@ def free_port() -> int:
 
 
 class Line:
-    """A port that leads to the server's, and can be cut: to its clients the server is gone."""
+    """TCP proxy of the server's port that can be cut, so that clients no longer reach the server."""
 
     def __init__(self, to: int) -> None:
         self.to, self.is_cut = to, False
@@ -109,7 +109,7 @@ def line(server: int) -> Iterator[Line]:
 
 
 def train(run: Run, first: int, last: int) -> None:
-    """What a training process and its session do from iteration `first` to `last`."""
+    """Write what a training process and its session write from iteration `first` to `last`."""
     log = RunLog(run.directory)
     for iteration in range(first, last + 1):
         row = {"iteration": iteration, "env_steps": 100 * iteration, "wall_s": 0.5 * iteration}
@@ -121,7 +121,7 @@ def train(run: Run, first: int, last: int) -> None:
 
 
 def stored(uri: str, study: str, run_id: str) -> tuple[str, list[tuple[int, float]], dict[str, float]]:
-    """(status, curve, metrics) of a run, asked of the server."""
+    """Return (status, curve, metrics) of a run, read from the server."""
     from mlflow.tracking import MlflowClient
 
     client: Any = MlflowClient(uri)
@@ -136,7 +136,7 @@ def expected(last: int) -> list[tuple[int, float]]:
     return [(100 * iteration, float(iteration)) for iteration in range(1, last + 1)]
 
 
-def test_a_server_lost_on_the_way_gets_everything_once_when_it_is_back(
+def test_a_server_that_reconnects_receives_everything_once(
     line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(thread, "_RETRY_SECONDS", 0.0)
@@ -165,7 +165,7 @@ def test_a_server_lost_on_the_way_gets_everything_once_when_it_is_back(
     train(first, 21, ITERATIONS)
     first.finish("FINISHED", {"final_reward": 8.0})
     cell.finish("FINISHED", {})
-    assert any("answers again" in line for line in store.close())
+    assert any("responds again" in line for line in store.close())
     for run, reward in ((first, 8.0), (second, 7.0)):
         status, points, metrics = stored(line.uri, "lost", run.run_id)
         assert (status, metrics["summary/final_reward"]) == ("FINISHED", reward)
@@ -174,12 +174,12 @@ def test_a_server_lost_on_the_way_gets_everything_once_when_it_is_back(
 
 
 def _points_of(line: Line, study: str, run_id: str) -> list[tuple[int, float]]:
-    with contextlib.suppress(Exception):  # it may not be there yet
+    with contextlib.suppress(Exception):  # the run may not exist yet
         return stored(line.uri, study, run_id)[1]
     return []
 
 
-def test_a_server_that_stays_away_gets_everything_from_the_next_session(line: Line, tmp_path: Path) -> None:
+def test_the_next_session_sends_what_an_unreachable_server_missed(line: Line, tmp_path: Path) -> None:
     config = StoreConfig(root=str(tmp_path), tracking_uri=line.uri)
     store = SessionStore.open(config)
     cell = store.begin_cell("away", "bus", "mappo", {})
@@ -199,7 +199,7 @@ def test_a_server_that_stays_away_gets_everything_from_the_next_session(line: Li
     assert sync_each(tmp_path) == ()
 
 
-def test_a_server_that_is_not_there_is_one_line_before_anything_starts(
+def test_an_unreachable_server_is_a_one_line_error_at_the_start(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from headway_launch.commands.main import run
@@ -207,9 +207,9 @@ def test_a_server_that_is_not_there_is_one_line_before_anything_starts(
     monkeypatch.chdir(tmp_path)
     uri = f"http://127.0.0.1:{free_port()}"
     assert run(["run", "env=trivial", "algo=ippo", "energy=off", f"store.tracking_uri={uri}"]) == 2
-    told = capsys.readouterr().err
-    assert f"MLflow's server at {uri} cannot be reached" in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert f"MLflow's server at {uri} cannot be reached" in printed
+    assert printed.count("\n") == 1
     assert not list(tmp_path.rglob("run.json"))
     with pytest.raises(HeadwayError):
         SessionStore.open(StoreConfig(root=str(tmp_path), tracking_uri="ftp://nowhere"))
