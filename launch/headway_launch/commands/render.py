@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from headway_launch.runner.stored_run import StoredRun
 
     Act = Callable[[Any, Observations], NDArray[Any]]
-    Heed = Callable[[StepResult], None]
+    ResetEnded = Callable[[StepResult], None]
 
 EXAMPLES = """\
 examples:
@@ -160,7 +160,7 @@ class _Player:
     root: int
     """Root of the evaluation seeds."""
     act: "Act"
-    heed: "Heed"
+    reset_ended: "ResetEnded"
     """Processes the result of each step, to update hidden states."""
 
 
@@ -242,7 +242,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
         del first
         while not ended:
             outcome, observed = env.step(player.act(env, observed))
-            player.heed(outcome)
+            player.reset_ended(outcome)
             ended = bool(outcome.episode_ended[0])
             played.add()
             yield np.concatenate((renderer.render(behind_wrappers(env), at_end=ended), strip))
