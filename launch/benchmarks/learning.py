@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,20 +19,17 @@ class Case:
     hidden: tuple[int, ...]
     rows: int
 
-    @property
-    def chosen(self) -> str:
-        """Which of the two training takes."""
-        from headway_algos.optim import fast_path
-
-        layers = (OBSERVED, *self.hidden, 3)
-        weights = sum(a * b for a, b in pairwise(layers))
-        return "compiled" if self.rows * weights <= fast_path.MOST_PRODUCTS else "torch"
-
 
 CASES = [
     Case(seeds, hidden, rows)
     for seeds in (1, 5)
-    for hidden, rows in (((32, 32, 32), 128), ((64, 64), 64), ((64, 64), 256), ((64, 64), 1024))
+    for hidden, rows in (
+        ((32, 32, 32), 128),
+        ((64, 64), 64),
+        ((64, 64), 500),
+        ((64, 64), 4000),
+        ((256, 256), 1000),
+    )
 ]
 
 
@@ -80,19 +76,19 @@ def measured(case: Case) -> list[tuple[float, float]]:
     rounds."""
     from headway_algos.optim import fast_path
 
-    chosen, least = fast_path.MOST_PRODUCTS, np.full((2, 2), np.inf)
+    least = np.full((2, 2), np.inf)
     learn, steps = learners(case)
     try:
         for place in range(ROUNDS + 1):
-            for way, most in enumerate((-1, 10**12)):
-                fast_path.MOST_PRODUCTS = most
+            for way, compiled in enumerate((False, True)):
+                fast_path.ENABLED = compiled
                 for part, act in enumerate(learn):
                     began = time.process_time()
                     act()
                     if place > 0:
                         least[part, way] = min(least[part, way], time.process_time() - began)
     finally:
-        fast_path.MOST_PRODUCTS = chosen
+        fast_path.ENABLED = True
     return [(by_torch, ours) for by_torch, ours in (least / steps * 1e6).tolist()]
 
 
@@ -102,12 +98,12 @@ def report() -> None:
 
     print("\n## Learning from minibatches\n")
     print("| networks | hidden layers | rows | policies: torch, us | compiled, us | critics: torch, us "
-          "| compiled, us | chosen |")  # fmt: skip
-    print("|---:|---|---:|---:|---:|---:|---:|---|")
+          "| compiled, us |")  # fmt: skip
+    print("|---:|---|---:|---:|---:|---:|---:|")
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     for case in CASES:
         cells = [f"{us:.0f}" for pair in measured(case) for us in pair]
         hidden = "-".join(map(str, case.hidden))
-        print(f"| {case.seeds} | {hidden} | {case.rows} | {' | '.join(cells)} | {case.chosen} |", flush=True)
+        print(f"| {case.seeds} | {hidden} | {case.rows} | {' | '.join(cells)} |", flush=True)
     torch.set_num_threads(threads)

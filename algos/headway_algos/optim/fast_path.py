@@ -1,5 +1,4 @@
-"""Learning from minibatches with compiled kernels, where that is faster than torch: small perceptrons in
-float32 on a processor."""
+"""Learning from minibatches with compiled kernels: multilayer perceptrons in float32 on a CPU."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,13 +13,13 @@ from headway_algos.batches.layout import Piece
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
+from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.networks.gru import Network
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.adam import StackedAdam
 
-MOST_PRODUCTS = 1_500_000
-"""Rows of a minibatch times weights, both of one network, up to which the kernels are chosen: with more, what
-torch loses in calls counts less than what its library of matrix products gains."""
+ENABLED = True
+"""False: everything learns by torch's autograd and matrix products, as tests and benchmarks compare it."""
 
 Learn = Callable[[Piece], Tensor]
 """Adds a piece's gradients; returns its shares of what is reported."""
@@ -45,29 +44,35 @@ class Perceptrons:
     held: NDArray[Any]
     """(F, ROWS), to work in: what layers are given, then outputs."""
     signals: NDArray[Any]
-    """(2, W, ROWS), to work in: slopes of a loss."""
+    """(2, W, ROWS), to work in: derivatives of a loss in the outputs of a layer, and of the layer before."""
+    scratch: NDArray[Any]
+    """(SCRATCH, ROWS), to work in: what a loss keeps of each row."""
+    bits: NDArray[np.int32]
+    """(ROWS,), to work in: powers of 2 by their bits."""
 
     @classmethod
-    def of(cls, network: Network, optimiser: StackedAdam, rows: int, minibatches: int) -> Self | None:
-        """Of a network whose minibatches are of so many rows altogether. None where torch is to learn."""
+    def of(cls, network: Network, optimiser: StackedAdam) -> Self | None:
+        """Return a stack's networks as the kernels take them; None if torch has to learn."""
         values, gradient = optimiser.values.whole, optimiser.gradient.whole
-        if not isinstance(network, StackedMLP) or values.is_cuda or values.dtype != torch.float32:
+        compiled = ENABLED and not values.is_cuda and values.dtype == torch.float32
+        if not compiled or not isinstance(network, StackedMLP):
             return None
-        if rows / minibatches * sum(weight[0].numel() for weight, _ in network.by_layer()) > MOST_PRODUCTS:
-            return None
-        from headway_algos.optim.kernel import ROWS
+        from headway_algos.optim.kernel import ROWS, SCRATCH
 
         form = np.array([(w.shape[2], w.shape[1], *optimiser.starts((w, b))) for w, b in network.by_layer()])
         held = np.empty((form[0, 0] + form[:, 1].sum(), ROWS), np.float32)
         signals = np.empty((2, form[:, 1].max(), ROWS), np.float32)
-        return cls(values.numpy(), gradient.numpy(), form, network.activation == "relu", held, signals)
+        scratch, bits = np.empty((SCRATCH, ROWS), np.float32), np.empty(ROWS, np.int32)
+        relu = network.activation == "relu"
+        return cls(values.numpy(), gradient.numpy(), form, relu, held, signals, scratch, bits)
 
     def learn(self, kernel: Callable[..., None], piece: Piece, *others: object) -> None:
         """Call a kernel with what all take first, and others of its own."""
         index, weight = (np.ascontiguousarray(tensor.numpy()) for tensor in (piece.index, piece.weight))
         kernel(
-            self.values, self.gradient, self.form, self.relu, self.held, self.signals, index, weight, *others
-        )
+            self.values, self.gradient, self.form, self.relu, self.held, self.signals,
+            self.scratch, self.bits, self.bits.view(np.float32), index, weight, *others,
+        )  # fmt: skip
 
 
 def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
@@ -89,7 +94,7 @@ def surrogate(
 ) -> Learn | None:
     """Compiled, what `PPO._learn` does, of old network outputs (P, B, A), None without a penalty, and log
     standard deviations (P, A, 1). None where torch is to learn."""
-    networks = Perceptrons.of(actor.network, optimiser, rows.selected.shape[1], config.minibatches)
+    networks = Perceptrons.of(actor.network, optimiser)
     if networks is None:
         return None
     from headway_algos.optim import kernel
@@ -97,6 +102,10 @@ def surrogate(
     old_outputs, old_log_std = old
     numbers, outputs = np.empty(0, np.float32), int(networks.form[-1, 1])
     table = numbers.reshape(0, outputs)
+    if old_outputs is not None:
+        old = actor.distribution(old_outputs.transpose(1, 2), rows.masks)
+        if isinstance(old, MaskedCategorical):
+            old_outputs = old.log_probs.exp().transpose(1, 2)
     common = (
         _flat(rows.observations, table), _flat(rows.log_probs, numbers), _flat(advantages, numbers),
         _flat(old_outputs, table), kl_coeff.numpy(), float(config.clip), float(config.entropy_coeff),
@@ -131,7 +140,7 @@ def regression(
 
     Takes inputs (P, B, D), the outputs (P, B) that were taken (None if there is only one) and targets (P, B).
     """
-    networks = Perceptrons.of(network, optimiser, inputs.shape[1], config.minibatches)
+    networks = Perceptrons.of(network, optimiser)
     if networks is None:
         return None
     from headway_algos.optim import kernel

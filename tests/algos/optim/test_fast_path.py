@@ -38,7 +38,7 @@ CONFIG = AlgoConfig(
 @pytest.fixture
 def by_torch(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """What is made while it holds learns by torch."""
-    monkeypatch.setattr(fast_path, "MOST_PRODUCTS", -1)
+    monkeypatch.setattr(fast_path, "ENABLED", False)
     return monkeypatch
 
 
@@ -227,21 +227,20 @@ def test_where_no_cache_can_be_written_kernels_are_compiled_all_the_same() -> No
 
 
 @pytest.mark.parametrize(
-    ("model", "dtype", "minibatches", "chosen"),
+    ("model", "dtype", "compiled"),
     [
-        (CONFIG.model, FLOAT, 1, True),
-        (ModelConfig(hidden=(256, 256)), FLOAT, 100, True),
-        (ModelConfig(hidden=(256, 256)), FLOAT, 1, False),
-        (ModelConfig(hidden=(8,), core="gru"), FLOAT, 1, False),
-        (CONFIG.model, torch.float64, 1, False),
+        (CONFIG.model, FLOAT, True),
+        (ModelConfig(hidden=(256, 256)), FLOAT, True),
+        (ModelConfig(hidden=(8,), core="gru"), FLOAT, False),
+        (CONFIG.model, torch.float64, False),
     ],
 )
-def test_kernels_are_chosen_for_small_perceptrons_alone(
-    model: ModelConfig, dtype: torch.dtype, minibatches: int, chosen: bool
+def test_kernels_serve_every_size_of_perceptron_in_float32(
+    model: ModelConfig, dtype: torch.dtype, compiled: bool
 ) -> None:
     network = make_network(model, (0, 1), 1, "actor", (SIZE, ACTIONS), 1.0, dtype)
     optimiser = StackedAdam(network.parameters(), 1e-3, None)
-    assert (fast_path.Perceptrons.of(network, optimiser, 1000, minibatches) is not None) == chosen
+    assert (fast_path.Perceptrons.of(network, optimiser) is not None) == compiled
 
 
 def test_a_parameter_that_is_not_a_number_stays_one_and_is_seen() -> None:
@@ -250,6 +249,18 @@ def test_a_parameter_that_is_not_a_number_stays_one_and_is_seen() -> None:
     update, info = case.improve()
     assert torch.isnan(info["gradient_norm"]).tolist() == [False, True]
     assert torch.isfinite(update.optimiser.values.whole[0]).all()
+
+
+def test_exp_is_exact_to_a_few_last_bits() -> None:
+    x = np.concatenate([np.linspace(-86.9, 88, 100_001), np.logspace(-30, 1, 1000)]).astype(np.float32)
+    ours, bits = x.copy(), np.empty(len(x), np.int32)
+    kernel._exp(ours, bits, bits.view(np.float32), len(x))
+    assert np.abs(ours / np.exp(x.astype(np.float64)) - 1).max() < 3e-7
+    odd = np.array([-np.inf, -1e30, np.inf, np.nan], np.float32)
+    kernel._exp(odd, bits, bits.view(np.float32), len(odd))
+    assert odd[:2].tolist() == [0, 0]
+    assert odd[2] > 1e38
+    assert np.isnan(odd[3])
 
 
 def test_tanh_is_exact_to_a_few_last_bits() -> None:
