@@ -266,7 +266,7 @@ def _backward(
     gradient: Floats,
     n: int,
 ) -> None:
-    """Add to the gradient (V,) of one network that of a loss, given the loss's derivatives in the outputs of n
+    """Add to the gradient (V,) of one network that of a loss, given its derivatives in the outputs of n
     rows: `signals[len(form) % 2]`, of signals (2, W, ROWS)."""
     last = signals[len(form) % 2]
     for a in range(form[-1, 1]):
@@ -363,8 +363,8 @@ def learn_gaussian(
 ) -> None:
     """Add PPO's gradients at index and weight (P, n) of rows (P B, ...).
 
-    `shares` (P, 3) gets what `PPO._learn` returns. Log standard deviations begin at `log_std_at` of the values
-    of a network; `old_means` (P B, A) is empty without a penalty.
+    `shares` (P, 3) gets what `PPO._learn` returns. Log standard deviations begin at `log_std_at` of a network
+    (V,); `old_means` (P B, A) is empty without a penalty.
     """
     penalised, size, half_log_2pi = len(old_means) > 0, form[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
     top = form[:, 0].sum()
