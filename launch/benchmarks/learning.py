@@ -45,7 +45,7 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     from headway_algos.on_policy.critics.critic_inputs import VIEWS
     from headway_algos.on_policy.critics.estimate import CriticEstimate
     from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
-    from headway_algos.on_policy.updates.ppo import PPO
+    from headway_algos.on_policy.updates import ppo_update
 
     steps = ROWS_A_ROUND // case.rows
     rows, device = steps * case.rows, torch.device("cpu")
@@ -60,7 +60,8 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
         log_probs = actor(observations, None).log_prob(actions)
     advantages = torch.from_numpy(random.normal(size=(case.seeds, rows)).astype(np.float32))
     here = np.ones((case.seeds, rows), np.bool_)
-    made, update = PolicyBatch(observations, None, actions, log_probs, here), PPO(actor, config, layout)
+    made = PolicyBatch(observations, None, actions, log_probs, here)
+    update = ppo_update(actor, config, layout)
     view = VIEWS["local"](config, spec, grouping)
     regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
     returns = random.normal(size=(rows, case.seeds, 1))

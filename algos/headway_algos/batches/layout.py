@@ -160,7 +160,7 @@ def minibatches(
     generators: Sequence[np.random.Generator],
     epochs: int,
     parts: int,
-    piece_samples: int,
+    piece_samples: int | None,
     layout: Layout,
 ) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
     """Shuffled minibatches: a list of pieces whose gradients add up to the minibatch's, and which networks
@@ -168,9 +168,12 @@ def minibatches(
 
     Every network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts`
     equal minibatches, whatever the others have: so a network's updates do not depend on its stack.
+    `piece_samples` is the most samples, over all networks, of a piece; None: a minibatch is one piece.
     Padding repeats a selected row of the same network, if it has any.
     """
     stack, batch = selected.shape
+    if piece_samples is None:
+        piece_samples = max(selected.size, 1)
     candidates = [np.flatnonzero(row) for row in selected]
     counts = np.array([len(rows) for rows in candidates])
     edges = counts * np.arange(parts + 1)[:, None] // parts
@@ -185,8 +188,9 @@ def minibatches(
     places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
         index = np.empty(places.shape, np.int64)
-        for p, (random, rows) in enumerate(zip(generators, candidates, strict=True)):
-            shuffled = random.permutation(rows)
+        for p, rows in enumerate(candidates):
+            # A gradient over all rows needs no order.
+            shuffled = generators[p].permutation(rows) if parts > 1 else rows
             index[:, p] = p * batch + (shuffled[places[:, p]] if len(rows) else 0)
         indices = torch.from_numpy(index).to(layout.device)
         ahead, block = None, -1

@@ -1,7 +1,7 @@
 """Learning from minibatches with compiled kernels: multilayer perceptrons in float32 on a CPU."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -17,17 +17,10 @@ from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.networks.gru import Network
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.adam import StackedAdam
+from headway_algos.optim.gradient_steps import Learn
 
 ENABLED = True
 """False: everything learns by torch's autograd and matrix products, as tests and benchmarks compare it."""
-
-Learn = Callable[[Piece], Tensor]
-"""Adds a piece's gradients; returns its shares of what is reported."""
-
-
-def uncut(config: AlgoConfig) -> AlgoConfig:
-    """The same with minibatches in one piece: kernels cut each network's by themselves, as of one alone."""
-    return replace(config, piece_samples=2**62)
 
 
 @dataclass(frozen=True)
@@ -83,17 +76,22 @@ def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
     return array.reshape(-1, *array.shape[2:])
 
 
-def surrogate(
+def policy_gradients(
     actor: Actor,
     optimiser: StackedAdam,
     rows: PolicyBatch,
     advantages: Tensor,
     old: tuple[Tensor | None, Tensor | None],
     kl_coeff: Tensor,
-    config: AlgoConfig,
+    entropy_coeff: float,
+    clip: float | None,
 ) -> Learn | None:
-    """Compiled, what `PPO._learn` does, of old network outputs (P, B, A), None without a penalty, and log
-    standard deviations (P, A, 1). None where torch is to learn."""
+    """Return the compiled gradients of PPO's loss, or of A2C's if `clip` is None; None if torch has to learn.
+
+    They report the approximate KL divergence, the entropy and the share of clipped ratios. `old` are the
+    network outputs (P, B, A) of the policies that acted, None without a KL penalty, and their log standard
+    deviations (P, A, 1).
+    """
     networks = Perceptrons.of(actor.network, optimiser)
     if networks is None:
         return None
@@ -103,12 +101,13 @@ def surrogate(
     numbers, outputs = np.empty(0, np.float32), int(networks.form[-1, 1])
     table = numbers.reshape(0, outputs)
     if old_outputs is not None:
-        old = actor.distribution(old_outputs.transpose(1, 2), rows.masks)
-        if isinstance(old, MaskedCategorical):
-            old_outputs = old.log_probs.exp().transpose(1, 2)
+        before = actor.distribution(old_outputs.transpose(1, 2), rows.masks)
+        if isinstance(before, MaskedCategorical):
+            old_outputs = before.log_probs.exp().transpose(1, 2)
     common = (
         _flat(rows.observations, table), _flat(rows.log_probs, numbers), _flat(advantages, numbers),
-        _flat(old_outputs, table), kl_coeff.numpy(), float(config.clip), float(config.entropy_coeff),
+        _flat(old_outputs, table), kl_coeff.numpy(),
+        -1.0 if clip is None else float(clip), float(entropy_coeff),
     )  # fmt: skip
     learn: Callable[..., None]
     its_own: tuple[Any, ...]
@@ -136,7 +135,7 @@ def regression(
     targets: Tensor,
     config: AlgoConfig,
 ) -> Learn | None:
-    """Compiled twin of `ReturnRegression._learn`, or None where torch has to learn.
+    """Return the compiled gradients of `squared_error`, or None if torch has to learn.
 
     Takes inputs (P, B, D), the outputs (P, B) that were taken (None if there is only one) and targets (P, B).
     """
@@ -154,8 +153,8 @@ def regression(
     )  # fmt: skip
 
     def of_piece(piece: Piece) -> Tensor:
-        losses = np.zeros(len(networks.values), np.float32)
-        networks.learn(kernel.learn_returns, piece, *of_rows, losses)
+        losses = np.zeros((1, len(networks.values)), np.float32)
+        networks.learn(kernel.learn_returns, piece, *of_rows, losses[0])
         return torch.from_numpy(losses)
 
     return of_piece

@@ -3,7 +3,7 @@
 Networks of a stack come one after another, each through its own rows in parts that fit the cache, features
 first: what a network becomes depends neither on its stack nor on how much the others have to learn from.
 torch takes longer to call a product of small matrices than to compute it. What these compute is said, and
-tested, where torch does the same: `passes`, `distributions`, `updates.ppo`, `critics.returns`.
+tested, where torch does the same: `distributions`, `updates.ppo`, `updates.a2c`, `return_regression`.
 
 This is one file since numba notices only changes in the file of the function that is called.
 """
@@ -317,8 +317,15 @@ def _surrogate_derivatives(
     log_ratios: Floats, advantages: Floats, share: Floats, clip: float, ratios: Floats,
     exponents: NDArray[np.int32], powers: Floats, n: int, shares: Floats,
 ) -> None:  # fmt: skip
-    """Replace advantages of rows by the derivatives of PPO's loss in their log-probabilities; add to
-    `shares` (3,) the rows' shares of the approximate KL divergence and, third, of the clipped."""
+    """Replace advantages of rows by the derivatives of a loss in their log-probabilities.
+
+    The loss is PPO's, or A2C's if `clip` is below 0. PPO adds to `shares` (3,) the rows' shares of the
+    approximate KL divergence and, third, of the clipped ratios.
+    """
+    if clip < 0:
+        for t in range(n):
+            advantages[t] *= -share[t]
+        return
     low, high = np.float32(1 - clip), np.float32(1 + clip)
     for t in range(n):
         ratios[t] = log_ratios[t]
@@ -363,8 +370,9 @@ def learn_gaussian(
 ) -> None:
     """Add PPO's gradients at index and weight (P, n) of rows (P B, ...).
 
-    `shares` (P, 3) gets what `PPO._learn` returns. Log standard deviations begin at `log_std_at` of a network
-    (V,); `old_means` (P B, A) is empty without a penalty.
+    `shares` (P, 3) gets the approximate KL divergence, the entropy and the share of clipped ratios. Log
+    standard deviations begin at `log_std_at` of a network's values; `old_means` (P B, A) is empty without a
+    penalty.
     """
     penalised, size, half_log_2pi = len(old_means) > 0, form[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
     top = form[:, 0].sum()

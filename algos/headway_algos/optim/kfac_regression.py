@@ -33,19 +33,24 @@ class KFACRegression:
             parameter.grad = None
         self.optimiser.begin()
 
-    def include(self, linear: LinearisedMLP, taken: Tensor | None, weight: Tensor) -> None:
-        """Add a piece of the batch: the networks at its inputs, which output was meant (P, B) where there are
-        several, and weights (P, B) that sum to 1 over the batch."""
+    def include(self, inputs: Tensor, taken: Tensor | None, weight: Tensor) -> None:
+        """Add a piece of the batch: inputs (P, B, D), which output is fitted (P, B) if there are several, and
+        weights (P, B) that sum to 1 over the batch."""
+        linear = LinearisedMLP.of(self.network, inputs)
         meant = torch.ones_like(linear.outputs)
         if taken is not None:
             meant = torch.zeros_like(meant).scatter_(1, taken[:, None], 1)
         self.optimiser.include(linear, meant, lambda change: meant * change, weight)
 
-    def step(self, active: NDArray[np.bool_]) -> None:
-        """Move the networks that have rows in the batch, (P,), down the gradients of squared errors."""
+    def step(self, active: NDArray[np.bool_]) -> Tensor:
+        """Step the networks that have rows in the batch, (P,), down the gradients of squared errors.
+
+        Returns the norms of the gradients (P,).
+        """
         parameters = list(self.network.parameters())
         gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
         self.optimiser.step([-0.5 * gradient for gradient in gradients], active)
+        return torch.stack([gradient.square().sum((1, 2)) for gradient in gradients]).sum(0).sqrt()
 
     def anneal(self, share: float) -> None:
         """Take steps of `share` of their length from now on."""

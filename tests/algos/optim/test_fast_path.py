@@ -21,7 +21,7 @@ from headway_algos.networks.gru import make_network
 from headway_algos.on_policy.critics.critic_inputs import VIEWS
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
-from headway_algos.on_policy.updates.ppo import PPO
+from headway_algos.on_policy.updates import GradientUpdate, ppo_update
 from headway_algos.optim import fast_path, kernel
 from headway_algos.optim.adam import StackedAdam
 
@@ -77,8 +77,8 @@ class Case:
         moved = torch.as_tensor(random.normal(scale=0.2, size=ROWS), dtype=FLOAT)
         return [observations, masks, actions, moved, random.normal(size=ROWS)]
 
-    def improve(self) -> tuple[PPO, dict[str, Tensor]]:
-        update = PPO(self.actor, self.config, self.layout)
+    def improve(self) -> tuple[GradientUpdate, dict[str, Tensor]]:
+        update = ppo_update(self.actor, self.config, self.layout)
         return update, update.improve(self.rows, self.advantages, [generator(s, "t") for s in self.seeds])
 
     def fit(self, outputs: int) -> tuple[ReturnRegression, dict[str, Any]]:
@@ -99,7 +99,7 @@ class Case:
         return regression, regression.fit(estimate, 0)
 
 
-def _state(learned: PPO | ReturnRegression) -> list[Tensor]:
+def _state(learned: GradientUpdate | ReturnRegression) -> list[Tensor]:
     optimiser = learned.optimiser
     assert isinstance(optimiser, StackedAdam)
     return [*optimiser.parameters, *optimiser.means.parts]
@@ -168,7 +168,7 @@ def test_a_part_of_a_stack_learns_what_it_learns_in_the_whole() -> None:
     """As where one policy is updated after another."""
     whole, _ = Case(CONFIG, "box", False, (0, 1, 2)).improve()
     case, policies = Case(CONFIG, "box", False, (0, 1, 2)), torch.tensor([1])
-    update = PPO(case.actor, CONFIG, case.layout)
+    update = ppo_update(case.actor, CONFIG, case.layout)
     before = [tensor.clone() for tensor in _state(update)]
     part = update.narrow(policies)
     part.improve(case.rows.narrow(policies), case.advantages[policies], [generator(1, "t")])
@@ -180,7 +180,7 @@ def test_a_part_of_a_stack_learns_what_it_learns_in_the_whole() -> None:
 
 def test_parameters_given_to_another_optimiser_are_not_learned_by_the_first() -> None:
     case = Case(CONFIG, "box", False, (0, 1))
-    update = PPO(case.actor, CONFIG, case.layout)
+    update = ppo_update(case.actor, CONFIG, case.layout)
     StackedAdam(case.actor.learnable, 1e-3, None)
     with pytest.raises(RuntimeError, match="given to another optimiser"):
         update.improve(case.rows, case.advantages, [generator(seed, "t") for seed in case.seeds])
