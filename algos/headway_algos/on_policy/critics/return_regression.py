@@ -151,15 +151,18 @@ class ReturnRegression:
 
     def _learn(self, piece: Piece, estimate: CriticEstimate, targets: Tensor) -> Tensor:
         """Add a piece's gradients by autograd; return its share of the loss, (1, P)."""
+        inputs, targets = piece.of(estimate.inputs), piece.of(targets)
         taken = None if estimate.taken is None else piece.of(estimate.taken)
-        inputs = piece.of(estimate.inputs)
-        outputs = self.networks.network(inputs, piece.timeline)
-        values = outputs[:, 0] if taken is None else outputs.gather(1, taken[:, None])[:, 0]
-        loss = (squared_error(values, piece.of(targets), self.config.value_clip) * piece.weight).sum(1)
-        torch.autograd.backward(loss.sum())
+
+        def loss(outputs: Tensor) -> Tensor:
+            values = outputs[:, 0] if taken is None else outputs.gather(1, taken[:, None])[:, 0]
+            return (squared_error(values, targets, self.config.value_clip) * piece.weight).sum(1)
+
         if isinstance(self.optimiser, KFACRegression):
-            self.optimiser.include(inputs, taken, piece.weight)
-        return loss.detach()[None]
+            return self.optimiser.include(inputs, taken, piece.weight, loss)[None]
+        losses = loss(self.networks.network(inputs, piece.timeline))
+        torch.autograd.backward(losses.sum())
+        return losses.detach()[None]
 
     def _generators(self, iteration: int) -> list[np.random.Generator]:
         networks = range(self.layout.grouping.num_policies)

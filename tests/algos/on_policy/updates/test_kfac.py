@@ -429,9 +429,9 @@ def _regression(
 def _regress(regression: KFACRegression, rows: Tensor, targets: Tensor) -> None:
     regression.begin()
     weight = torch.full((P, B), 1 / B, dtype=DOUBLE)
-    loss = ((regression.network(rows)[:, 0] - targets).square() * weight).sum()
-    torch.autograd.backward(loss)
-    regression.include(rows, None, weight)
+    regression.include(
+        rows, None, weight, lambda outputs: ((outputs[:, 0] - targets).square() * weight).sum(1)
+    )
     regression.step(np.ones(P, np.bool_))
 
 
