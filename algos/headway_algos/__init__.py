@@ -1,1 +1,1 @@
-"""Headway's algorithms. They import only torch, numpy, numba and the contracts; this module no torch."""
+"""Headway's algorithms. They depend on torch, numpy, numba and `headway.contracts` only."""

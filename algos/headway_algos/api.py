@@ -1,7 +1,7 @@
-"""Public interface of the algorithms: what recipes and updates of other packages import from `headway_algos`.
+"""Public interface of the algorithms, for recipes and updates in other packages.
 
-Importing this module imports no torch; critics and updates import it when they are first used. Every other
-module of the package is private.
+All other modules of `headway_algos` are private. Importing this module does not import torch; critics and
+updates do, when they are first used.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""What an algorithm is, as one frozen record: three choices (critic, update, order) and its numbers."""
+"""Configuration of on-policy algorithms: three choices (critic, update, order) and the hyper-parameters."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,29 +8,28 @@ from headway.contracts.checks import require
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Networks: one for the actor, another of the same form for the critic."""
+    """Architecture of the actor's network; the critic has a separate network of the same architecture."""
 
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """Between the layers."""
+    """Activation function of the hidden layers."""
     actor_gain: float = 0.01
     """Gain of the orthogonal initialisation of the actor's last layer."""
     initial_logits: tuple[float, ...] = ()
-    """Logits of Discrete actions that every policy starts near: what is known before learning, one a
-    action; empty: all equal."""
+    """Initial logits of Discrete actions, one per action, as a prior for every policy; empty: all equal."""
     log_std: float = -0.5
     """Initial log standard deviation of a Box action's Gaussian."""
     core: Literal["none", "gru"] = "none"
-    """What follows the hidden layers: `none`: the output layer, so that policies act on what they observe now
-    alone; `gru`: gated recurrent units, by which actor and critic remember what came before in the episode.
-    The cheap alternative is the wrapper frame_stack_v1, which shows the last few observations at once."""
+    """Recurrence between the hidden layers and the output layer. `none`: feedforward policies, which see the
+    current observation only; `gru`: gated recurrent units in actor and critic. A cheaper alternative to
+    recurrence is the wrapper frame_stack_v1, which stacks the last few observations."""
     gru_size: int = 64
-    """Gated recurrent units of a network, for `core: gru`: how many numbers an agent remembers."""
+    """Number of gated recurrent units per network, for `core: gru`: the size of the hidden state."""
     sequence_length: int = 16
-    """Steps in a row that `core: gru` learns from as one: gradients flow back no further. Sequences are cut
-    at multiples of it from an iteration's first step, and at the ends of episodes; minibatches hold whole
-    ones. Longer ones learn what must be remembered for longer, and are slower."""
+    """Maximum steps of backpropagation through time, for `core: gru`. Sequences are cut at multiples of it
+    from an iteration's first step and at the ends of episodes; minibatches hold whole sequences. Longer
+    sequences can learn longer dependencies, and are slower."""
 
     def __post_init__(self) -> None:
         require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
@@ -41,118 +40,121 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class AlgoConfig:
-    """An on-policy algorithm, freely composed. A named algorithm fixes critic, update and order."""
+    """An on-policy algorithm in free composition; named algorithms fix critic, update and order."""
 
     name: str = "custom"
     """Name in the registry: see `headway list algos`."""
     critic: Literal["local", "central", "counterfactual"] = "local"
     """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state; `counterfactual`:
-    Q(s, u) of each own action, the others' held fixed (Discrete actions only)."""
+    Q(s, u) for each own action, the other agents' actions held fixed (Discrete actions only)."""
     update: Literal["ppo", "a2c", "trpo", "kfac"] = "ppo"
-    """How a policy is improved from its advantages: `ppo`: epochs of minibatch steps on a clipped surrogate;
-    `a2c`: one gradient step on the whole batch; `trpo`: one natural-gradient step within a bound of the KL
-    divergence; `kfac`: one natural-gradient step too, by Kronecker factors of the Fisher information."""
+    """Policy update. `ppo`: epochs of minibatch steps on a clipped surrogate; `a2c`: one gradient step on the
+    whole batch; `trpo`: one natural-gradient step within a bound on the KL divergence; `kfac`: one
+    natural-gradient step with Kronecker factors of the Fisher information."""
     critic_update: Literal["adam", "kfac"] = "adam"
-    """How the critic goes down its errors: `adam`, or `kfac`: along the natural gradient, by Kronecker
-    factors of the Gauss-Newton matrix."""
+    """Optimiser of the critic. `adam`; or `kfac`: natural gradients with Kronecker factors of the
+    Gauss-Newton matrix."""
     order: Literal["simultaneous", "sequential"] = "simultaneous"
-    """Whether policies are updated all at once, or one after another in a random order, each weighing its
-    advantages by what those before it have changed (needs several: `policies: independent` or `groups`)."""
+    """`simultaneous`: all policies are updated at once; `sequential`: one after another in a random order,
+    each with its advantages weighted by the probability ratios of the policies updated before (needs several
+    policies: `policies: independent` or `groups`)."""
     policies: Literal["independent", "shared", "groups"] = "independent"
-    """One policy an agent, one for all, or one for each group the environment names."""
+    """`independent`: one policy per agent; `shared`: one for all; `groups`: one per group of the
+    environment."""
     shared_until: float = 0.0
-    """Share of training during which independent or group policies are one, learned from all experience; then
-    each goes on from it by itself, in the first iteration that begins after that. 0: never."""
+    """Share of training during which independent or group policies are trained as one shared policy. The
+    first iteration that begins later copies it to each policy, and they are trained separately. 0: separate
+    from the start."""
     apart_lr: float = 1.0
-    """Share of the learning rates with which policies learn once they have parted: each then has only its own
-    agents' experience, and noisier gradients. KL bounds are multiplied by the square."""
+    """Factor on the learning rates once the shared policy is split (`shared_until`), when each policy sees
+    only its own agents' experience and gradients are noisier. KL bounds are multiplied by its square."""
     model: ModelConfig = field(default_factory=ModelConfig)
     critic_actions: Literal["none", "others"] = "none"
-    """`others`: a central critic also sees what the other agents chose, V(s, u^-a)."""
+    """`others`: a central critic also sees the actions of the other agents, V(s, u^-a)."""
     target_every: int = 4
-    """Iterations between copies of a counterfactual critic to its target network; 1: after every one."""
+    """Iterations between updates of the counterfactual critic's target network; 1: after every iteration."""
     gamma: float = 0.99
-    """Discount factor a step."""
+    """Discount factor per step."""
     gae_lambda: float = 0.95
     """Lambda of generalised advantage estimation."""
     lr: float = 5e-4
-    """Learning rate of the actor (Adam). TRPO's actor has none: there it is the critic's alone. For K-FAC the
-    most of the natural gradient that a step goes, where the KL bound allows as much."""
+    """Learning rate of the actor (Adam). With TRPO, used for the critic only. With K-FAC, the maximum step
+    size along the natural gradient, reduced further by the KL bound."""
     critic_lr: float | None = None
     """Learning rate of the critic; null: `lr`."""
     lr_end: float = 1.0
-    """Share of the learning rates left at the end of training (linear); 1: constant. Steps within KL bounds
-    shrink alike: the bounds are multiplied by the square."""
+    """Factor on the learning rates at the end of training, reached linearly; 1: constant. KL bounds are
+    multiplied by its square, so that steps shrink alike."""
     epochs: int = 5
-    """Passes over an iteration's experience: the critic's always, the actor's for PPO alone (A2C, TRPO and
-    K-FAC take one step on the whole batch)."""
+    """Passes over an iteration's batch: by the critic always, by the actor with PPO only (A2C, TRPO and K-FAC
+    take one step on the whole batch)."""
     minibatches: int = 8
-    """Minibatches a pass, for whom `epochs` counts; 1: the whole batch."""
+    """Minibatches per pass, wherever `epochs` applies; 1: the whole batch."""
     clip: float = 0.2
-    """PPO's clip of the probability ratio."""
+    """PPO's clip range of the probability ratio."""
     kl_coeff: float = 0.0
     """Initial coefficient of PPO's adaptive KL penalty; 0: none."""
     kl_target: float = 0.01
-    """KL divergence that PPO's adaptive coefficient aims at."""
+    """Target KL divergence of PPO's adaptive penalty."""
     kl_bound: float = 0.01
-    """TRPO's bound of the mean KL divergence of a step (delta); K-FAC's of what that is expected to be."""
+    """Bound on the mean KL divergence of a step (delta): of TRPO, enforced; of K-FAC, predicted."""
     accept_ratio: float = 0.1
-    """Least share of the improvement expected to first order that a step of TRPO must bring."""
+    """Minimum ratio of actual to expected (first-order) improvement for TRPO to accept a step."""
     cg_iterations: int = 10
     """TRPO's iterations of conjugate gradient."""
     cg_damping: float = 0.1
-    """Added to the diagonal of TRPO's Fisher information."""
+    """Damping added to the diagonal of TRPO's Fisher information."""
     line_search_steps: int = 10
-    """How often TRPO halves a step that it does not accept; then the policy stays as it was."""
+    """Maximum number of halvings in TRPO's line search; if none is accepted, the policy stays unchanged."""
     fisher_share: float = 1.0
-    """Share of the rows, evenly strided, over which TRPO's Fisher information is taken (1, 1/2, 1/3 ...;
-    others are rounded to one of these). Less is faster, and was seen to learn worse on a few hundred rows."""
+    """Share of the rows, evenly strided, on which TRPO's Fisher information is computed (1, 1/2, 1/3 ...;
+    other values are rounded to one of these). Smaller is faster, but learned worse on few hundred rows."""
     kfac_damping: float = 0.01
-    """Added to the diagonal of K-FAC's Fisher information (lambda), in factors."""
+    """Damping of K-FAC's Fisher information (lambda), split over its factors."""
     kfac_decay: float = 0.95
-    """Share of K-FAC's running averages that is left after another batch; the first batches weigh alike."""
+    """Decay of K-FAC's running averages per batch; the first batches are weighted equally."""
     kfac_every: int = 1
-    """Batches from one inversion of K-FAC's factors to the next; 1: after every one."""
+    """Batches between inversions of K-FAC's factors; 1: after every batch."""
     kfac_length: Literal["exact", "factors"] = "exact"
-    """By which Fisher information K-FAC expects a step's KL divergence: `exact`: that of the batch;
-    `factors`: its own approximation, as published, which can expect too little."""
+    """Fisher information from which K-FAC predicts the KL divergence of a step. `exact`: of the batch;
+    `factors`: the Kronecker approximation, as published, which can predict too little."""
     kfac_momentum: float = 0.0
-    """Share of K-FAC's last direction in the next one; 0: none."""
+    """Momentum of K-FAC's direction; 0: none."""
     critic_kl_bound: float = 0.3
-    """K-FAC's bound for a step of the critic: of half the mean squared change of its values, which is the
-    divergence of Gaussians with standard deviation 1; with `normalise_values` in normalised units."""
+    """K-FAC's bound for a step of the critic, on half the mean squared change of its values (the KL
+    divergence of Gaussians with standard deviation 1). In normalised units with `normalise_values`."""
     entropy_coeff: float = 0.01
     """Weight of the policy's entropy in the objective (for TRPO: in the surrogate); 0: none."""
     value_clip: float | None = None
-    """Bound of the critic's squared error, as RLlib's vf_clip_param, in units of return squared; with
-    `normalise_values` in normalised ones, in which an error of 1 is a standard deviation. null: none."""
+    """Bound on the critic's squared error, like RLlib's vf_clip_param, in units of squared return; with
+    `normalise_values`, in units of the returns' variance. null: none."""
     grad_clip: float | None = 0.5
-    """Bound of the gradient's norm, for each policy and each critic (but TRPO's and K-FAC's, which the KL
-    bounds); null: none."""
+    """Bound on the gradient norm per policy and per critic, except for steps of TRPO and K-FAC, which have KL
+    bounds; null: none."""
     normalise_advantages: bool = True
     """Standardise advantages per policy."""
     normalise_observations: bool = True
-    """Running mean and standard deviation per policy, part of the parameters."""
+    """Normalise observations by running statistics per policy, stored with the parameters."""
     normalise_values: bool = True
-    """The critic learns returns in units of their running mean and standard deviation."""
+    """Normalise returns by running statistics before the critic is trained on them."""
     precision: Literal["float32", "float64"] = "float32"
-    """Of networks and of what they learn from; normalisers, advantages and returns are float64 always."""
+    """Dtype of networks and their inputs; normalisers, advantages and returns are always float64."""
     piece_samples: int = 5120
-    """Samples, over all policies of a stack, worked on at once, so that activations stay in the cache. No
-    effect on results beyond rounding."""
+    """Samples, over all policies of a stack, processed at once, so that activations fit the cache. Affects
+    results by rounding only."""
 
     def __post_init__(self) -> None:
         require(0 <= self.shared_until < 1, "shared_until must lie in [0, 1)")
-        parting = self.shared_until > 0
-        require(not parting or self.policies != "shared", "shared_until is for policies that are not shared")
+        splits = self.shared_until > 0
+        require(not splits or self.policies != "shared", "shared_until must be 0 with policies: shared")
         require(
-            not parting or self.order == "simultaneous",
-            "shared_until must be 0 where policies are updated one after another",
+            not splits or self.order == "simultaneous",
+            "shared_until must be 0 with order: sequential",
         )
         require(self.apart_lr > 0, "apart_lr must be above 0")
         require(
-            parting or self.apart_lr == 1,
-            "apart_lr is for policies that part: set shared_until, or leave apart_lr at 1",
+            splits or self.apart_lr == 1,
+            "apart_lr applies after shared_until: set shared_until, or leave apart_lr at 1",
         )
         require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
         require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
@@ -161,12 +163,12 @@ class AlgoConfig:
         require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
         require(
             self.critic_actions == "none" or self.critic == "central",
-            "critic_actions must be none unless critic is central: a local critic sees no one else, and a "
-            "counterfactual one sees the others' actions always",
+            "critic_actions must be none unless critic is central: a local critic sees its own agent only, "
+            "and a counterfactual one always sees the others' actions",
         )
         require(
             self.model.core == "none" or "kfac" not in (self.update, self.critic_update),
-            "model.core must be none with kfac, whose factors are of multilayer perceptrons",
+            "model.core must be none with kfac, whose factors exist for multilayer perceptrons only",
         )
         require(self.target_every >= 1, "target_every must be at least 1")
         require(self.epochs >= 1, "epochs must be at least 1")

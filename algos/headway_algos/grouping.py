@@ -1,4 +1,4 @@
-"""Which agent follows which policy, and how arrays by agent become arrays by policy."""
+"""Assignment of agents to policies, and conversion between arrays by agent and by policy."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +11,7 @@ from headway.contracts import EnvSpec
 
 
 def missing_groups(policies: str, spec: EnvSpec) -> str | None:
-    """Why a config's `policies` cannot be had: one for each group of an environment that names none."""
+    """Return an error line if `policies` is "groups" and the environment has no groups, else None."""
     if policies == "groups" and not spec.groups:
         return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
     return None
@@ -19,16 +19,16 @@ def missing_groups(policies: str, spec: EnvSpec) -> str | None:
 
 @dataclass(frozen=True)
 class Grouping:
-    """K policies over N agents. Policy k's agents are `members[k]`, padded with -1 to G columns."""
+    """K policies over N agents."""
 
     members: NDArray[np.int64]
-    """(K, G)"""
+    """(K, G): agents of each policy, padded with -1."""
 
     @classmethod
     def of(cls, policies: str, spec: EnvSpec) -> Self:
-        """The grouping named by a config's `policies` key: independent, shared or groups.
+        """Return the grouping for a config's `policies`: independent, shared or groups.
 
-        Raises ValueError for another word.
+        Raises ValueError for any other value.
         """
         agents = np.arange(spec.num_agents)
         if policies == "independent":
@@ -54,7 +54,7 @@ class Grouping:
 
     @cached_property
     def is_member(self) -> NDArray[np.bool_]:
-        """(K, G): not padding."""
+        """(K, G): False for padding."""
         return self.members >= 0
 
     @cached_property
@@ -62,25 +62,25 @@ class Grouping:
         return bool(np.array_equal(self.members.ravel(), np.arange(self.members.size)))
 
     @cached_property
-    def _place(self) -> NDArray[np.int64]:
-        """(N,): where each agent stands in the flattened members."""
+    def _slot_of_agent(self) -> NDArray[np.int64]:
+        """(N,): index of each agent in the flattened members."""
         flat = self.members.ravel()
-        place = np.empty(int((flat >= 0).sum()), np.int64)
-        place[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
-        return place
+        slots = np.empty(int((flat >= 0).sum()), np.int64)
+        slots[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
+        return slots
 
     def owner(self, policy: int, spec: EnvSpec) -> str:
-        """Whose policy `policy` (of K) is: "agent bus_3", "group line_1" or "all agents"."""
+        """Return the owner of policy `policy` of K: "agent bus_3", "group line_1" or "all agents"."""
         members = self.members[policy][self.members[policy] >= 0]
         if self.width == 1:
             return f"agent {spec.agents[members[0]]}"
         return "all agents" if self.num_policies == 1 else f"group {spec.groups[members[0]]}"
 
     def gather(self, by_agent: NDArray[Any], replicas: int) -> NDArray[Any]:
-        """(T, C, N, ...) -> (P, G x T x E, ...), rows ordered by agent, then step, then copy.
+        """Convert (T, C, N, ...) to (P, G x T x E, ...), rows ordered by agent, then step, then copy.
 
-        Rows of padding repeat some agent's; `is_member` says which they are. Of agents that all share one
-        policy there may be the first few only.
+        Rows of padding hold copies of an agent's rows; see `is_member`. With a single shared policy,
+        `by_agent` may hold the first few agents only.
         """
         steps, copies, agents, *rest = by_agent.shape
         split = by_agent.reshape(steps, replicas, copies // replicas, agents, *rest)
@@ -92,14 +92,17 @@ class Grouping:
     def scatter(
         self, by_policy: NDArray[Any], replicas: int, steps: int, agents: int | None = None
     ) -> NDArray[Any]:
-        """The inverse of `gather`: (P, G x T x E, ...) -> (T, C, N, ...); `agents`: N, where it was fewer
-        than all, who share one policy. Raises ValueError for it where there are several."""
+        """Inverse of `gather`: convert (P, G x T x E, ...) to (T, C, N, ...).
+
+        `agents`: number of first agents gathered, if not all. Raises ValueError if it is given with more than
+        one policy.
+        """
         if agents is not None and self.num_policies > 1:
-            raise ValueError(f"agents of {self.num_policies} policies are all there: give no number of them")
+            raise ValueError(f"agents must be None with {self.num_policies} policies: all were gathered")
         rest = by_policy.shape[2:]
         slots = self.members.size if agents is None else agents
         stacked = by_policy.reshape(replicas, slots, steps, -1, *rest)
         if not self._in_order:
-            stacked = stacked[:, self._place]
+            stacked = stacked[:, self._slot_of_agent]
         by_agent = stacked.transpose(2, 0, 3, 1, *range(4, stacked.ndim))
         return np.ascontiguousarray(by_agent).reshape(steps, -1, by_agent.shape[3], *rest)

@@ -1,4 +1,4 @@
-"""The registry of algorithms, name to entry. Importing it imports no torch."""
+"""Registry of algorithms by name. Importing it imports no torch."""
 
 from dataclasses import replace
 
@@ -23,15 +23,15 @@ from headway_algos.recipes import (
 )
 
 LEARNER = Lazy("headway_algos.on_policy.make_learner:make_learner")
-_AT_ONCE = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
-"""What a named algorithm of the sequential order is called without it."""
+_SIMULTANEOUS = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
+"""Simultaneous counterpart of each named sequential algorithm."""
 
 
 def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     counterfactual = config.critic == "counterfactual"
     if isinstance(spec.action_space, MultiDiscrete):
-        takes = "Discrete" if counterfactual else "Discrete or Box"
-        return f"{config.name} takes {takes} actions, and {spec.name} has MultiDiscrete ones"
+        supported = "Discrete" if counterfactual else "Discrete or Box"
+        return f"{config.name} takes {supported} actions, and {spec.name} has MultiDiscrete ones"
     if counterfactual and isinstance(spec.action_space, Box):
         return (
             f"{config.name} takes Discrete actions, which its counterfactual critic compares, and "
@@ -40,35 +40,38 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     if (line := missing_groups(config.policies, spec)) is not None:
         return line
     groups = len(set(spec.groups))
-    of_one = config.policies == "shared" or (config.policies == "groups" and groups == 1)
-    if config.order == "sequential" and of_one:
-        at_once = _AT_ONCE.get(config.name, "algo.order=simultaneous")
+    single_policy = config.policies == "shared" or (config.policies == "groups" and groups == 1)
+    if config.order == "sequential" and single_policy:
+        simultaneous = _SIMULTANEOUS.get(config.name, "algo.order=simultaneous")
         several = "independent, algo.policies=groups," if groups > 1 else "independent,"
         return (
-            f"{config.name} updates one policy after another, and algo.policies={config.policies} is but one "
-            f"on {spec.name}; use algo.policies={several} or {at_once} for all at once"
+            f"{config.name} updates one policy after another, and algo.policies={config.policies} gives only "
+            f"one on {spec.name}; use algo.policies={several} or {simultaneous} for all at once"
         )
     actions, logits = spec.action_space, config.model.initial_logits
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
         count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
-        remedy = "give one an action, or leave it out" if isinstance(actions, Discrete) else "leave it out"
+        remedy = "give one per action, or leave it out" if isinstance(actions, Discrete) else "leave it out"
         return f"algo.model.initial_logits has {len(logits)} entries, and {spec.name} has {count}; {remedy}"
     return None
 
 
-def _never_parts(config: AlgoConfig, iterations: int) -> str | None:
-    """Iteration i of n begins when i / n of training is done: the last one at (n - 1) / n."""
+def _refuses_budget(config: AlgoConfig, iterations: int) -> str | None:
+    # The last of n iterations begins when a share (n - 1) / n of training is done.
     begins = (iterations - 1) / iterations
     if begins >= config.shared_until:
         return None
     return (
         f"the last iteration begins at {begins:.3g} of training, before algo.shared_until="
-        f"{config.shared_until:g}, and policies would never part; train for more env_steps, or lower it"
+        f"{config.shared_until:g}, so the shared policy would never be split; train for more env_steps, or "
+        "lower it"
     )
 
 
 def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
-    return AlgoEntry(summary, source, config, acting_policy, LEARNER, _refuses, refuses_budget=_never_parts)
+    return AlgoEntry(
+        summary, source, config, acting_policy, LEARNER, _refuses, refuses_budget=_refuses_budget
+    )
 
 
 _ALL = {
@@ -97,6 +100,6 @@ _ALL = {
 }
 
 KERNELS = ("headway_algos.optim.kernel",)
-"""Compiled steps of learning, of which every algorithm takes some: Adam's, if no other."""
+"""Modules of compiled kernels. Every algorithm uses at least Adam's."""
 
 ENTRIES = {name: replace(entry, kernels=KERNELS) for name, entry in _ALL.items()}

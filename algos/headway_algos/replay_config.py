@@ -1,4 +1,4 @@
-"""What the algorithms that learn from a replay memory have in common, as one frozen record."""
+"""Configuration common to the off-policy algorithms, which learn from a replay buffer."""
 
 from dataclasses import dataclass, field
 from math import exp
@@ -9,13 +9,13 @@ from headway.contracts.checks import require
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Multilayer perceptrons. Histories are shown by the wrapper frame_stack_v1: a memory of single
-    transitions has none."""
+    """Architecture of multilayer perceptrons. Transitions are stored singly, without history: use the wrapper
+    frame_stack_v1 to show past observations."""
 
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers."""
     activation: Literal["tanh", "relu"] = "relu"
-    """Between the layers."""
+    """Activation function of the hidden layers."""
 
     def __post_init__(self) -> None:
         require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
@@ -23,55 +23,54 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class ReplayConfig:
-    """An algorithm that keeps its transitions and learns from each many times."""
+    """An off-policy algorithm: networks, targets, replay buffer and exploration schedule."""
 
     name: str = ""
     """Name in the registry: see `headway list algos`."""
     policies: Literal["independent", "shared", "groups"] = "independent"
-    """One policy an agent, one for all, or one for each group the environment names. Each has a memory of its
-    own, filled by its agents alone."""
+    """`independent`: one policy per agent; `shared`: one for all; `groups`: one per group of the environment.
+    Each policy has its own replay buffer, filled by its agents only."""
     model: NetworkConfig = field(default_factory=NetworkConfig)
     gamma: float = 0.99
-    """Discount factor a step."""
+    """Discount factor per step."""
     n_step: int = 1
-    """Decisions of an agent that a target looks ahead before it bootstraps. Above 1 learning is faster where
-    rewards come late, and biased by what exploration did in between."""
+    """Decisions of an agent between a transition's start and the value that its target bootstraps from. Above
+    1, learning is faster with late rewards, but biased by the exploratory actions in between."""
     lr: float = 5e-4
     """Learning rate (Adam)."""
     lr_end: float = 1.0
-    """Share of the learning rates left at the end of training (linear); 1: constant."""
+    """Factor on the learning rates at the end of training, reached linearly; 1: constant."""
     capacity: int = 50_000
-    """Transitions that each policy's memory holds; the oldest make room."""
+    """Transitions per replay buffer; the oldest are overwritten."""
     learning_starts: int = 500
-    """Transitions in a policy's memory from which on it learns."""
+    """Transitions that a policy's replay buffer must hold before it is trained."""
     batch_size: int = 128
-    """Transitions that each policy draws for a step, uniformly and with replacement."""
+    """Transitions per policy and gradient step, drawn uniformly with replacement."""
     updates: int = 128
-    """Steps of learning after each iteration, of rollout.copies x rollout.steps environment steps. More learn
-    more from the same experience and take longer; so do shorter iterations (rollout=replay)."""
+    """Gradient steps after each iteration of rollout.copies x rollout.steps environment steps. More steps, or
+    shorter iterations (rollout=replay), learn more from the same experience and take longer."""
     target_every: int = 200
-    """Steps of learning between updates of the target networks."""
+    """Gradient steps between updates of the target networks."""
     tau: float = 1.0
-    """Share of the way that target networks go to the networks in learning at each of their updates; 1: a
-    copy."""
+    """Step size of a target network's update towards its online network; 1: copy."""
     loss: Literal["huber", "squared"] = "huber"
-    """Of the difference from a target: half its square, or (Huber) linear beyond 1."""
+    """Loss of the temporal-difference error: half its square, or (Huber) linear beyond 1."""
     grad_clip: float | None = 10.0
-    """Bound of the gradient's norm, for each network; null: none."""
+    """Bound on the gradient norm per network; null: none."""
     exploration_start: float = 1.0
-    """How much is explored at first."""
+    """Initial exploration."""
     exploration_end: float = 0.05
-    """How much is explored in the end."""
+    """Final exploration."""
     exploration_share: float = 0.5
-    """Share of training in which exploration falls, linearly, from start to end; 0: at once."""
+    """Share of training over which exploration falls linearly from start to end; 0: at once."""
     exploration_decay_steps: float | None = None
-    """Environment steps in which what exploration has above its end falls to 1/e (exponential), whatever
-    `exploration_share`; null: it falls linearly."""
+    """Time constant of an exponential decay of exploration to its end, in environment steps; overrides
+    `exploration_share`. null: linear decay."""
     normalise_observations: bool = True
-    """Running mean and standard deviation per policy, part of the parameters. Memories keep observations as
-    they were."""
+    """Normalise observations by running statistics per policy, stored with the parameters. Replay buffers
+    hold unnormalised observations."""
     precision: Literal["float32", "float64"] = "float32"
-    """Of networks and of what they learn from; normalisers are float64, remembered observations float32."""
+    """Dtype of networks and their inputs; normalisers are float64, replayed observations float32."""
 
     def __post_init__(self) -> None:
         require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
@@ -98,7 +97,7 @@ class ReplayConfig:
         require(decay is None or decay > 0, "exploration_decay_steps must be above 0, or null")
 
     def exploration(self, progress: float, env_steps: int) -> float:
-        """How much is explored when a `progress` (share) of training and `env_steps` of a seed are done."""
+        """Return the scheduled exploration after `env_steps` of a seed, a share `progress` of training."""
         above = self.exploration_start - self.exploration_end
         if self.exploration_decay_steps is not None:
             return self.exploration_end + above * exp(-env_steps / self.exploration_decay_steps)

@@ -1,1 +1,1 @@
-"""Measurements of speed and weight, as ratios within one run: `make benchmarks`."""
+"""Benchmarks of speed and memory, as ratios within one run: `make benchmarks`."""

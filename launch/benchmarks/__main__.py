@@ -1,4 +1,4 @@
-"""Run every benchmark, or those named: `python -m benchmarks [NAME ...]`."""
+"""Run all benchmarks, or the named ones: `python -m benchmarks [NAME ...]`."""
 
 import platform
 import sys
@@ -31,12 +31,12 @@ REPORTS = {
 
 
 def main() -> None:
-    """Print every report named on the command line, or all."""
+    """Print the reports named on the command line, or all of them."""
     names = sys.argv[1:] or list(REPORTS)
     unknown = [name for name in names if name not in REPORTS]
     if unknown:
-        sys.exit(f"benchmarks: no benchmark '{unknown[0]}'; there are {', '.join(REPORTS)}")
-    print(f"Python {platform.python_version()} on {platform.machine()}; quiet machine assumed.")
+        sys.exit(f"benchmarks: no benchmark '{unknown[0]}'; choose from {', '.join(REPORTS)}")
+    print(f"Python {platform.python_version()} on {platform.machine()}; no other load is assumed.")
     for name in names:
         REPORTS[name]()
 

@@ -1,8 +1,8 @@
-"""The intersection: its traffic beside what the same demand gave elsewhere, its speed beside SUMO's own, its
+"""The intersection: traffic compared with an independent reconstruction, speed compared with bare SUMO,
 memory.
 
-Expected figures are those of Flow's intersection rebuilt once on SUMO 1.28 without this project; `BANDS` says
-what two samples may differ by. All rows are of controllers that learn nothing.
+Expected values are from Flow's intersection, rebuilt once on SUMO 1.28 without this project; `BANDS` are the
+tolerated differences between two samples. All rows are of controllers without learning.
 """
 
 import resource
@@ -29,7 +29,7 @@ PAPER: Mapping[str, Any] = {
     "on_collision": "end_episode",
     "at_exit": "terminated",
 }
-"""Flow's ways, but with patient drivers, as in what is compared with; what is paid changes no traffic."""
+"""Flow's settings, but with patient drivers, as in the reconstruction; rewards do not affect the traffic."""
 LIGHT: Mapping[str, Any] = {"vph_per_lane_hdv": 100.0, "vph_per_lane_av": 100.0}
 METRICS = ("length", "collisions", "inflow_vph", "outflow_vph", "vehicles", "speed", "fuel_gal_s")
 BANDS: Mapping[str, tuple[float, float]] = {
@@ -41,8 +41,8 @@ BANDS: Mapping[str, tuple[float, float]] = {
     "speed": (0.12, 0.3),
     "fuel_gal_s": (0.15, 0.0),
 }
-"""Relative and absolute parts, which add up. Episodes that end at the first collision differ most: a length
-is about as uncertain as it is long, divided by the root of ten seeds."""
+"""(relative, absolute) parts of the tolerance, which add up. Episodes that end at the first collision vary
+most: the standard error of their length is about the length over the root of ten seeds."""
 TRAININGS = (
     ("intersection_paper_ippo", "ippo"),
     ("intersection_paper_a3c", "a3c"),
@@ -52,16 +52,16 @@ TRAININGS = (
     ("intersection_study", "ddpg"),
 )
 TRAINED_STEPS = 20_000
-"""Environment steps of each training that is measured."""
+"""Number of environment steps per measured training."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One row: who drives under which demand, and what that gave elsewhere."""
+    """One row: controller, demand, and the expected metrics of the reconstruction."""
 
     name: str
-    drive: str | float
-    """A rule, or the mean of accelerations drawn with standard deviation 1, or `+3`."""
+    controller: str | float
+    """Name of a rule, or mean of random accelerations with standard deviation 1, m/s^2."""
     arguments: Mapping[str, Any]
     seeds: int
     expected: Mapping[str, float] = field(default_factory=dict)
@@ -108,14 +108,14 @@ SCENARIOS = (
 )  # fmt: skip
 
 
-def play(scenario: Scenario, episodes: int | None = None) -> dict[str, float]:
-    """Means over episodes (the scenario's number of seeds, or fewer), by metric, `length` among them."""
+def run_episodes(scenario: Scenario, episodes: int | None = None) -> dict[str, float]:
+    """Return mean metrics over `episodes` episodes (None: the scenario's number of seeds), with `length`."""
     entry = env_entry("intersection")
     prepared = entry.prepare(entry.config(**scenario.arguments))
     rows = []
     with closing(entry.make(prepared, 1)) as env:
         for seed in child_seeds(17, "traffic", 0, episodes or scenario.seeds):
-            act = _driver(scenario.drive, prepared, int(seed))
+            act = _driver(scenario.controller, prepared, int(seed))
             observed, length, ended = env.reset(np.array([seed])), 0, False
             while not ended:
                 outcome, observed = env.step(act(env, observed))
@@ -126,11 +126,11 @@ def play(scenario: Scenario, episodes: int | None = None) -> dict[str, float]:
 
 
 def _driver(
-    drive: str | float, prepared: object, seed: int
+    controller: str | float, prepared: object, seed: int
 ) -> Callable[[BatchedEnv, Observations], NDArray[np.float32]]:
-    if isinstance(drive, str):
-        return env_entry("intersection").rules[drive].make(prepared).act
-    draw, mean = np.random.default_rng(seed), drive
+    if isinstance(controller, str):
+        return env_entry("intersection").rules[controller].make(prepared).act
+    draw, mean = np.random.default_rng(seed), controller
 
     def act(env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         return draw.normal(mean, 1.0, (*observed.alive.shape, 1)).astype(np.float32)
@@ -139,23 +139,23 @@ def _driver(
 
 
 def outside(scenario: Scenario, found: Mapping[str, float], episodes: int | None = None) -> list[str]:
-    """Metrics that are farther from what is expected than their band allows, which for fewer episodes than
-    the scenario's is wider by the root of the ratio."""
+    """Return the metrics outside their bands. For fewer episodes than the scenario's, bands are wider by the
+    root of the ratio."""
     wider = float(np.sqrt(scenario.seeds / (episodes or scenario.seeds)))
     return [
         name
-        for name, wished in scenario.expected.items()
-        if abs(found[name] - wished) > wider * (BANDS[name][0] * wished + BANDS[name][1])
+        for name, expected in scenario.expected.items()
+        if abs(found[name] - expected) > wider * (BANDS[name][0] * expected + BANDS[name][1])
     ]
 
 
 def report() -> None:
     """Print the tables."""
-    print("\n## The intersection: traffic here and where it was rebuilt before\n")
-    print(f"| who drives | {' | '.join(METRICS)} | outside its band |")
+    print("\n## The intersection: traffic compared with an independent reconstruction\n")
+    print(f"| controller | {' | '.join(METRICS)} | outside its band |")
     print(f"|---|{'---:|' * len(METRICS)}---|")
     for scenario in SCENARIOS:
-        found = play(scenario)
+        found = run_episodes(scenario)
         cells = [
             f"{found[name]:.4g} ({scenario.expected[name]:.4g})"
             if name in scenario.expected
@@ -165,32 +165,33 @@ def report() -> None:
         print(
             f"| {scenario.name} | {' | '.join(cells)} | {', '.join(outside(scenario, found))} |", flush=True
         )
-    print("\nIn brackets: before. The first rows end at the first collision, and their humans have noise.")
+    print("\nIn brackets: reconstruction. The first rows end at the first collision and have noisy humans.")
     _report_speed()
-    _report_growth()
+    _report_memory()
     _report_training()
 
 
 def _report_speed() -> None:
-    """Steps a CPU second of a whole step, and of SUMO with no more than the same commands and answers."""
-    print("\n| demand | vehicles | steps/CPU s | SUMO with the same commands and getters | added |")
+    """Print the speed of the environment, and of SUMO with only the same commands and readings."""
+    print("\n| demand | vehicles | steps/CPU s | SUMO with the same commands and getters | overhead |")
     print("|---|---:|---:|---:|---:|")
     for name, arguments in (("1,600 veh/h", LIGHT), ("3,200 veh/h", {})):
-        whole, bare, added, vehicles = speeds(arguments)
-        print(f"| {name} | {vehicles:.1f} | {whole:,.0f} | {bare:,.0f} | {added:.0%} |", flush=True)
+        full, bare, overhead, vehicles = speeds(arguments)
+        print(f"| {name} | {vehicles:.1f} | {full:,.0f} | {bare:,.0f} | {overhead:.0%} |", flush=True)
 
 
 def speeds(
     arguments: Mapping[str, Any], rounds: int = 15, steps: int = 1000
 ) -> tuple[float, float, float, float]:
-    """(whole steps, bare steps) a CPU second, and what share of a bare one a whole one takes more: medians of
-    rounds of one after the other, over the same episode; and the vehicles there were at its end."""
+    """Return steps per CPU second of the environment and of bare SUMO, the environment's overhead as a share
+    of bare SUMO's time, and the number of vehicles at the end. The first three are medians of interleaved
+    rounds over the same episode."""
     from headway_envs.intersection.env import IntersectionBatchedEnv
 
     entry = env_entry("intersection")
     env = entry.make(entry.prepare(entry.config(**arguments)), 1)
     assert isinstance(env, IntersectionBatchedEnv)
-    seconds: dict[str, list[float]] = {"whole": [], "bare": []}
+    seconds: dict[str, list[float]] = {"full": [], "bare": []}
     actions = np.full((1, env.spec.num_agents, 1), 0.5, np.float32)
     with closing(env):
         for _ in range(rounds):
@@ -198,20 +199,20 @@ def speeds(
             began = time.process_time()
             for _ in range(steps):
                 env.step(actions)
-            seconds["whole"].append(time.process_time() - began)
-            vehicles = len(env.street.roster)
+            seconds["full"].append(time.process_time() - began)
+            vehicles = len(env.bridge.roster)
             env.reset(np.array([3], np.uint64))
             began = time.process_time()
-            assert _step_bare(env.street.simulation.sumo, env.config, steps, 0.5) == vehicles
+            assert _step_bare(env.bridge.simulation.sumo, env.config, steps, 0.5) == vehicles
             seconds["bare"].append(time.process_time() - began)
-    whole, bare = (np.array(each) for each in seconds.values())
-    added = np.median(whole / bare) - 1
-    return steps / float(np.median(whole)), steps / float(np.median(bare)), float(added), float(vehicles)
+    full, bare = (np.array(each) for each in seconds.values())
+    overhead = np.median(full / bare) - 1
+    return steps / float(np.median(full)), steps / float(np.median(bare)), float(overhead), float(vehicles)
 
 
 def _step_bare(sumo: Any, config: Any, steps: int, acceleration: float) -> int:  # noqa: ANN401 - libsumo
-    """Steps of SUMO in which all is commanded and asked that the environment commands and asks; how many
-    vehicles are there in the end."""
+    """Run SUMO with the environment's commands and readings only; return the number of vehicles at the
+    end."""
     world, vehicle = sumo.simulation, sumo.vehicle
     speed: dict[str, float] = {}
     for _ in range(steps):
@@ -239,7 +240,7 @@ def _step_bare(sumo: Any, config: Any, steps: int, acceleration: float) -> int: 
     return len(speed)
 
 
-def _report_growth(resets: int = 1000) -> None:
+def _report_memory(resets: int = 1000) -> None:
     entry = env_entry("intersection")
     with closing(entry.make(entry.prepare(entry.config(horizon=5)), 1)) as env:
         env.reset(np.array([3], np.uint64))
@@ -257,12 +258,12 @@ def _report_growth(resets: int = 1000) -> None:
 
 
 def _report_training() -> None:
-    """Of one seed of the experiments, without evaluations: what their budgets take, trained alone and, where
-    an experiment stacks its seeds, as one of a stack."""
+    """Print the CPU time of the experiments' budgets for one seed, without evaluations: trained alone and, if
+    the experiment stacks its seeds, as part of a stack."""
     print("\n## The crossing: training one seed, without evaluations\n")
     print(
-        "| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | as one of a stack "
-        "| a worker or evaluation, MB |"
+        "| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | in a stack "
+        "| largest worker, MB |"
     )
     print("|---|---|---:|---:|---:|---:|---:|")
     for experiment, algo in TRAININGS:
@@ -278,13 +279,14 @@ def _report_training() -> None:
             flush=True,
         )
     print(
-        f"\nMeasured over {TRAINED_STEPS:,} environment steps (of intersection_study actions, each of ten "
-        "steps of SUMO); what is learned later may crowd the road less, or more."
+        f"\nMeasured over {TRAINED_STEPS:,} environment steps (in intersection_study: actions of ten SUMO "
+        "steps each); policies learned later may change the amount of traffic."
     )
 
 
 def _training(experiment: str, algo: str, alone: bool = False) -> tuple[Task, int]:
-    """The first part of a training, and the steps of all of it; `alone`: of one of its seeds."""
+    """Return the first part of a training as a task, and its total budget in steps; `alone`: one seed
+    only."""
     words = [f"experiment={experiment}", f"algo={algo}", *(["backend.stack=1"] if alone else [])]
     composed = compose(words)
     config = within_processes(composed.config, composed.prepare().spec)

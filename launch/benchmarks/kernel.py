@@ -1,4 +1,4 @@
-"""The bus kernel alone: agent-ticks a second on one core."""
+"""Speed of the bus kernel alone: agent-ticks per second on one core."""
 
 import time
 from collections.abc import Mapping
@@ -12,13 +12,13 @@ TICKS = 1140
 
 
 def report() -> None:
-    """Print the table: copies x agents x ticks a second, with observations and rewards."""
-    print("\n## The bus kernel: agent-ticks a second on one core\n")
+    """Print the table: copies x agents x ticks per second, including observations and rewards."""
+    print("\n## The bus kernel: agent-ticks per second on one core\n")
     report_rates({"line": 16, "corridor": 16})
 
 
 def report_rates(scenarios: Mapping[str, int]) -> None:
-    """Print the table of some scenarios, each with so many copies."""
+    """Print the table of scenarios, a mapping of name to number of copies."""
     print("| scenario | agents | copies | agent-ticks/s |")
     print("|---|---:|---:|---:|")
     entry = env_entry("bus")

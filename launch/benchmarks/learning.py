@@ -1,4 +1,4 @@
-"""Minibatch steps of PPO's policies and of critics, by compiled kernels beside torch."""
+"""Time of minibatch steps of PPO policies and critics, by compiled kernels and by torch."""
 
 import time
 from collections.abc import Callable
@@ -8,12 +8,12 @@ import numpy as np
 
 from headway.contracts import Discrete, EnvSpec, generator
 
-ROUNDS, OBSERVED, ROWS_A_ROUND = 5, 20, 25_600
+ROUNDS, OBSERVED, ROWS_PER_ROUND = 5, 20, 25_600
 
 
 @dataclass(frozen=True)
 class Case:
-    """Networks that learn from minibatches of so many rows each."""
+    """Number and size of networks, and rows per minibatch."""
 
     seeds: int
     hidden: tuple[int, ...]
@@ -34,7 +34,8 @@ CASES = [
 
 
 def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
-    """What makes all steps of the policies' improvement, and of the critics', and how many these are."""
+    """Return two functions, which run all minibatch steps of the policies and of the critics, and the number
+    of these steps."""
     import torch
 
     from headway_algos.batches.layout import Layout
@@ -47,7 +48,7 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
     from headway_algos.on_policy.updates import ppo_update
 
-    steps = ROWS_A_ROUND // case.rows
+    steps = ROWS_PER_ROUND // case.rows
     rows, device = steps * case.rows, torch.device("cpu")
     spec = EnvSpec("made", ("a",), OBSERVED, Discrete(3))
     config = AlgoConfig(policies="shared", model=ModelConfig(hidden=case.hidden), epochs=1, minibatches=steps)
@@ -60,44 +61,44 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
         log_probs = actor(observations, None).log_prob(actions)
     advantages = torch.from_numpy(random.normal(size=(case.seeds, rows)).astype(np.float32))
     here = np.ones((case.seeds, rows), np.bool_)
-    made = PolicyBatch(observations, None, actions, log_probs, here)
+    batch = PolicyBatch(observations, None, actions, log_probs, here)
     update = ppo_update(actor, config, layout)
     view = VIEWS["local"](config, spec, grouping)
     regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
     returns = random.normal(size=(rows, case.seeds, 1))
-    estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, memories=None)
+    estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, hidden_states=None)
     return [
-        lambda: update.improve(made, advantages, [generator(seed, "benchmark") for seed in seeds]),
+        lambda: update.improve(batch, advantages, [generator(seed, "benchmark") for seed in seeds]),
         lambda: regression.fit(estimate, 0),
     ], steps
 
 
 def measured(case: Case) -> list[tuple[float, float]]:
-    """Microseconds of a step by torch and compiled, of policies and of critics: the least of interleaved
-    rounds."""
+    """Return the time per step by torch and by compiled kernels, microseconds, for policies and for critics:
+    minimum over interleaved rounds."""
     from headway_algos.optim import fast_path
 
     least = np.full((2, 2), np.inf)
     learn, steps = learners(case)
     try:
         for place in range(ROUNDS + 1):
-            for way, compiled in enumerate((False, True)):
+            for column, compiled in enumerate((False, True)):
                 fast_path.ENABLED = compiled
-                for part, act in enumerate(learn):
+                for part, run in enumerate(learn):
                     began = time.process_time()
-                    act()
+                    run()
                     if place > 0:
-                        least[part, way] = min(least[part, way], time.process_time() - began)
+                        least[part, column] = min(least[part, column], time.process_time() - began)
     finally:
         fast_path.ENABLED = True
     return [(by_torch, ours) for by_torch, ours in (least / steps * 1e6).tolist()]
 
 
 def report() -> None:
-    """Print the figures."""
+    """Print the table."""
     import torch
 
-    print("\n## Learning from minibatches\n")
+    print("\n## Minibatch steps\n")
     print("| networks | hidden layers | rows | policies: torch, us | compiled, us | critics: torch, us "
           "| compiled, us |")  # fmt: skip
     print("|---:|---|---:|---:|---:|---:|---:|")

@@ -1,4 +1,4 @@
-"""How light it is: workers' memory and start, the command line's, the time to the first iteration."""
+"""Start-up time and memory of workers, and start-up time of the command line."""
 
 import multiprocessing
 import os
@@ -30,7 +30,7 @@ def _worker(connection: Connection) -> None:
 
 
 def report() -> None:
-    """Print the figures."""
+    """Print the measurements."""
     print("\n## Lightness\n")
     entry = env_entry("bus")
     prepared = entry.prepare(entry.config())

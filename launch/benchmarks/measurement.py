@@ -1,4 +1,4 @@
-"""Training measured in a process of its own, so that nothing else is on its account."""
+"""Measurement of trainings, each in its own process, so that nothing else is included."""
 
 import json
 import os
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from headway_launch.experiments.compose import Experiment
 
 WARM_UP = 2
-"""Iterations not counted: kernels load, memory is touched for the first time."""
+"""Number of first iterations left out, in which kernels are loaded and memory is first used."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One training to measure."""
+    """A training to measure."""
 
     env: str
     algo: str
@@ -37,46 +37,45 @@ class Task:
     block: int
     iterations: int
     dict_based: bool = False
-    """Step the PettingZoo face through the adapter instead of the native batch."""
+    """True: step the ParallelEnv through the adapter instead of the native batch."""
     backend: str = "serial"
     workers: int = 1
     seed: int = 0
     stack: int = 1
-    """Seeds, from `seed` on, that are trained together."""
+    """Number of seeds trained together, from `seed` on."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the counted iterations took."""
+    """Steps, time and memory of the counted iterations."""
 
     env_steps: int
-    """Of all seeds."""
+    """Environment steps of all seeds."""
     wall_s: float
     cpu_s: float
     collect_s: float
     learn_s: float
     worker_mb: float = 0.0
-    """The most memory that a worker, or the process that evaluates where that is another, has held, resident;
-    0 without both."""
+    """Peak resident memory of a worker or a separate evaluation process, MB; 0 if there is neither."""
 
     @property
     def per_second(self) -> float:
-        """Environment steps a second."""
+        """Environment steps per second."""
         return self.env_steps / self.wall_s
 
     @property
     def per_cpu_second(self) -> float:
-        """Environment steps a CPU second, workers included."""
+        """Environment steps per CPU second, including workers."""
         return self.env_steps / self.cpu_s
 
     @property
     def collected_per_second(self) -> float:
-        """Environment steps a second while collecting only."""
+        """Environment steps per second of collection."""
         return self.env_steps / self.collect_s
 
 
 def first_part(experiment: "Experiment", env_steps: int) -> Task:
-    """Of an experiment's training, by worker processes: so many environment steps that count."""
+    """Return the first `env_steps` counted steps of an experiment's training, with worker processes."""
     rollout = experiment.config.rollout
     return Task(
         env=experiment.config.env.id,
@@ -92,7 +91,7 @@ def first_part(experiment: "Experiment", env_steps: int) -> Task:
 
 
 class DictBased:
-    """An environment's PettingZoo face as a batch, picklable."""
+    """An environment's ParallelEnv as a batch; picklable."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -104,7 +103,7 @@ class DictBased:
 
 
 def measure(tasks: Sequence[Task]) -> list[Measurement]:
-    """Run the tasks side by side, each in a fresh process with one thread."""
+    """Run the tasks in parallel, each in a new process with one thread."""
     threads = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
     command = [sys.executable, "-m", "benchmarks.measurement"]
     processes = [
@@ -118,12 +117,12 @@ def measure(tasks: Sequence[Task]) -> list[Measurement]:
     ]
     outputs = [process.communicate()[0] for process in processes]
     if any(process.returncode for process in processes):
-        raise SystemExit("benchmark: a measured process failed; its error stands above")
+        raise SystemExit("benchmark: a measured process failed; its error is printed above")
     return [Measurement(**json.loads(output.splitlines()[-1])) for output in outputs]
 
 
 def measure_here(task: Task) -> Measurement:
-    """Run one task in this process."""
+    """Run a task in this process."""
     from headway.training.loop import TrainingJob, train
 
     entry, algo = env_entry(task.env), algo_entry(task.algo)
@@ -136,18 +135,18 @@ def measure_here(task: Task) -> Measurement:
         backend=build(BackendConfig, {"name": task.backend}),
         evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),
     )
-    marks: list[tuple[float, float, float, float]] = []
-    others: list[int] = []
-    most = 0.0
+    records: list[tuple[float, float, float, float]] = []
+    worker_ids: list[int] = []
+    peak_mb = 0.0
 
-    def note(event: Event) -> None:
-        nonlocal others, most
+    def record(event: Event) -> None:
+        nonlocal worker_ids, peak_mb
         if isinstance(event, Started):
-            _, *others = event.process_ids
+            _, *worker_ids = event.process_ids
         if isinstance(event, IterationFinished):
-            most = max([most, *map(_peak_mb, others)])
+            peak_mb = max([peak_mb, *map(_peak_mb, worker_ids)])
             row = event.curve[0]
-            marks.append(
+            records.append(
                 (
                     time.monotonic(),
                     event.usage.cpu_seconds,
@@ -172,20 +171,20 @@ def measure_here(task: Task) -> Measurement:
             make_contributor=algo.contributor,
             contributor_preload=algo.preload,
         )
-        train(job, note, lambda: False)
-    counted = marks[WARM_UP:]
+        train(job, record, lambda: False)
+    counted = records[WARM_UP:]
     return Measurement(
         env_steps=task.copies * task.steps * len(counted) * task.stack,
-        wall_s=counted[-1][0] - marks[WARM_UP - 1][0],
-        cpu_s=counted[-1][1] - marks[WARM_UP - 1][1],
+        wall_s=counted[-1][0] - records[WARM_UP - 1][0],
+        cpu_s=counted[-1][1] - records[WARM_UP - 1][1],
         collect_s=sum(mark[2] for mark in counted),
         learn_s=sum(mark[3] for mark in counted),
-        worker_mb=most,
+        worker_mb=peak_mb,
     )
 
 
 def _peak_mb(process_id: int) -> float:
-    """Of a process of Linux; 0 where it is gone."""
+    """Return the peak resident memory of a Linux process, MB; 0 if it has ended."""
     try:
         status = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8")
     except OSError:

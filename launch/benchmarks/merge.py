@@ -1,4 +1,4 @@
-"""The merges: steps a second on one core, beside highway-env's own merge, and how long a training takes."""
+"""Speed of the merging environments, compared with highway-env's merge, and duration of a training."""
 
 import time
 from importlib.util import find_spec
@@ -16,15 +16,15 @@ PEER_STEPS = 300
 EPISODES = 20_000
 EPISODE_STEPS = 100
 TRAINED_STEPS = 48_000
-"""Environment steps of each training that is measured."""
+"""Number of environment steps per measured training."""
 STUDY_HOURS = 33.0
-"""What the study says that the 20,000 episodes of one algorithm took it."""
+"""Duration of 20,000 episodes of one algorithm according to the study, h."""
 
 
 def report() -> None:
     """Print the tables."""
-    print("\n## The merges: environment steps a second on one core\n")
-    print("Dynamics, observations, rewards, masks and resets together, CAVs acting at random.\n")
+    print("\n## The merges: environment steps per second on one core\n")
+    print("Including dynamics, observations, rewards, masks and resets; random actions.\n")
     print("| environment | density | supervisor | environment steps/s |")
     print("|---|---:|---|---:|")
     for name in ("merge", "merge_two_lane"):
@@ -54,7 +54,8 @@ def _steps_per_second(env: BatchedEnv) -> float:
 
 
 def _peer_steps_per_second() -> float:
-    """highway-env's merge with five vehicles, at the study's 15 simulation steps and 5 actions a second."""
+    """Return environment steps per CPU second of highway-env's merge with five vehicles, at the study's 15
+    simulation steps and 5 actions per second."""
     from highway_env.envs.merge_env import MergeEnv
 
     env = MergeEnv(config={"simulation_frequency": 15, "policy_frequency": 5})
@@ -71,14 +72,14 @@ def _peer_steps_per_second() -> float:
 
 
 def _report_training() -> None:
-    """Of trainings of the experiment merge_study, as `headway run` has them, without evaluations."""
+    """Print the speed of trainings of the experiment merge_study as in `headway run`, without evaluations."""
     print("\n## The merges: training one seed\n")
     print(
-        "Experiment merge_study, one ramp lane, density 2, a learner and a rollout worker, which take "
-        f"turns; episodes of {EPISODE_STEPS} steps, which is their longest. The study needed "
+        "Experiment merge_study, one ramp lane, density 2; one learner and one rollout worker, which "
+        f"alternate; episodes of {EPISODE_STEPS} steps, their maximum length. The study needed "
         f"{STUDY_HOURS:g} hours for {EPISODES:,} episodes of one algorithm.\n"
     )
-    print(f"| algorithm | environment steps/s | a CPU second | episodes/s | {EPISODES:,} episodes, minutes |")
+    print(f"| algorithm | environment steps/s | steps/CPU s | episodes/s | {EPISODES:,} episodes, minutes |")
     print("|---|---:|---:|---:|---:|")
     for algo in ("mappo", "maacktr", "madqn"):
         experiment = compose(["experiment=merge_study", f"algo={algo}"])

@@ -1,6 +1,5 @@
-"""What it costs to have workers in actors of Ray instead of processes, on one machine: whole trainings in
-turn with both, what goes over the wire, and how throughput grows with workers: measured for one and two, and
-planned beyond from what was measured."""
+"""Cost of Ray workers compared with processes on one machine: whole trainings, data transferred, and
+throughput by number of workers, measured for one and two and projected for more."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measurement import Measurement, Task
-from benchmarks.training import BASE, in_turn
+from benchmarks.training import BASE, interleaved
 from headway.config.experiment import BackendConfig
 from headway.config.schema import build
 from headway.registry import algo_entry, env_entry
@@ -24,83 +23,86 @@ TASKS = {
     "dict-based trivial, 20 copies": replace(BASE, block=10, workers=2, dict_based=True),
     "bus line, 32 copies": replace(BASE, env="bus", copies=32, steps=125, block=4, workers=2, iterations=8),
 }
-"""All of 4,000 environment steps an iteration."""
+"""Tasks by name, each with 4,000 environment steps per iteration."""
 _REPEATS = 50
 _LARGE = 16 * 2**20
-"""Bytes of an answer large enough for its size to be what it costs."""
-_PLANNED_WORKERS = (4, 8)
-"""Of how many workers a plan is made, where a task has as many blocks of copies for them."""
+"""Size of an answer whose cost is dominated by its size, bytes."""
+_PROJECTED_WORKERS = (4, 8)
+"""Numbers of workers to project, if a task has enough blocks of copies for them."""
 _OVERLAP = 8
-"""How many calls and answers are under way at once: assumed."""
+"""Number of concurrent calls; an assumption."""
 
 
 @dataclass(frozen=True)
-class Wire:
-    """What goes over it, and what that takes."""
+class TransferCost:
+    """Sizes of transferred data, and times of transfer."""
 
-    bytes_a_step: float
+    bytes_per_step: float
+    """Bytes of experience per environment step."""
     parameter_bytes: float
     message_s: float
-    """A call and its answer."""
+    """Time of a call with a small answer, s."""
     byte_s: float
-    """Each further byte of an answer."""
+    """Additional time per byte of an answer, s."""
 
-    def sent_s(self, steps: int, workers: int) -> float:
-        """Of an iteration of so many steps on one node: parameters to it, calls, experience from it."""
-        sent = self.parameter_bytes + self.bytes_a_step * steps
+    def transfer_s(self, steps: int, workers: int) -> float:
+        """Return the transfer time of an iteration of `steps` on one node, s: parameters, calls,
+        experience."""
+        sent = self.parameter_bytes + self.bytes_per_step * steps
         return self.byte_s * sent + self.message_s * workers / _OVERLAP
 
 
 @dataclass(frozen=True)
 class Growth:
-    """What an iteration takes on one node, by the formula of CLUSTERS.md."""
+    """Model of an iteration's duration on one node, by the formula of CLUSTERS.md."""
 
     steps: int
-    """Environment steps an iteration."""
+    """Environment steps per iteration."""
     blocks: int
-    """Of copies: workers have whole ones, whatever their number."""
+    """Number of blocks of copies; a block is never split between workers."""
     worker_s: float
-    """Seconds a step in one worker."""
+    """Time per step in one worker, s."""
     learn_s: float
-    """Seconds an iteration."""
-    wire: Wire
+    """Time of learning per iteration, s."""
+    transfer: TransferCost
 
     def per_second(self, workers: int) -> float:
-        """Environment steps a second, learning included. A worker with most blocks is waited for."""
+        """Return environment steps per second, including learning. The worker with most blocks is the
+        slowest."""
         share = -(-self.blocks // workers) / self.blocks
-        collect_s = self.steps * self.worker_s * share + self.wire.sent_s(self.steps, workers)
+        collect_s = self.steps * self.worker_s * share + self.transfer.transfer_s(self.steps, workers)
         return self.steps / (collect_s + self.learn_s)
 
 
 def report() -> None:
-    """Print the table."""
-    print("\n## Ray: two workers as actors and as processes, 4,000 environment steps an iteration\n")
+    """Print the tables."""
+    print("\n## Ray: two workers as actors and as processes, 4,000 environment steps per iteration\n")
     if find_spec("ray") is None:
         print('Ray is not installed: pip install "headway[ray]"')
         return
-    print("Medians of rounds taken in turn; seconds and CPU seconds of one iteration.\n")
-    print("| task | process, s | Ray, s | more | process, CPU s | Ray, CPU s | more |")
+    print("Medians of interleaved rounds; seconds and CPU seconds per iteration.\n")
+    print("| task | process, s | Ray, s | change | process, CPU s | Ray, CPU s | change |")
     print("|---|---:|---:|---:|---:|---:|---:|")
     with_ray: dict[str, list[Measurement]] = {}
     for name, task in TASKS.items():
-        results = in_turn([replace(task, backend=backend) for backend in ("process", "ray")])
+        results = interleaved([replace(task, backend=backend) for backend in ("process", "ray")])
         with_ray[name] = results[1]
         steps = task.copies * task.steps
         seconds = [median(steps / result.per_second for result in of_one) for of_one in results]
         cpu_seconds = [median(steps / result.per_cpu_second for result in of_one) for of_one in results]
         cells = [f"{a:.3f} | {b:.3f} | {b / a - 1:.0%}" for a, b in (seconds, cpu_seconds)]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
-    _report_growth(with_ray, _report_wire())
+    _report_growth(with_ray, _report_transfer())
 
 
-def _report_wire() -> dict[str, Wire]:
-    """By task, of those whose environment is a batch."""
+def _report_transfer() -> dict[str, TransferCost]:
+    """Print and return the transfer costs by task, for tasks with a batched environment."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
     from headway.rollout.workers.ray_workers import Broadcast, experience_of, nbytes_of, ray_collector
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")
-    print("\n| task | bytes a step | parameters, bytes | published in, ms | collected in, ms |")
+    print("\n| task | bytes/step | parameters, bytes | publishing, ms | collection, ms |")
     print("|---|---:|---:|---:|---:|")
     try:
         for name, task in TASKS.items():
@@ -125,63 +127,64 @@ def _report_wire() -> dict[str, Wire]:
         message_s, byte_s = _report_messages()
     finally:
         disconnect()
-    return {name: Wire(*of_one, message_s, byte_s) for name, of_one in sizes.items()}
+    return {name: TransferCost(*of_one, message_s, byte_s) for name, of_one in sizes.items()}
 
 
 class _Answering:
-    """An actor that answers with as many bytes as it is asked for."""
+    """A Ray actor that answers with the requested number of bytes."""
 
     def give(self, count: int) -> NDArray[np.uint8]:
         return np.zeros(count, np.uint8)
 
 
 def _report_messages() -> tuple[float, float]:
-    """Seconds of a call and its answer, and of each further byte."""
+    """Return the time of a call with a small answer and the time per further byte, s."""
     import ray
 
     actor = ray.remote(num_cpus=0)(_Answering).remote()
     small = _median_ms(lambda: ray.get(actor.give.remote(1)))
-    # Copied once, as experience is, to its place in the trajectory.
+    # Copied once, as experience is copied into the trajectory.
     large = _median_ms(lambda: ray.get(actor.give.remote(_LARGE)).copy())
     ray.kill(actor)
-    print("\n| a call and its answer, ms | each further MB of an answer, ms |\n|---:|---:|")
+    print("\n| call with a small answer, ms | each further MB of an answer, ms |\n|---:|---:|")
     print(f"| {small:.2f} | {(large - small) / (_LARGE / 1e6):.2f} |", flush=True)
     return small / 1000, (large - small) / 1000 / _LARGE
 
 
-def _report_growth(with_two: Mapping[str, Sequence[Measurement]], wires: Mapping[str, Wire]) -> None:
-    """Throughput by workers: what one and two give here, and what the formula gives for all."""
-    planned = " | ".join(f"{workers}, planned" for workers in _PLANNED_WORKERS)
-    print(f"\n| task, environment steps a second | 1 worker, measured | 2, measured (planned) | {planned} |")
-    print(f"|---|{'---:|' * (2 + len(_PLANNED_WORKERS))}")
-    for name, wire in wires.items():
+def _report_growth(
+    with_two: Mapping[str, Sequence[Measurement]], transfers: Mapping[str, TransferCost]
+) -> None:
+    """Print the throughput by number of workers: measured for one and two, projected for two and more."""
+    projected = " | ".join(f"{workers}, projected" for workers in _PROJECTED_WORKERS)
+    print(f"\n| task, environment steps/s | 1 worker, measured | 2, measured (projected) | {projected} |")
+    print(f"|---|{'---:|' * (2 + len(_PROJECTED_WORKERS))}")
+    for name, transfer in transfers.items():
         task = TASKS[name]
-        alone = in_turn([replace(task, backend="ray", workers=1)])[0]
+        alone = interleaved([replace(task, backend="ray", workers=1)])[0]
         steps = task.copies * task.steps
         collected_s = 1 / median(result.collected_per_second for result in alone)
         learn_s = steps * median(result.learn_s / result.env_steps for result in alone)
-        # What one worker's collection took holds what went over the wire, too.
-        worker_s = max(collected_s - wire.sent_s(steps, 1) / steps, 0.0)
-        growth = Growth(steps, task.copies // task.block, worker_s, learn_s, wire)
+        # The measured collection time of one worker includes the transfer.
+        worker_s = max(collected_s - transfer.transfer_s(steps, 1) / steps, 0.0)
+        growth = Growth(steps, task.copies // task.block, worker_s, learn_s, transfer)
         one, two = (median(result.per_second for result in results) for results in (alone, with_two[name]))
         cells = growth_cells(growth, one, two)
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     print(
-        "\nPlanned from the one worker measured, with all workers as fast as it, on one node. Assumed, not "
-        f"measured: {_OVERLAP} calls and answers under way at once. Workers have whole blocks of copies, "
-        "which get no smaller with more workers: nothing is planned for more than a task has blocks (a "
-        "smaller rollout.block has more)."
+        "\nProjected from the measured single worker, for equally fast workers on one node. Assumed, not "
+        f"measured: {_OVERLAP} concurrent calls. Blocks of copies are not split between workers, so there "
+        "is no projection for more workers than blocks (a smaller rollout.block gives more)."
     )
 
 
 def growth_cells(growth: Growth, one: float, two: float) -> list[str]:
-    """Steps a second as measured with one worker and with two, and planned for two and more, empty for more
-    than there are blocks. Of one nothing is planned: the plan was made from it."""
-    planned = [
+    """Return table cells: steps per second measured with one worker, measured and projected with two, and
+    projected with more; empty for more workers than blocks."""
+    projected = [
         f"{growth.per_second(workers):,.0f}" if workers <= growth.blocks else ""
-        for workers in (2, *_PLANNED_WORKERS)
+        for workers in (2, *_PROJECTED_WORKERS)
     ]
-    return [f"{one:,.0f}", f"{two:,.0f} ({planned[0]})", *planned[1:]]
+    return [f"{one:,.0f}", f"{two:,.0f} ({projected[0]})", *projected[1:]]
 
 
 def _plan_of(task: Task) -> RolloutPlan:

@@ -1,4 +1,4 @@
-"""The store: how fast it answers when it is large, and what tracking costs while training."""
+"""Query times of a large store, and the cost of tracking during training."""
 
 import json
 import subprocess
@@ -14,7 +14,7 @@ from headway.store.run_folder import Process, cell_name, create_run_folder, now
 from headway_launch.runner.runner import STORE_SHARE
 
 RUNS, POINTS = 450, 400
-"""A study of nine algorithms and fifty seeds, and the points of each curve."""
+"""Number of runs, as of nine algorithms with fifty seeds each, and number of points per curve."""
 ROUNDS = 5
 TRAINING = (
     "experiment=bus_mappo",
@@ -26,7 +26,7 @@ TRAINING = (
 
 
 def report() -> None:
-    """Print both."""
+    """Print the query times and the cost of tracking."""
     print(f"\n## Store: {RUNS} runs of {POINTS} points\n")
     with tempfile.TemporaryDirectory() as folder:
         make_store(Path(folder))
@@ -36,21 +36,21 @@ def report() -> None:
         ):
             command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder, *arguments]
             first, *others = [_seconds(command) for _ in range(1 + ROUNDS)]
-            print(f"headway {name}: {median(others):.2f} s, the first time {first:.2f} s")
+            print(f"headway {name}: {median(others):.2f} s, first run {first:.2f} s")
         began = time.perf_counter()
         read = len(select(folder).curves(["evaluation_greedy/return"]))
         print(f"one metric of all curves, {read:,} rows: {time.perf_counter() - began:.2f} s")
         (Path(folder) / "index.sqlite").unlink()
         command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder]
-        print(f"headway runs with the index lost: {_seconds(command):.2f} s", flush=True)
+        print(f"headway runs without its index: {_seconds(command):.2f} s", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "headway_launch", "run", *TRAINING, f"store.root={folder}"]
-        told = subprocess.run(command, capture_output=True, text=True, check=True).stderr
-        print(next(line for line in told.splitlines() if line.startswith(STORE_SHARE)), flush=True)
+        log_text = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+        print(next(line for line in log_text.splitlines() if line.startswith(STORE_SHARE)), flush=True)
 
 
 def make_store(root: Path, runs: int = RUNS, points: int = POINTS) -> None:
-    """Fill a store with finished runs that were never trained: nine cells, as many seeds each as it takes."""
+    """Fill a store with synthetic finished runs: nine cells with `runs` / 9 seeds each."""
     for number in range(runs):
         algorithm, seed = f"algorithm_{number % 9}", number // 9
         parameters = {f"algo.parameter_{index}": str(index) for index in range(40)}

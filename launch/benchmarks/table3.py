@@ -1,4 +1,4 @@
-"""What the study `bus_table3` takes: CPU seconds of iterations and evaluations of each algorithm, and all."""
+"""Cost of the study `bus_table3`: CPU time of iterations and evaluations per algorithm, and in total."""
 
 import time
 from contextlib import closing
@@ -15,27 +15,28 @@ from headway_launch.runner.calibration import evaluations_left
 
 NINE = ("ia2c", "ippo", "itrpo", "maa2c", "coma", "mappo", "matrpo", "happo", "hatrpo")
 CORES = 2
-AT_LEAST_S = 3.0
-"""Iterations are measured for so many CPU seconds, at least two."""
+MIN_MEASURED_S = 3.0
+"""Minimum duration of the measured iterations, CPU s; at least two iterations are measured."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """CPU seconds of a stack of an algorithm, and what the study needs of them."""
+    """Measured CPU time of one stack of seeds, and the numbers of iterations and evaluations of the study."""
 
     iteration_s: float
+    """CPU seconds per iteration."""
     evaluation_s: float
-    """Of the episodes of one evaluation."""
+    """CPU seconds per evaluation."""
     iterations: int
-    """Of the study, for one seed."""
+    """Number of iterations per seed in the study."""
     evaluations: float
-    """Of the study, for one seed; the last, which is longer, counts for several."""
+    """Number of evaluations per seed in the study; the longer last one counts as several."""
     stack: int
     seeds: int
 
     @property
     def hours(self) -> float:
-        """CPU hours of all seeds."""
+        """CPU hours of the study for all seeds."""
         stack = self.iterations * self.iteration_s + self.evaluations * self.evaluation_s
         return self.seeds / self.stack * stack / 3600.0
 
@@ -43,42 +44,40 @@ class Cost:
 def report() -> None:
     """Print the table."""
     limit_threads()
-    print("\n## BusEnv's table anew: CPU time of `bus_table3`\n")
+    print("\n## Reproduction of BusEnv's table: CPU time of `bus_table3`\n")
     costs = {}
     for algorithm in NINE:
         costs[algorithm] = cost_of(compose(["experiment=bus_table3", f"algo={algorithm}"]))
         if len(costs) == 1:
             first = costs[algorithm]
-            print(
-                f"One process, stacks of {first.stack} seeds; evaluations are of policies hardly trained.\n"
-            )
-            print(f"| algorithm | CPU s an iteration | CPU s an evaluation | CPU h of {first.seeds} seeds |")
+            print(f"One process, stacks of {first.stack} seeds; evaluated policies are hardly trained.\n")
+            print(f"| algorithm | CPU s/iteration | CPU s/evaluation | CPU h for {first.seeds} seeds |")
             print("|---|---:|---:|---:|")
         cost = costs[algorithm]
         print(
             f"| {algorithm} | {cost.iteration_s:.3f} | {cost.evaluation_s:.2f} | {cost.hours:.2f} |",
             flush=True,
         )
-    whole = sum(cost.hours for cost in costs.values())
-    print(f"\nThe whole: {whole:.1f} CPU hours, {whole / CORES:.1f} hours on {CORES} cores of its own.")
+    total = sum(cost.hours for cost in costs.values())
+    print(f"\nTotal: {total:.1f} CPU hours, {total / CORES:.1f} hours on {CORES} dedicated cores.")
 
 
 def cost_of(experiment: Experiment) -> Cost:
-    """Measure a stack of seeds of an experiment on an environment that is prepared for it."""
-    config, found = experiment.config, experiment.prepare()
+    """Measure one stack of seeds of an experiment in this process."""
+    config, setup = experiment.config, experiment.prepare()
     seeds = config.seed[: config.backend.stack]
     entry = algo_entry(experiment.algo_name)
-    policy = entry.acting_policy(experiment.algo_config, found.spec)
+    policy = entry.acting_policy(experiment.algo_config, setup.spec)
     plan = RolloutPlan.of(
-        config.rollout, found.entry.make, found.entry.preload, found.prepared, found.spec, policy, seeds
+        config.rollout, setup.entry.make, setup.entry.preload, setup.prepared, setup.spec, policy, seeds
     )
-    learner = entry.learner(experiment.algo_config, found.spec, seeds, "cpu")
+    learner = entry.learner(experiment.algo_config, setup.spec, seeds, "cpu")
     with closing(SerialCollector(plan)) as collector:
         collector.begin()
         mode, done = SynchronousMode(learner, collector), 1
         mode.iterate(1, 0.0)
         began = time.process_time()
-        while done < 3 or time.process_time() - began < AT_LEAST_S:
+        while done < 3 or time.process_time() - began < MIN_MEASURED_S:
             done += 1
             mode.iterate(done, 0.0)
         iteration = (time.process_time() - began) / (done - 1)

@@ -1,11 +1,11 @@
-"""Environment steps a second of whole trainings, beside what peers gave on a machine of the same kind.
+"""Environment steps per second of whole trainings, compared with peers on a machine of the same kind.
 
-The task of the comparison: a trivially cheap environment of ten agents (Box(4), Discrete(3), shared
-reward, 200 steps), MLP 64-64 tanh, PPO with 5 epochs, 4,000 environment steps a batch, one process and
-one thread. The peers step a dict-based PettingZoo environment, so the row to compare them with is `dict`.
-The other algorithms do the same task on the batched environment at their own defaults, with a policy for each
-agent; TRPO's critic goes over a batch as often as PPO's, K-FAC's once, and who replays takes 128 steps on 128
-transitions a policy after each. DDPG, whose actions are Box, tracks a target in the plane instead.
+The task: a trivially cheap environment of ten agents (Box(4), Discrete(3), shared reward, 200 steps), MLP
+64-64 tanh, PPO with 5 epochs, 4,000 environment steps per batch, one process and one thread. The peers step a
+dict-based PettingZoo environment, so compare them with the rows `dict`. Other algorithms train on the batched
+environment with their defaults and one policy per agent: TRPO's critic makes as many passes over a batch as
+PPO's, K-FAC's one; algorithms with a replay buffer make 128 steps on 128 transitions per policy and batch.
+DDPG, whose actions are Box, trains on `tracking` instead.
 """
 
 from collections.abc import Sequence
@@ -23,8 +23,8 @@ PEERS = (
     ("HARL (HAPPO)", 2054, 1598),
     ("Sample Factory (shared, asynchronous)", 2600, 1353),
 )
-"""Measured once on two cores like those this project is developed on, independent policies, and not
-measured again by this command: (name, environment steps a second, a CPU second)."""
+"""(name, environment steps per second, per CPU second) with independent policies, measured once on two cores
+like those of the development machine; this command does not repeat it."""
 
 BASE = Task(
     env="trivial",
@@ -38,18 +38,18 @@ BASE = Task(
 )
 
 ELSEWHERE = {"ddpg": ("tracking", {"agents": 10, "steps": 200})}
-"""Environments of algorithms that do not take Discrete actions."""
+"""Environments of algorithms that do not support Discrete actions."""
 
 ROUNDS = 3
-"""Every row is measured this often, in turn with the others, because machines' speed drifts; the table
-gives medians."""
+"""Number of measurements per row, interleaved with the others, because the machine's speed drifts; the table
+shows medians."""
 
 
 def report() -> None:
     """Print the table."""
-    print("\n## Training: environment steps a second (10 agents, 4,000 steps a batch)\n")
-    print(f"Headway's rows are medians of {ROUNDS} runs, taken in turn.\n")
-    print("| program | environment | policies | steps/s | steps/CPU s | rollouts alone, steps/s |")
+    print("\n## Training: environment steps per second (10 agents, 4,000 steps per batch)\n")
+    print(f"Headway's rows are medians of {ROUNDS} interleaved runs.\n")
+    print("| program | environment | policies | steps/s | steps/CPU s | rollouts only, steps/s |")
     print("|---|---|---|---:|---:|---:|")
     for name, per_second, per_cpu_second in PEERS:
         print(f"| {name}, measured earlier | dict | independent | {per_second:,} | {per_cpu_second:,} | |")
@@ -69,10 +69,10 @@ def report() -> None:
         env, env_args = ELSEWHERE.get(algo, (BASE.env, BASE.env_args))
         task = replace(BASE, env=env, env_args=env_args, algo=algo, algo_args={"policies": "independent"})
         tasks.append(task)
-    for (dict_based, algo, policies), results in zip(rows, in_turn(tasks), strict=True):
-        face = "dict" if dict_based else f"batched{', tracking' * (algo in ELSEWHERE)}"
+    for (dict_based, algo, policies), results in zip(rows, interleaved(tasks), strict=True):
+        form = "dict" if dict_based else f"batched{', tracking' * (algo in ELSEWHERE)}"
         print(
-            f"| Headway {algo} | {face} | {policies} | {median(r.per_second for r in results):,.0f} "
+            f"| Headway {algo} | {form} | {policies} | {median(r.per_second for r in results):,.0f} "
             f"| {median(r.per_cpu_second for r in results):,.0f} "
             f"| {median(r.collected_per_second for r in results):,.0f} |",
             flush=True,
@@ -81,8 +81,8 @@ def report() -> None:
     _report_workers()
 
 
-def in_turn(tasks: Sequence[Task]) -> list[list[Measurement]]:
-    """`ROUNDS` measurements of each task, A B C A B C ..."""
+def interleaved(tasks: Sequence[Task]) -> list[list[Measurement]]:
+    """Return `ROUNDS` measurements of each task, made in the order A B C A B C ..."""
     rounds = [[measure([task])[0] for task in tasks] for _ in range(ROUNDS)]
     return [list(results) for results in zip(*rounds, strict=True)]
 
@@ -95,18 +95,18 @@ def _report_two_seeds() -> None:
         totals.append(sum(result.per_second for result in pair))
         ratios.append(totals[-1] / alone.per_second)
     print("\nTwo seeds in two processes (ippo, batched, independent):", end=" ")
-    print(f"{median(totals):,.0f} steps/s, {median(ratios):.2f} times one alone.", flush=True)
+    print(f"{median(totals):,.0f} steps/s, {median(ratios):.2f} times one seed alone.", flush=True)
 
 
 def _report_workers() -> None:
-    """Rollout workers pay where the environment does: the dict-based one, and the bus line."""
+    """Print the speed-up of rollouts by a second worker, on environments expensive enough to need one."""
     for label, task in (
         ("dict-based trivial, 20 copies", replace(BASE, dict_based=True, block=10)),
         ("bus line, 8 copies", replace(BASE, env="bus", copies=8, steps=285, block=4, iterations=8)),
         ("bus line, 32 copies", replace(BASE, env="bus", copies=32, steps=143, block=4, iterations=8)),
     ):
         pairs = [replace(task, backend="process", workers=workers) for workers in (1, 2)]
-        one, two = in_turn(pairs)
+        one, two = interleaved(pairs)
         ratio = median(b.collected_per_second / a.collected_per_second for a, b in zip(one, two, strict=True))
         print(
             f"Rollouts with two workers against one ({label}): "

@@ -1,4 +1,4 @@
-"""Made-up experience that keeps every promise of a trajectory, and the definition of GAE as a loop."""
+"""Random trajectories that obey the contract, and GAE by its definition as a loop."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -27,8 +27,8 @@ def _fabricate(
     leaves: float = 0.0,
     hidden_size: int = 0,
 ) -> Trajectory:
-    """Chances: `absent` of an agent at a step, `idle` of not acting, `ends` of an episode, `leaves` of one
-    agent's stream ending while its episode goes on."""
+    """Return a random trajectory. Probabilities per step: `absent`, `idle` (not acting) of an agent, `ends`
+    of an episode, `leaves` of one agent's stream ending before its episode."""
     draw = np.random.default_rng(seed)
     made = Trajectory.allocate(TrajectoryLayout(spec, steps, copies, hidden_size))
     by_agent = made.rewards.shape
@@ -62,7 +62,7 @@ def _fabricate(
 
 
 def _poisoned(clean: Trajectory) -> Trajectory:
-    """A copy that holds NaN, or an impossible action, wherever the contract promises nothing."""
+    """A copy with NaN, or an impossible action, wherever the contract allows anything."""
     bad = Trajectory(*(getattr(clean, field.name).copy() for field in fields(clean)))
     dead, unused = ~bad.alive, ~(bad.alive[:-1] & bad.acting)
     over = bad.terminated | bad.truncated
@@ -86,8 +86,11 @@ def _naive_advantages(
     gamma: float,
     gae_lambda: float,
 ) -> NDArray[np.float64]:
-    """One agent: rewards (T,), values (T + 1,) -> (T,). sum_l (product of gamma^gap lambda) delta_{t+l}
-    over the steps at which the agent is present; what it is paid in a gap belongs to the step before."""
+    """Advantages (T,) of one agent, given rewards (T,) and values (T + 1,).
+
+    sum_l (product of gamma^gap lambda) delta_{t+l} over the steps at which the agent is present; rewards in a
+    gap belong to the step before.
+    """
     steps = len(rewards)
 
     def transition(t: int) -> tuple[float, int | None, float]:

@@ -1,4 +1,4 @@
-"""Names, refusals and what importing them costs."""
+"""Names, refusals and imports of the registry."""
 
 import subprocess
 import sys
@@ -53,7 +53,7 @@ print(actions.shape, 'torch' in sys.modules)
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
+def test_every_entry_has_its_name_and_a_source(name: str) -> None:
     entry = ENTRIES[name]
     assert entry.config().name == name
     assert "arXiv:" in entry.source
@@ -63,7 +63,7 @@ def test_every_entry_stands_by_its_name_and_cites_its_source(name: str) -> None:
 @pytest.mark.parametrize("name", ON_POLICY)
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("space", [Discrete(2), Box((-1.0,), (1.0,))])
-def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
+def test_every_entry_makes_a_learner_and_an_acting_policy(name: str, policies: str, space: Any) -> None:  # noqa: ANN401 - any space
     entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
     config = entry.config(policies=policies)
     in_turns = config.order == "sequential" and policies == "shared"
@@ -78,7 +78,7 @@ def test_every_entry_makes_a_learner_and_its_twin(name: str, policies: str, spac
 
 
 @pytest.mark.parametrize("name", ON_POLICY)
-def test_what_cannot_be_run_is_refused_in_one_line(name: str) -> None:
+def test_impossible_combinations_are_refused_in_one_line(name: str) -> None:
     entry = ENTRIES[name]
     several = replace(SPEC, action_space=MultiDiscrete((2, 3)))
     line = entry.refuses(entry.config(), several)
@@ -106,7 +106,7 @@ def test_a_counterfactual_critic_refuses_all_but_discrete_actions(config: AlgoCo
 
 
 @pytest.mark.parametrize("critic", ["local", "counterfactual"])
-def test_only_a_central_critic_is_asked_to_see_the_others_actions(critic: Any) -> None:  # noqa: ANN401 - a literal
+def test_critic_actions_are_for_central_critics_only(critic: Any) -> None:  # noqa: ANN401 - a literal
     with pytest.raises(ValueError, match="critic_actions must be none unless critic is central"):
         AlgoConfig(critic=critic, critic_actions="others")
     assert AlgoConfig(critic="central", critic_actions="others").critic_actions == "others"
@@ -120,7 +120,9 @@ def test_only_a_central_critic_is_asked_to_see_the_others_actions(critic: Any) -
         ("custom", {"update": "a2c", "order": "sequential"}, "algo.order=simultaneous"),
     ],
 )
-def test_turns_need_several_policies(name: str, changes: dict[str, Any], instead: str) -> None:
+def test_the_sequential_order_needs_several_policies(
+    name: str, changes: dict[str, Any], instead: str
+) -> None:
     entry = ENTRIES[name]
     for policies in ("independent", "groups"):
         assert entry.refuses(entry.config(**changes, policies=policies), SPEC) is None
@@ -233,4 +235,4 @@ def test_initial_logits_that_do_not_fit_are_refused(space: Any) -> None:  # noqa
     assert line is not None
     assert "initial_logits has 2 entries" in line
     assert "leave it out" in line
-    assert ("give one an action" in line) == isinstance(space, Discrete)
+    assert ("give one per action" in line) == isinstance(space, Discrete)

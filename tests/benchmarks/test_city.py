@@ -31,7 +31,7 @@ if __name__ == "__main__":
 """
 
 
-def test_what_children_hold_counts() -> None:
+def test_memory_of_child_processes_counts() -> None:
     before = sum(parts_mb(os.getpid()).values())
     script = f"held = bytearray(b'x' * {HELD_MB * 2**20}); print('held', flush=True); input()"
     child = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -45,7 +45,7 @@ def test_what_children_hold_counts() -> None:
     assert sum(parts_mb(child.pid).values()) == 0
 
 
-def test_each_part_of_a_session_is_counted_as_what_it_is(tmp_path: Path) -> None:
+def test_memory_is_attributed_to_the_parts_of_a_session(tmp_path: Path) -> None:
     script = tmp_path / "session.py"
     script.write_text(_SESSION.replace("{mb}", str(HELD_MB)))
     session = subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -1,4 +1,4 @@
-"""Which part of a training the crossing's benchmark runs."""
+"""The intersection's benchmark measures the start of the experiments' own trainings."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What is measured is the training that `headway run` would do."""
+"""Measured trainings equal those of `headway run`."""
 
 import os
 import subprocess
@@ -32,8 +32,8 @@ def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: py
     assert contributors.number == 2
 
 
-def test_memory_is_that_of_other_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of workers; where training is in one process, of none."""
+def test_memory_is_that_of_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is 0 for a training in one process."""
     task = Task("trivial", "ippo", {}, {}, copies=4, steps=8, block=2, iterations=4)
     assert measure_here(task).worker_mb == 0
     asked: list[int] = []
@@ -49,7 +49,7 @@ def test_memory_is_that_of_other_processes(monkeypatch: pytest.MonkeyPatch) -> N
     assert os.getpid() not in asked
 
 
-def test_the_peak_of_a_process_that_is_gone_is_nothing() -> None:
+def test_the_peak_memory_of_an_ended_process_is_zero() -> None:
     assert _peak_mb(os.getpid()) >= psutil.Process().memory_info().rss / 2**20 * 0.5
     child = subprocess.Popen([sys.executable, "-c", ""])
     child.wait()

@@ -1,53 +1,53 @@
-"""The plan of how throughput grows with Ray's workers."""
+"""Projection of throughput by number of Ray workers."""
 
 from dataclasses import replace
 
 import pytest
 
-from benchmarks.ray_workers import TASKS, Growth, Wire, _plan_of, growth_cells
+from benchmarks.ray_workers import TASKS, Growth, TransferCost, _plan_of, growth_cells
 
-FREE = Wire(bytes_a_step=0.0, parameter_bytes=0.0, message_s=0.0, byte_s=0.0)
+FREE = TransferCost(bytes_per_step=0.0, parameter_bytes=0.0, message_s=0.0, byte_s=0.0)
 
 
-def test_workers_share_out_the_steps_where_nothing_else_takes_time() -> None:
-    growth = Growth(steps=1000, blocks=16, worker_s=0.001, learn_s=0.0, wire=FREE)
+def test_throughput_is_proportional_to_workers_without_other_costs() -> None:
+    growth = Growth(steps=1000, blocks=16, worker_s=0.001, learn_s=0.0, transfer=FREE)
     assert growth.per_second(1) == pytest.approx(1000)
     assert growth.per_second(16) == pytest.approx(16_000)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 4, 5, 7, 8])
-def test_the_plan_shares_out_blocks_as_sessions_do(workers: int) -> None:
-    """The worker that a session gives most is waited for: of 8 blocks, of 5 workers three have two."""
+def test_the_projection_distributes_blocks_as_sessions_do(workers: int) -> None:
+    """The slowest worker has most blocks: with 8 blocks and 5 workers, three have two."""
     task = TASKS["bus line, 32 copies"]
     plan = _plan_of(replace(task, env="trivial", env_args={}))
     most = max(shard.count for shard in plan.shards(workers))
-    growth = Growth(steps=1000, blocks=task.copies // task.block, worker_s=0.001, learn_s=0.0, wire=FREE)
+    growth = Growth(steps=1000, blocks=task.copies // task.block, worker_s=0.001, learn_s=0.0, transfer=FREE)
     assert growth.per_second(workers) == pytest.approx(1000 * task.copies / most)
 
 
 def test_learning_is_the_limit_of_many_workers() -> None:
-    growth = Growth(steps=1000, blocks=10**6, worker_s=0.001, learn_s=0.5, wire=FREE)
+    growth = Growth(steps=1000, blocks=10**6, worker_s=0.001, learn_s=0.5, transfer=FREE)
     assert growth.per_second(10**6) == pytest.approx(2000, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     "costs",
     [
-        pytest.param({"bytes_a_step": 1000.0, "byte_s": 1e-6}, id="experience"),
+        pytest.param({"bytes_per_step": 1000.0, "byte_s": 1e-6}, id="experience"),
         pytest.param({"parameter_bytes": 1e6, "byte_s": 1e-6}, id="parameters"),
         pytest.param({"message_s": 2.0}, id="calls of four workers, eight at once"),
     ],
 )
-def test_what_goes_over_the_wire_is_added(costs: dict[str, float]) -> None:
-    """A second more in each case, to four workers' second."""
-    growth = Growth(steps=1000, blocks=4, worker_s=0.004, learn_s=0.0, wire=replace(FREE, **costs))
+def test_transfer_times_are_added(costs: dict[str, float]) -> None:
+    """Each case adds one second to the one second of four workers."""
+    growth = Growth(steps=1000, blocks=4, worker_s=0.004, learn_s=0.0, transfer=replace(FREE, **costs))
     assert growth.per_second(4) == pytest.approx(500)
 
 
-def test_nothing_is_planned_of_the_worker_from_which_the_plan_was_made_and_of_more_than_have_work() -> None:
-    wire = replace(FREE, parameter_bytes=1e5, byte_s=1e-6)
-    growth = Growth(steps=1000, blocks=8, worker_s=0.0064, learn_s=0.0, wire=wire)
+def test_there_is_no_projection_for_one_worker_or_more_workers_than_blocks() -> None:
+    transfer = replace(FREE, parameter_bytes=1e5, byte_s=1e-6)
+    growth = Growth(steps=1000, blocks=8, worker_s=0.0064, learn_s=0.0, transfer=transfer)
     cells = growth_cells(growth, one=151, two=290)
     assert cells == ["151", "290 (303)", "588", "1,111"]
-    # Of seven blocks two workers have four and three, and four workers two at most.
+    # With seven blocks, two workers have four and three, and four workers at most two.
     assert growth_cells(replace(growth, blocks=7), one=151, two=290) == ["151", "290 (266)", "519", ""]

@@ -1,4 +1,4 @@
-"""Machine code is kept as long as every source it was compiled with is as it was, and no longer."""
+"""Cached machine code is kept exactly as long as all sources it was compiled from are unchanged."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 from headway_envs.numba_setup import drop_stale_cache
 
 
-def test_machine_code_goes_when_a_source_beside_it_changes(tmp_path: Path) -> None:
+def test_machine_code_is_removed_when_a_source_changes(tmp_path: Path) -> None:
     source, cache = tmp_path / "a.py", tmp_path / "__pycache__"
     source.write_text("SPEED = 1\n")
     cache.mkdir()
@@ -15,9 +15,9 @@ def test_machine_code_goes_when_a_source_beside_it_changes(tmp_path: Path) -> No
     for file in (kept, cache / "a.1.nbc", bytecode):
         file.write_bytes(b"machine code")
     drop_stale_cache(tmp_path)
-    assert not kept.exists()  # of what it was compiled with nothing is known
+    assert not kept.exists()  # its sources are unknown
     assert not list(cache.glob("*.nbc"))
-    assert bytecode.exists()  # Python's own
+    assert bytecode.exists()  # Python's bytecode
 
     kept.write_bytes(b"compiled anew")
     drop_stale_cache(tmp_path)
@@ -44,5 +44,5 @@ assert squared.trace() == 12, squared
 """
 
 
-def test_kernels_load_no_scipy_and_who_needs_it_finds_it() -> None:
+def test_kernels_do_not_load_scipy_but_others_can() -> None:
     subprocess.run([sys.executable, "-c", _SCIPY_AFTER], check=True, timeout=60)

@@ -1,4 +1,4 @@
-"""Tests of this folder share `chromium`, and a small study of real runs."""
+"""Fixtures: a browser page and a small study of trained runs."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Page]:
-    """A page of a real browser."""
+    """Page of a Chromium browser."""
     program = chromium.found()
     if program is None:
         pytest.skip("there is no Chromium; .ci/install_browser installs it (Debian, as root)")
@@ -21,7 +21,7 @@ def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store with a study `pair` of real runs: two seeds beside two rules, with energy."""
+    """Store with a study `pair` of trained runs: two seeds and two rules, with energy."""
     root = tmp_path_factory.mktemp("trained")
     words = ["experiment=toy_tracking", "study=pair", "seed=0,1", "env_steps=3000", "evaluation.every=1"]
     words += ["energy.interval_s=1", f"store.root={root}"]

@@ -1,4 +1,4 @@
-"""Every registered algorithm trains on every registered environment, or says in one line why it does not."""
+"""Every registered algorithm trains on every registered environment, or refuses it in one line."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -35,19 +35,19 @@ SMALL: Mapping[str, Any] = {
     "model": {"hidden": [8]}, "epochs": 2, "minibatches": 2, "kl_bound": 0.1,
     "learning_starts": 1, "batch_size": 8, "updates": 3,
 }  # fmt: skip
-"""Settings of whatever algorithm has such keys."""
-OF_ONE_GRADIENT = {"epochs": 1, "minibatches": 1}
-"""Of those whose workers contribute gradients."""
+"""Settings for every algorithm that has these keys."""
+ONE_GRADIENT = {"epochs": 1, "minibatches": 1}
+"""Settings of asynchronous algorithms, whose workers compute one gradient per rollout."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """An environment, made small."""
+    """A small environment."""
 
     env: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     steps: int = 12
-    """T: more than an episode of the toys, so that ends are learned from, too."""
+    """T: longer than an episode of the toys, so that trajectories contain episode ends."""
     seeds: tuple[int, ...] = SEEDS
     copies: int = COPIES
 
@@ -68,7 +68,7 @@ TASKS = {
 
 @dataclass(frozen=True)
 class Prepared:
-    """A task's environment."""
+    """The prepared environment of a task."""
 
     entry: EnvEntry
     shared: Any
@@ -89,13 +89,13 @@ def prepared(task: str) -> Prepared:
 def configured(algorithm: str, policies: str, **more: Any) -> Any:  # noqa: ANN401 - the entry's record
     record = algo_entry(algorithm).config
     keys = {field.name for field in fields(record)}
-    contributing = OF_ONE_GRADIENT if algo_entry(algorithm).contributor is not None else {}
+    contributing = ONE_GRADIENT if algo_entry(algorithm).contributor is not None else {}
     wanted = {**SMALL, **contributing, "name": algorithm, "policies": policies, **more}
     return build(record, {key: value for key, value in wanted.items() if key in keys})
 
 
 def refused(algorithm: str, policies: str, spec: EnvSpec) -> bool:
-    """The table of who cannot run where, written down a second time."""
+    """Return whether an algorithm must refuse an environment: the table of refusals, stated independently."""
     return (
         (algorithm in ("coma", "madqn") and isinstance(spec.action_space, Box))
         or (algorithm == "ddpg" and not isinstance(spec.action_space, Box))
@@ -105,8 +105,8 @@ def refused(algorithm: str, policies: str, spec: EnvSpec) -> bool:
     )
 
 
-def followed(policies: str, spec: EnvSpec) -> NDArray[np.int64]:
-    """(N,): which of K policies each agent follows."""
+def policy_of_agents(policies: str, spec: EnvSpec) -> NDArray[np.int64]:
+    """Return the policy of each agent, (N,), as an index of K policies."""
     if policies == "groups":
         return np.unique(spec.groups, return_inverse=True)[1]
     return np.arange(spec.num_agents) * (policies == "independent")
@@ -114,19 +114,19 @@ def followed(policies: str, spec: EnvSpec) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Trained:
-    """What some iterations did to the policies of R seeds."""
+    """Parameters of R seeds before and after some iterations."""
 
     before: Mapping[str, NDArray[Any]]
     after: Mapping[str, NDArray[Any]]
     metrics: Mapping[str, NDArray[np.float64]]
-    """Of the last iteration."""
+    """Metrics of the last iteration."""
     acted: NDArray[np.bool_]
     """(R, N): the agent used an action."""
 
     @property
     def moved(self) -> NDArray[np.bool_]:
-        """(P,): a network is not what it was. Normalisers follow whatever is observed, and exploration its
-        schedule: they do not count."""
+        """Whether the networks of each policy changed, (P,). Normalisers and the exploration schedule do not
+        count."""
         names = [name for name in self.before if not name.startswith(("observation_", "exploration"))]
         moves = [self.before[name] != self.after[name] for name in names]
         return np.any([move.reshape(len(move), -1).any(axis=1) for move in moves], axis=0)
@@ -167,14 +167,14 @@ def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
 
 
 def seeds_of(task: str, entry: AlgoEntry) -> tuple[int, ...]:
-    """AsynchronousMode algorithms train one seed a process."""
+    """Asynchronous algorithms train one seed per process."""
     return TASKS[task].seeds if entry.contributor is None else TASKS[task].seeds[:1]
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("algorithm", algo_entries())
 @pytest.mark.parametrize("task", TASKS)
-def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> None:
+def test_it_trains_or_is_refused(task: str, algorithm: str, policies: str) -> None:
     spec, entry, config = prepared(task).spec, algo_entry(algorithm), configured(algorithm, policies)
     reason = entry.refuses(config, spec)
     assert (reason is not None) == refused(algorithm, policies, spec), reason
@@ -187,14 +187,14 @@ def test_it_trains_or_says_why_not(task: str, algorithm: str, policies: str) -> 
 
 
 def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) -> None:
-    """Every policy whose agents acted moves. The trust region may keep some where they were, but not all; who
-    replays learns from a decision once its agent came to the next one, which not every bus does here."""
+    """Check that every policy whose agents acted has changed. A trust region may keep some, but not all; off
+    policy, a decision is learned from only after the agent's next one, which not every bus reaches here."""
     spec, seeds = prepared(task).spec, seeds_of(task, entry)
     result = trained(task, entry, config)
     assert all(np.isfinite(array).all() for array in result.after.values())
     assert all(value.shape == (len(seeds),) for value in result.metrics.values())
     assert all(np.isfinite(value).all() for value in result.metrics.values())
-    moved, own = result.moved.reshape(len(seeds), -1), followed(policies, spec)
+    moved, own = result.moved.reshape(len(seeds), -1), policy_of_agents(policies, spec)
     assert result.acted.any(axis=1).all()
     if getattr(config, "update", "") == "trpo" or (task == "bus" and hasattr(config, "capacity")):
         assert moved.any(axis=1).all()
@@ -202,36 +202,36 @@ def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) ->
         assert moved[:, own][result.acted].all()
 
 
-REMEMBERING = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
+RECURRENT = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
 REPLAYING = [name for name in algo_entries() if not hasattr(algo_entry(name).config().model, "core")]
-"""Who replays single transitions cannot learn what to remember."""
+"""Algorithms that replay single transitions, without recurrent networks."""
 WITH_CORES = [name for name in algo_entries() if name not in (*REPLAYING, "maacktr")]
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared"])
 @pytest.mark.parametrize("algorithm", WITH_CORES)
 @pytest.mark.parametrize("task", ["visitors", "tracking"])
-def test_it_trains_with_a_memory_or_says_why_not(task: str, algorithm: str, policies: str) -> None:
-    """Refused is what is refused without one, and nothing else."""
+def test_it_trains_with_a_gru_or_is_refused(task: str, algorithm: str, policies: str) -> None:
+    """The same combinations are refused as without one."""
     spec, entry = prepared(task).spec, algo_entry(algorithm)
-    config = configured(algorithm, policies, **REMEMBERING)
+    config = configured(algorithm, policies, **RECURRENT)
     assert (entry.refuses(config, spec) is not None) == refused(algorithm, policies, spec)
     if not refused(algorithm, policies, spec):
         assert_trains(task, entry, config, policies)
 
 
-def test_kronecker_factors_are_of_networks_without_memory() -> None:
+def test_kfac_is_refused_for_recurrent_networks() -> None:
     with pytest.raises(HeadwayError, match=r"model\.core must be none with kfac"):
-        configured("maacktr", "shared", **REMEMBERING)
+        configured("maacktr", "shared", **RECURRENT)
 
 
 @pytest.mark.parametrize("algorithm", REPLAYING)
-def test_a_memory_is_no_setting_of_who_replays(algorithm: str) -> None:
+def test_off_policy_algorithms_have_no_recurrent_core(algorithm: str) -> None:
     with pytest.raises(HeadwayError, match=r"core is not a key of .*; available: activation, hidden"):
-        configured(algorithm, "shared", **REMEMBERING)
+        configured(algorithm, "shared", **RECURRENT)
 
 
-def test_both_kinds_of_action_and_of_presence_are_among_the_tasks() -> None:
+def test_tasks_cover_action_spaces_and_optional_features() -> None:
     specs = [prepared(task).spec for task in TASKS if task != "intersection"]
     assert {type(spec.action_space).__name__ for spec in specs} >= {"Discrete", "Box"}
     for feature in ("agents_come_and_go", "has_action_mask", "shared_reward", "groups"):

@@ -1,5 +1,4 @@
-"""The guide to packages of one's own, as it is written: its files are made, its commands are given, and they
-print what it shows."""
+"""The guide to external packages: its files are created, and its commands print what it shows."""
 
 import os
 import re
@@ -48,7 +47,7 @@ class Command:
 
     @property
     def fails(self) -> bool:
-        """It is an example of bad input."""
+        """Whether the command is an example of bad input."""
         return self.shown.startswith("headway: ")
 
 
@@ -80,8 +79,8 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def environment(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
-    """Variables with which the package, and this Headway, are installed: the virtual environment stays as it
-    is. What `pip install -e` leaves behind is tested with the adapter of modules."""
+    """Environment variables for the package, installed outside the virtual environment, and this Headway. The
+    files of `pip install -e` are tested with the adapter of modules."""
     site = tmp_path_factory.mktemp("site")
     quietly = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps", "--no-build-isolation"]
     install = [sys.executable, "-m", "pip", "install", *quietly, "--target", str(site), str(package)]
@@ -96,7 +95,7 @@ def environment(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapp
 
 @pytest.fixture(scope="module")
 def printed(package: Path, environment: Mapping[str, str]) -> list[tuple[int, str]]:
-    """Exit code and output of every command, given one after another in one shell."""
+    """Exit code and output of every command, run one after another in one shell."""
     script = "".join(f'{command.line}\necho "{_MARK} $?"\n' for command in COMMANDS)
     done = subprocess.run(
         ["bash", "-c", f"exec 2>&1\n{script}"],
@@ -108,12 +107,12 @@ def printed(package: Path, environment: Mapping[str, str]) -> list[tuple[int, st
 
 @pytest.fixture(scope="module")
 def runs(package: Path, printed: object) -> list[RunRow]:
-    """What the commands stored."""
+    """Runs that the commands stored."""
     return RunIndex(package / "runs").rows()
 
 
 def _as_shown(shown: str, text: str) -> bool:
-    """Whether `text` is what the guide shows, in which `...` stands for anything."""
+    """Return whether `text` matches what the guide shows, in which `...` stands for anything."""
     pattern = ".*".join(re.escape(part) for part in shown.split("..."))
     return re.fullmatch(pattern, text, re.DOTALL) is not None
 
@@ -127,7 +126,7 @@ def test_a_command_prints_what_the_guide_shows(index: int, printed: list[tuple[i
         assert "\n" not in text
 
 
-def test_what_was_trained_is_stored_by_the_names_of_the_package(runs: list[RunRow]) -> None:
+def test_runs_are_stored_under_the_names_of_the_package(runs: list[RunRow]) -> None:
     assert {(row.environment, row.algorithm) for row in runs} == {
         ("crossing.junction", "ippo"),
         ("fast_junction", "custom"),
@@ -139,5 +138,5 @@ def test_what_was_trained_is_stored_by_the_names_of_the_package(runs: list[RunRo
 
 
 def test_the_wrapper_and_its_twin_show_the_same_multiples(environment: Mapping[str, str]) -> None:
-    """Over a whole episode, its last observations included."""
+    """Over a whole episode, including the final observations."""
     subprocess.run([sys.executable, "-c", _BOTH_FORMS], env=environment, check=True, timeout=60)

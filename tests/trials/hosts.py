@@ -1,4 +1,4 @@
-"""Hosts of one's own on this machine: network namespaces, joined by a wire that can be cut."""
+"""Virtual hosts on this machine: network namespaces joined by a link that can be cut."""
 
 import os
 import shutil
@@ -16,18 +16,18 @@ from headway.contracts import HeadwayError
 
 _NAME = "headway-{process}-{place}"
 _ADDRESS = "192.0.2.{number}"
-"""Of a block that is kept for examples (RFC 5737), so that nobody is there."""
+"""Addresses of a block reserved for documentation (RFC 5737)."""
 _END_S = 30.0
 
 
 @dataclass(frozen=True)
 class Host:
-    """A network namespace, with an address on the wire."""
+    """A network namespace with an address on the link."""
 
     name: str
     address: str
     device: str
-    """The wire's end in it."""
+    """Network device of the link in the namespace."""
 
     def start(
         self,
@@ -36,8 +36,8 @@ class Host:
         output: Path,
         errors: Path,
     ) -> "subprocess.Popen[bytes]":
-        """Start a command in it, as leader of a process group of its own; `environment` goes over what this
-        process has, and what it prints goes to the end of files."""
+        """Start a command in the namespace, in its own process group. `environment` overrides that of this
+        process; output is appended to the files."""
         with output.open("ab") as stdout, errors.open("ab") as stderr:
             return subprocess.Popen(
                 ["nsenter", f"--net=/run/netns/{self.name}", *command],
@@ -49,7 +49,7 @@ class Host:
             )
 
     def processes(self) -> list[psutil.Process]:
-        """All that run in it."""
+        """Return all processes in the namespace."""
         found = []
         for word in _ip("netns", "pids", self.name).split():
             try:
@@ -59,7 +59,7 @@ class Host:
         return found
 
     def kill(self) -> int:
-        """Kill all that runs in it, as when its power fails; how many processes that were."""
+        """Kill all processes in the namespace, as in a power failure; return their number."""
         killed: set[psutil.Process] = set()
         deadline = time.monotonic() + _END_S
         while alive := [process for process in self.processes() if process.is_running()]:
@@ -75,18 +75,20 @@ class Host:
         return len(killed)
 
     def cut_off(self) -> None:
-        """Take down its end of the wire; what runs in it goes on."""
+        """Take the link down; processes in the namespace continue."""
         _ip("-n", self.name, "link", "set", self.device, "down")
 
 
 @contextmanager
 def two_hosts() -> Iterator[tuple[Host, Host]]:
-    """Two hosts on one wire; with all that runs in them they are gone at the end.
+    """Create two linked hosts, and remove them with all their processes at the end.
 
-    Raises HeadwayError, in one line, where there can be none.
+    Raises HeadwayError, in one line, if namespaces cannot be created.
     """
     if shutil.which("ip") is None:
-        raise HeadwayError("network namespaces are made with ip, which is not here: apt-get install iproute2")
+        raise HeadwayError(
+            "network namespaces need the program ip, which is not installed: apt-get install iproute2"
+        )
     _remove_left_hosts()
     hosts = [_host(number) for number in (1, 2)]
     try:
@@ -113,7 +115,7 @@ def _host(number: int) -> Host:
 
 
 def _remove_left_hosts() -> None:
-    """Those of processes that were killed."""
+    """Remove the namespaces of killed processes."""
     before = _NAME.partition("{")[0]
     for line in _ip("netns", "list").splitlines():
         name = line.split()[0]
@@ -132,5 +134,5 @@ def _ip(*words: str) -> str:
     done = subprocess.run(["ip", *words], capture_output=True, text=True, check=False)
     if done.returncode:
         reason = " ".join(done.stderr.split()) or f"code {done.returncode}"
-        raise HeadwayError(f"network namespaces cannot be had here: ip {' '.join(words)} fails: {reason}")
+        raise HeadwayError(f"network namespaces cannot be created: ip {' '.join(words)} fails: {reason}")
     return done.stdout

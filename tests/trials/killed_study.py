@@ -1,11 +1,10 @@
-"""A study that is killed again and again ends as one that never was: the same curves, the same tables, and in
-the store everything once.
+"""Trial: a repeatedly killed study gives the curves and tables of an uninterrupted one, without duplicates.
 
     python -m tests.trials.killed_study --root FOLDER --seeds 10
 
-sweeps three algorithms over the bus line twice. The second time a signal ends it at random points, each time
-another process by another signal; it is gone on with by `headway resume --study` and by the same sweep in
-turn. Prints what differs, and ends with exit code 1 if anything does.
+sweeps three algorithms over the bus line twice. The second sweep is killed at random points, each time
+another process by another signal, and continued alternately by `headway resume --study` and the same sweep.
+Prints the differences and exits with code 1 if there are any.
 """
 
 import argparse
@@ -33,33 +32,33 @@ BASE = (
     "evaluation.rules=[even_headway]",
     "store.checkpoint_every=5",
 )
-_PATIENCE_S = 3600.0
+_TIMEOUT_S = 3600.0
 _ATTEMPTS = 5
 _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
-class Blow:
-    """One process of a session, and the signal it gets; `then` ends the session where that does not."""
+class Kill:
+    """Process of a session and the signal sent to it; `then` ends the session if that does not."""
 
     victim: str
     number: signal.Signals
     then: signal.Signals | None = None
 
 
-BLOWS = (
-    Blow("session", signal.SIGKILL),
-    Blow("training process", signal.SIGKILL, then=signal.SIGTERM),
-    Blow("rollout worker", signal.SIGTERM, then=signal.SIGKILL),
-    Blow("session", signal.SIGTERM),
-    Blow("rollout worker", signal.SIGKILL, then=signal.SIGTERM),
+KILLS = (
+    Kill("session", signal.SIGKILL),
+    Kill("training process", signal.SIGKILL, then=signal.SIGTERM),
+    Kill("rollout worker", signal.SIGTERM, then=signal.SIGKILL),
+    Kill("session", signal.SIGTERM),
+    Kill("rollout worker", signal.SIGKILL, then=signal.SIGTERM),
 )
 
 
 def main() -> None:
     """Run the trial; see the module."""
     parser = argparse.ArgumentParser(
-        description="Kill a study again and again, and compare it with one unkilled."
+        description="Kill a study repeatedly, and compare it with an uninterrupted one."
     )
     parser.add_argument("--root", type=Path, required=True, help="an empty folder for the two stores")
     parser.add_argument("--seeds", type=int, default=10)
@@ -70,68 +69,72 @@ def main() -> None:
     arguments = parser.parse_args()
     sweep = [*BASE, f"seed=0..{arguments.seeds - 1}", f"env_steps={arguments.steps}", *arguments.overrides]
     found = trial(arguments.root, sweep, arguments.kills, random.Random(arguments.chance))
-    print("\n".join(found) or "the killed study is the unkilled one: curves, tables, store and MLflow")
+    print(
+        "\n".join(found) or "the killed study equals the uninterrupted one: curves, tables, store and MLflow"
+    )
     sys.exit(1 if found else 0)
 
 
 def trial(root: Path, sweep: Sequence[str], kills: int, chance: random.Random) -> list[str]:
-    """What differs between a study killed so often and one unkilled; empty if nothing does."""
+    """Return the differences between a study killed `kills` times and an uninterrupted one."""
     whole, killed = root / "whole", root / "killed"
     began = time.monotonic()
-    print("unkilled ...", flush=True)
-    table = _to_the_end(["sweep", *sweep, f"store.root={whole}"])
+    print("uninterrupted ...", flush=True)
+    table = _run_to_end(["sweep", *sweep, f"store.root={whole}"])
     print(f"{time.monotonic() - began:.0f} s; killed ...", flush=True)
     total = _iterations(whole)
-    going_on = (
+    commands = (
         ["sweep", *sweep, f"store.root={killed}"],
         ["resume", "--study", STUDY, "--store", str(killed)],
     )
     points = sorted(chance.uniform(0.05, 0.9) for _ in range(kills))
-    landed = 0
+    kills_done = 0
     for place, point in enumerate(points):
-        blow = BLOWS[place % len(BLOWS)]
-        struck = _strike(going_on[place % 2], killed, int(point * total), blow, chance)
-        landed += struck
-        fallen = f"{blow.victim} by {blow.number.name}" if struck else "the session had ended by itself"
-        print(f"{fallen} at {_iterations(killed)} of {total} iterations", flush=True)
-    if kills and not landed:
-        raise SystemExit("every session ended before its blow fell, so nothing was tried: give more --steps")
-    after = _to_the_end(going_on[kills % 2])
+        kill = KILLS[place % len(KILLS)]
+        was_alive = _strike(commands[place % 2], killed, int(point * total), kill, chance)
+        kills_done += was_alive
+        event = f"{kill.victim} by {kill.number.name}" if was_alive else "the session had already ended"
+        print(f"{event} at {_iterations(killed)} of {total} iterations", flush=True)
+    if kills and not kills_done:
+        raise SystemExit(
+            "every session ended before it was killed, so nothing was tested: set --steps higher"
+        )
+    after = _run_to_end(commands[kills % 2])
     for store in (whole, killed):
-        sync_each(store)  # what a busy machine's session had no time to send; nothing is sent twice
-    if _figures(after) != _figures(table):
+        sync_each(store)  # send what a busy session had no time for; nothing is sent twice
+    if _results(after) != _results(table):
         return [f"tables differ:\n{table}\n{after}", *differences(whole, killed)]
     return differences(whole, killed)
 
 
-def _strike(command: Sequence[str], root: Path, iterations: int, blow: Blow, chance: random.Random) -> bool:
-    """Start a session and end it by a blow, at a random moment after so many iterations are durable.
-    Whether it still lived when a blow fell."""
+def _strike(command: Sequence[str], root: Path, iterations: int, kill: Kill, chance: random.Random) -> bool:
+    """Start a session and kill it at a random moment after `iterations` are stored; return whether it was
+    still alive then."""
     with subprocess.Popen(_headway(command), stdout=subprocess.DEVNULL, start_new_session=True) as session:
         processes: list[psutil.Process] = []
-        deadline = time.monotonic() + _PATIENCE_S
+        deadline = time.monotonic() + _TIMEOUT_S
         while session.poll() is None and (_iterations(root) < iterations or not processes):
             if time.monotonic() > deadline:
-                raise SystemExit("the study does not come on")
+                raise SystemExit("the study makes no progress")
             time.sleep(_POLL_S)
-            processes = _processes(session.pid, blow.victim)
+            processes = _processes(session.pid, kill.victim)
         time.sleep(chance.uniform(0.0, 1.0))
-        struck, everyone = False, _children(session.pid) if session.poll() is None else []
-        for process in (_processes(session.pid, blow.victim) or processes)[:1]:
-            struck = session.poll() is None and _send(process, blow.number)
-        if blow.then is not None and session.poll() is None:
+        was_alive, descendants = False, _children(session.pid) if session.poll() is None else []
+        for process in (_processes(session.pid, kill.victim) or processes)[:1]:
+            was_alive = session.poll() is None and _send(process, kill.number)
+        if kill.then is not None and session.poll() is None:
             time.sleep(chance.uniform(0.2, 2.0))
-            struck |= session.poll() is None
-            session.send_signal(blow.then)
-        session.wait(_PATIENCE_S)
-        _, left = psutil.wait_procs(everyone, timeout=60)
+            was_alive |= session.poll() is None
+            session.send_signal(kill.then)
+        session.wait(_TIMEOUT_S)
+        _, left = psutil.wait_procs(descendants, timeout=60)
         if left:
             raise SystemExit(f"{len(left)} processes outlived their session")
-    return struck
+    return was_alive
 
 
-def _to_the_end(command: Sequence[str]) -> str:
-    """Run a command, again where runs have failed; its last table."""
+def _run_to_end(command: Sequence[str]) -> str:
+    """Run a command, repeatedly if runs fail, and return its last table."""
     for _ in range(_ATTEMPTS):
         done = subprocess.run(_headway(command), stdout=subprocess.PIPE, text=True, check=False)
         if done.returncode == 0:
@@ -139,8 +142,8 @@ def _to_the_end(command: Sequence[str]) -> str:
     raise SystemExit(f"headway {' '.join(command)} ends with code {done.returncode}")
 
 
-def _figures(table: str) -> list[list[str]]:
-    """Of each cell: its name, how many have finished, reward, deviation and AUC; not what it cost."""
+def _results(table: str) -> list[list[str]]:
+    """Return of each cell its name, number of finished runs, reward, deviation and AUC, without costs."""
     return [line.split("\t")[:5] for line in table.splitlines()]
 
 
@@ -179,10 +182,10 @@ def _command(process: psutil.Process) -> str:
 
 
 def _send(process: psutil.Process, number: signal.Signals) -> bool:
-    """Whether there was anybody to send it to."""
+    """Send a signal; return whether the process existed."""
     try:
         process.send_signal(number)
-    except psutil.NoSuchProcess:  # it has just finished
+    except psutil.NoSuchProcess:  # has just ended
         return False
     return True
 

@@ -1,8 +1,8 @@
-"""A merge in highway-env 1.12.1, built beside one of ours: the same road, vehicles, speeds and drivers.
+"""A merge in highway-env 1.12.1 with the road, vehicles, speeds and drivers of one of Headway's.
 
-What is given to highway-env that it does not do by itself, each on purpose: lanes have no speed limit (its
-default is 20 m/s, the study's code ignores it); CAVs have the study's five target speeds; with two ramp lanes
-nobody changes to the right, and a driver to whom both lanes are equal counts the change as a gain.
+Deliberate differences from highway-env's defaults: no speed limit (default 20 m/s, which the study's code
+ignores); the study's five target speeds of CAVs; with two ramp lanes no changes to the right, and a gain
+added to a change between equally good lanes.
 """
 
 import math
@@ -22,21 +22,21 @@ ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 
 
 class LeftOnly(RoadNetwork):  # type: ignore[misc]  # highway-env comes without types
-    """Lanes to the right are not offered."""
+    """Road network without changes to lanes on the right."""
 
     def side_lanes(self, lane_index: LaneIndex) -> list[LaneIndex]:
         return [lane for lane in super().side_lanes(lane_index) if lane[2] < lane_index[2]]
 
 
 class LeftOnlyCav(MDPVehicle):  # type: ignore[misc]  # highway-env comes without types
-    """A CAV to which changes to the right mean nothing."""
+    """CAV that ignores changes to the right."""
 
     def act(self, action: str | None = None) -> None:
         super().act("IDLE" if action == "LANE_RIGHT" else action)
 
 
 class Driver(IDMVehicle):  # type: ignore[misc]  # highway-env comes without types
-    """A human driver; `GAIN_WHERE_EQUAL` is counted as a gain where the acceleration is the same on both."""
+    """Human driver; `GAIN_WHERE_EQUAL` is the gain if the acceleration is equal on both lanes."""
 
     GAIN_WHERE_EQUAL = 0.0
 
@@ -52,7 +52,7 @@ class Driver(IDMVehicle):  # type: ignore[misc]  # highway-env comes without typ
 
 
 def network(ramp_lanes: int) -> RoadNetwork:
-    """The road, from the numbers of the study."""
+    """Return the road with the study's dimensions."""
     net = RoadNetwork() if ramp_lanes == 1 else LeftOnly()
 
     def straight(begin: float, end: float, y: float, forbidden: bool = False) -> StraightLane:
@@ -77,13 +77,13 @@ def network(ramp_lanes: int) -> RoadNetwork:
 
 
 class Oracle:
-    """highway-env's road with the vehicles of one of our copies on it."""
+    """highway-env's road with the vehicles of one copy of Headway's environment."""
 
     def __init__(
         self, cars: NDArray[Any], cavs: int, ramp_lanes: int, constants: dict[str, float], all_human: bool
     ) -> None:
-        """`cars`: our records of the vehicles (CAVs first, no obstacles) as an episode begins; `constants`:
-        attributes of the drivers; `all_human`: CAVs drive as humans do."""
+        """`cars`: CAR records at the start of an episode (CAVs first, no obstacles); `constants`: attributes
+        of the drivers; `all_human`: CAVs drive as human drivers."""
         net = network(ramp_lanes)
         self.road = Road(network=net, vehicles=[], road_objects=[], np_random=np.random.default_rng(0))
         for ramp in range(1, ramp_lanes + 1):
@@ -101,18 +101,18 @@ class Oracle:
         self.lane_numbers = {name: number for number, name in enumerate(net.lanes_dict())}
 
     def act(self, actions: NDArray[np.int64]) -> None:
-        """The CAVs take their actions."""
+        """Apply the actions of the CAVs."""
         for vehicle, action in zip(self.road.vehicles[: self.cavs], actions, strict=False):
             vehicle.act(ACTIONS[action])
 
     def step(self, dt: float) -> None:
-        """One simulation step."""
+        """Run one simulation step."""
         self.road.act()
         self.road.step(dt)
 
     @property
     def motion(self) -> NDArray[np.float64]:
-        """(vehicles, 6): x, y, heading, speed, and how far those about to meet are displaced next."""
+        """(vehicles, 6): x, y, heading, speed, and displacement (x, y) by an imminent contact."""
         rows = [
             [*v.position, v.heading, v.speed, *((0.0, 0.0) if v.impact is None else v.impact)]
             for v in self.road.vehicles
@@ -131,7 +131,7 @@ class Oracle:
         return np.array([v.crashed for v in self.road.vehicles])
 
     def allowed(self, index: int) -> set[int]:
-        """The actions that highway-env allows a CAV."""
+        """Return the actions that highway-env allows a CAV."""
         from types import SimpleNamespace
 
         from highway_env.envs.common.action import DiscreteMetaAction

@@ -1,11 +1,11 @@
-"""Our merges against highway-env's, step by step: `python -m tests.trials.merge_parity [SEEDS]`.
+"""Headway's merges compared with highway-env's, step by step: `python -m tests.trials.merge_parity [SEEDS]`.
 
-Both begin alike and are given the same actions, and go on by themselves until the first contact, or until a
-vehicle all but stands: there the steering's gain, 1 / speed, makes ten times as much of a rounding error in
-every step, so that two programs that round differently cannot stay together. From then on ours is set to the
-other's place after every simulation step, and each step is compared by itself. Places, headings and speeds
-must agree to 1e-9 all the way; lanes, target lanes, allowed actions and who has crashed exactly. How those
-about to meet are pushed apart must agree to 1e-3: of faces equally deep, rounding chooses one.
+Both start from the same state with the same actions and run freely until the first contact, or until a
+vehicle almost stands: there the steering gain, 1 / speed, amplifies rounding errors tenfold per step, so that
+two programs with different rounding must diverge. From then on Headway's state is set to highway-env's after
+every simulation step, and each step is compared separately. Positions, headings and speeds must agree to 1e-9
+throughout; lanes, target lanes, allowed actions and crashes exactly. Displacements by imminent contacts must
+agree to 1e-3, because rounding decides between faces of equal depth.
 """
 
 import sys
@@ -22,8 +22,8 @@ from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import ACTIONS, AS_HUMAN, IDLE, LEFT, STEP_S, SUBSTEPS
 from headway_envs.merge.kernel.motion import simulate
-from headway_envs.merge.kernel.observe import look
-from headway_envs.merge.kernel.steps import take
+from headway_envs.merge.kernel.observe import observe
+from headway_envs.merge.kernel.steps import apply_actions
 from headway_envs.merge.prepared import prepare
 
 if TYPE_CHECKING:
@@ -31,47 +31,47 @@ if TYPE_CHECKING:
 
 TOLERANCE, PUSH_TOLERANCE = 1e-9, 1e-3
 SLOW = 1.0
-"""Speed under which vehicles all but stand, m/s."""
+"""Speed below which the free comparison ends, m/s."""
 MOTION = ("x", "y", "heading", "speed")
 PLAYS = ("idle", "left", "random", "human")
-"""What the CAVs do; `human`: they drive as humans do."""
-EAGER = {"least_gain": 0.1, "most_braking": 9.0, "gain_where_equal": 0.11}
-"""The study's constants of MOBIL, which change lanes more often than highway-env's."""
+"""Behaviours of the CAVs; `human`: they drive as human drivers."""
+EAGER = {"min_gain": 0.1, "max_braking": 9.0, "tie_gain": 0.11}
+"""The study's constants of MOBIL, with more lane changes than highway-env's."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One episode played twice."""
+    """An episode to run in both simulators."""
 
     ramp_lanes: int
     density: int
     play: str
     seed: int
     eager: bool = False
-    """Drivers with the constants `EAGER`."""
+    """True: human drivers have the constants `EAGER`."""
     steps: int = 100
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How the two differed."""
+    """Differences between the simulators in one episode."""
 
-    alone: float
-    """Largest difference while both went on by themselves."""
+    free: float
+    """Largest difference while both ran freely."""
     stepwise: float
-    """Largest difference by one step, after that."""
+    """Largest difference within one step, after that."""
     push: float
     """Largest difference of a displacement."""
     contact: bool
-    """Somebody touched somebody, or an obstacle."""
+    """True: there was a contact between vehicles or with an obstacle."""
     lane_changes: int
-    """Target lanes given up for another of the same road."""
+    """Number of changes of target lane within a road."""
     faults: tuple[str, ...]
-    """What was to be equal and was not."""
+    """One line per violated requirement."""
 
 
 class _Pair:
-    """One episode on both."""
+    """The same episode in both simulators."""
 
     def __init__(self, trial: Trial) -> None:
         prepared = prepare(MergeConfig(density=trial.density, preset="clean"), trial.ramp_lanes)
@@ -83,25 +83,25 @@ class _Pair:
         self.cavs, self.moving = int(episode["cavs"]), int(episode["cars"])
         self.cars = env.world.cars[0]
         constants = {
-            "LANE_CHANGE_MIN_ACC_GAIN": float(self.k["least_gain"]),
-            "LANE_CHANGE_MAX_BRAKING_IMPOSED": float(self.k["most_braking"]),
-            "GAIN_WHERE_EQUAL": float(self.k["gain_where_equal"]) if trial.ramp_lanes == 2 else -np.inf,
+            "LANE_CHANGE_MIN_ACC_GAIN": float(self.k["min_gain"]),
+            "LANE_CHANGE_MAX_BRAKING_IMPOSED": float(self.k["max_braking"]),
+            "GAIN_WHERE_EQUAL": float(self.k["tie_gain"]) if trial.ramp_lanes == 2 else -np.inf,
         }
         beginning, all_human = self.cars[: self.moving].copy(), trial.play == "human"
         self.oracle = _oracle()(beginning, self.cavs, trial.ramp_lanes, constants, all_human)
 
     def act(self, actions: NDArray[np.int64]) -> None:
-        take(self.env.network, self.k, self.cars, self.cavs, actions)
+        apply_actions(self.env.network, self.k, self.cars, self.cavs, actions)
         self.oracle.act(actions)
 
     def step(self) -> None:
-        things = self.moving + len(self.env.network.obstacles)
-        simulate(self.env.network, self.k, self.cars, self.moving, things, STEP_S)
+        bodies = self.moving + len(self.env.network.obstacles)
+        simulate(self.env.network, self.k, self.cars, self.moving, bodies, STEP_S)
         self.oracle.step(STEP_S)
 
     @property
     def motion(self) -> NDArray[np.float64]:
-        """(vehicles, 6), as the oracle's."""
+        """(vehicles, 6), as `Oracle.motion`."""
         cars = self.cars[: self.moving]
         push = [np.where(cars["pushed"], cars[name], 0.0) for name in ("push_x", "push_y")]
         return np.stack([*(cars[name] for name in MOTION), *push], axis=1)
@@ -122,27 +122,27 @@ class _Pair:
         targets = self.oracle.lanes[:, 1]
         return np.stack([self.env.network.lanes["first"][targets], targets], axis=1)
 
-    def meet(self) -> None:
-        """Set ours to the other's place."""
+    def synchronise(self) -> None:
+        """Set Headway's state to highway-env's."""
         cars, motion = self.cars[: self.moving], self.oracle.motion
         for column, name in enumerate((*MOTION, "push_x", "push_y")):
             cars[name] = motion[:, column]
         cars["cosine"], cars["sine"] = np.cos(cars["heading"]), np.sin(cars["heading"])
 
     def allowed(self) -> tuple[list[Any], list[Any]]:
-        """The actions that each CAV is allowed, by us and by the other."""
-        look(self.env.network, self.k, self.env.world, self.env.outputs, 0)
+        """Return the allowed actions of each CAV, by Headway and by highway-env."""
+        observe(self.env.network, self.k, self.env.world, self.env.outputs, 0)
         masks = self.env.outputs.masks[0, : self.cavs]
         return [set(np.flatnonzero(mask)) for mask in masks], [*map(self.oracle.allowed, range(self.cavs))]
 
 
 def compare(trial: Trial) -> Verdict:
-    """Play one episode on both. Raises HeadwayError where highway-env is not installed."""
+    """Run one episode in both simulators. Raises HeadwayError if highway-env is not installed."""
     pair, draw = _Pair(trial), np.random.default_rng(trial.seed)
-    alone, stepwise, push, together, contact, changes = 0.0, 0.0, 0.0, False, False, 0
+    free, stepwise, push, together, contact, changes = 0.0, 0.0, 0.0, False, False, 0
     faults: list[str] = []
 
-    def hold(step: int, what: str, mine: Any, theirs: Any) -> None:  # noqa: ANN401 - arrays or lists
+    def require_equal(step: int, what: str, mine: Any, theirs: Any) -> None:  # noqa: ANN401 - arrays or lists
         if not np.array_equal(mine, theirs):
             faults.append(f"simulation step {step}: {what} {mine} against {theirs}")
 
@@ -150,28 +150,28 @@ def compare(trial: Trial) -> Verdict:
         if step % SUBSTEPS == 0:
             pair.act(_actions(trial.play, pair.cavs, draw))
             if trial.play != "human":
-                hold(step, "actions allowed", *pair.allowed())
+                require_equal(step, "actions allowed", *pair.allowed())
         before = pair.lane_changes
         pair.step()
         after = pair.lane_changes
         changes += int(((before[:, 0] == after[:, 0]) & (before[:, 1] != after[:, 1])).sum())
-        hold(step, "crashed", pair.crashed, pair.oracle.crashed)
-        hold(step, "lanes", pair.lanes, pair.oracle.lanes)
+        require_equal(step, "crashed", pair.crashed, pair.oracle.crashed)
+        require_equal(step, "lanes", pair.lanes, pair.oracle.lanes)
         difference = np.abs(pair.motion - pair.oracle.motion)
         apart, push = float(difference[:, :4].max()), max(push, float(difference[:, 4:].max()))
         if together:
             stepwise = max(stepwise, apart)
         else:
-            alone = max(alone, apart)
+            free = max(free, apart)
         contact = contact or bool(pair.crashed.any() or pair.cars["pushed"][: pair.moving].any())
         together = together or contact or bool((pair.oracle.motion[:, 3] < SLOW).any())
         if together:
-            pair.meet()
-    if max(alone, stepwise) > TOLERANCE:
-        faults.append(f"{max(alone, stepwise):.1e} apart")
+            pair.synchronise()
+    if max(free, stepwise) > TOLERANCE:
+        faults.append(f"{max(free, stepwise):.1e} apart")
     if push > PUSH_TOLERANCE:
         faults.append(f"displacements {push:.1e} apart")
-    return Verdict(alone, stepwise, push, contact, changes, tuple(faults))
+    return Verdict(free, stepwise, push, contact, changes, tuple(faults))
 
 
 def _oracle() -> "type[Oracle]":
@@ -191,7 +191,8 @@ def _actions(play: str, cavs: int, draw: np.random.Generator) -> NDArray[np.int6
 
 
 def trials(seeds: int) -> list[Trial]:
-    """So many seeds of every road, density, play and manner of driving, in turn."""
+    """Return `seeds` trials per combination of road, behaviour and driver constants, with rotating
+    density."""
     return [
         Trial(ramp_lanes, 1 + seed % 3, play, seed, eager=eager)
         for seed in range(seeds)
@@ -202,17 +203,17 @@ def trials(seeds: int) -> list[Trial]:
 
 
 def run(words: Sequence[str]) -> int:
-    """Print how far apart the two ever were; returns 1 where anything was not as it should be.
+    """Print the largest differences; return 1 if a requirement is violated, else 0.
 
-    Raises HeadwayError for a number of seeds that is none, and where highway-env is not installed."""
+    Raises HeadwayError for an invalid number of seeds, or if highway-env is not installed."""
     given = words or ["25"]
     if len(given) > 1 or not given[0].isdigit() or int(given[0]) == 0:
-        raise HeadwayError(f"the number of seeds is one whole number above 0, not '{' '.join(given)}'")
+        raise HeadwayError(f"the number of seeds must be one whole number above 0, not '{' '.join(given)}'")
     seeds = int(given[0])
     _oracle()
     print(f"{len(trials(seeds))} episodes on each, seeds 0 to {seeds - 1}\n")
     print(
-        "| ramp lanes | CAVs | MOBIL | episodes | contacts | lane changes | alone | by step | push | faults |"
+        "| ramp lanes | CAVs | MOBIL | episodes | contacts | lane changes | free | per step | push | faults |"
     )
     print("|---:|---|---|---:|---:|---:|---:|---:|---:|---:|")
     faults = 0
@@ -225,7 +226,7 @@ def run(words: Sequence[str]) -> int:
         print(
             f"| {ramp_lanes} | {play} | {'study' if eager else 'highway-env'} | {len(mine)} "
             f"| {sum(v.contact for v in verdicts)} | {sum(v.lane_changes for v in verdicts)} "
-            f"| {max(v.alone for v in verdicts):.1e} | {max(v.stepwise for v in verdicts):.1e} "
+            f"| {max(v.free for v in verdicts):.1e} | {max(v.stepwise for v in verdicts):.1e} "
             f"| {max(v.push for v in verdicts):.1e} | {len(wrong)} |",
             flush=True,
         )
@@ -235,7 +236,7 @@ def run(words: Sequence[str]) -> int:
 
 
 def main() -> None:
-    """Run it and exit; errors are one line, and exit code 2."""
+    """Run the comparison and exit; an error is one line and exit code 2."""
     try:
         sys.exit(run(sys.argv[1:]))
     except HeadwayError as error:

@@ -1,4 +1,4 @@
-"""Whether two stores hold the same study, to the last bit of every curve."""
+"""Comparison of two stores of a study, bit for bit in every curve."""
 
 import sqlite3
 from collections import Counter
@@ -11,19 +11,19 @@ from headway.store import RunIndex, RunRow
 from headway.store.parquet_log import TABLES, read_rows
 from headway.store.run_folder import read_summary
 
-_FIGURES = ("final_reward", "auc", "env_steps")
+_RESULTS = ("final_reward", "auc", "env_steps")
 _CLOCKS = ("wall_s", "time/")
-"""Columns that tell how long something took."""
+"""Prefixes of columns with durations."""
 _COSTS = ("summary/", "time/")
-"""Metrics of which some tell what something cost."""
+"""Prefixes of metrics that may contain costs."""
 
 _Place = tuple[str, int]
 """(cell, seed)."""
 
 
 def differences(first: Path, second: Path) -> list[str]:
-    """One line for each thing in the second store that is not as in the first: runs, statuses, figures, every
-    row of every table but for clocks, and MLflow's runs, parameters and curves."""
+    """Return one line per difference: runs, statuses, results, every row of every table except durations, and
+    MLflow's runs, parameters and curves."""
     found: list[str] = []
     runs = [_by_place(root, found) for root in (first, second)]
     found += [f"{place} is in one store only" for place in runs[0].keys() ^ runs[1].keys()]
@@ -31,7 +31,7 @@ def differences(first: Path, second: Path) -> list[str]:
         one, other = (found_runs[place] for found_runs in runs)
         checks: dict[str, Callable[[RunRow], Any]] = {
             "status": lambda row: row.status,
-            "figures": lambda row: {name: read_summary(Path(row.directory)).get(name) for name in _FIGURES},
+            "results": lambda row: {name: read_summary(Path(row.directory)).get(name) for name in _RESULTS},
             **{table: _rows_of(table) for table in TABLES},
         }
         found += [f"{place}: {name} differ" for name, check in checks.items() if check(one) != check(other)]
@@ -57,39 +57,39 @@ def _rows_of(table: Any) -> Callable[[RunRow], Any]:  # noqa: ANN401 - a name of
 
 def _mlflow_differences(first: Path, second: Path, runs: list[dict[_Place, RunRow]]) -> list[str]:
     found: list[str] = []
-    tellings = []
+    mlflow_data = []
     for root, own in zip((first, second), runs, strict=True):
         names = {row.run_id: place for place, row in own.items()}
         with closing(sqlite3.connect(root / "mlflow.db")) as database:
-            tellings.append(_told(database, names, found, root))
-    for place in sorted(tellings[0].keys() | tellings[1].keys(), key=str):
-        one, other = (telling.get(place, {}) for telling in tellings)
+            mlflow_data.append(_mlflow_data(database, names, found, root))
+    for place in sorted(mlflow_data[0].keys() | mlflow_data[1].keys(), key=str):
+        one, other = (data.get(place, {}) for data in mlflow_data)
         known = sorted(one.keys() | other.keys())
         found += [f"{place}: MLflow's {name} differs" for name in known if one.get(name) != other.get(name)]
     return found
 
 
-def _told(
+def _mlflow_data(
     database: sqlite3.Connection, names: dict[str, _Place], found: list[str], root: Path
 ) -> dict[_Place | str, dict[str, Any]]:
-    """What MLflow knows of each run, by its place, and of each cell by its name."""
-    told: dict[_Place | str, dict[str, Any]] = {}
+    """Return the MLflow data of each run by (cell, seed), and of each cell by name."""
+    data_of: dict[_Place | str, dict[str, Any]] = {}
     query = "SELECT run_uuid, name, status FROM runs"
     for run, name, status in database.execute(query).fetchall():
         place: _Place | str = names.get(name, name)
-        if place in told:
+        if place in data_of:
             found.append(f"{place} is in MLflow twice in {root}")
         params = database.execute("SELECT key, value FROM params WHERE run_uuid = ?", [run]).fetchall()
         points = database.execute("SELECT key, step, value FROM metrics WHERE run_uuid = ?", [run]).fetchall()
         curves = sorted(point for point in points if not point[0].startswith(_COSTS))
-        # What a session used is a figure of each session that trained the cell.
+        # Energy is logged once by each session that trained the cell.
         repeated = Counter((key, step) for key, step, _ in points if not key.startswith("summary/energy_"))
         found += [f"{place}: {key} at {step} is in MLflow {count} times in {root}"
                   for (key, step), count in repeated.items() if count > 1]  # fmt: skip
         kept = {name for name, _, _ in points if name.startswith("time/")}
         rewards = [value for key, _, value in points if key == "summary/final_reward"]
-        told[place] = {
+        data_of[place] = {
             "status": status, "parameters": sorted(params), "curves": curves, "clocks": sorted(kept),
             "final reward": rewards,
         }  # fmt: skip
-    return told
+    return data_of

@@ -1,12 +1,12 @@
-"""A study as Slurm jobs is the study of one machine: `headway sweep --slurm` for a real Slurm of two nodes.
+"""Trial: a study as Slurm jobs equals that on one machine: `headway sweep --slurm` on a Slurm of two nodes.
 
     python -m tests.trials.slurm_jobs --root FOLDER
 
-starts munge, a controller and two nodes, each in a network namespace of its own, with all their files in a
-scratch folder; submits the scripts that the command writes, of a Ray cluster over both nodes and of an array
-of seeds, and waits for their end; one whose trainings fail; and one that it cancels. Prints what differs from
-the same study trained here with worker processes and what is left of Ray on a node, and ends with exit code 1
-if anything is, with 2 where there is no Slurm (Debian: slurmctld slurmd slurm-client munge) or no namespaces.
+starts munge, a controller and two nodes, each in its own network namespace, with all files in a temporary
+folder. It runs the scripts that the command writes for a Ray cluster over both nodes and for an array of
+seeds, then one whose trainings fail and one that is cancelled. Prints the differences from the study trained
+here with worker processes, and anything of Ray left on a node; exits with code 1 if there is either, or 2
+without Slurm (Debian: slurmctld slurmd slurm-client munge) or namespaces.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from headway.rollout.workers.ray_cluster import require_ray
 from headway.store import RunIndex, sync_each
 from tests.trials.hosts import Host, two_hosts
 from tests.trials.same_study import differences
-from tests.trials.two_nodes import SMALL, end_by_signal, headway, to_the_end, until
+from tests.trials.two_nodes import SMALL, end_by_signal, headway, train_here, until
 
 STUDY = "slurm_jobs"
 _PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
@@ -64,15 +64,15 @@ _ENDED = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "BOOT_FAIL
 
 @dataclass(frozen=True)
 class Slurm:
-    """A Slurm of two nodes, as it is spoken to from the first."""
+    """A Slurm of two nodes, with commands run on the first."""
 
     hosts: tuple[Host, Host]
     environment: dict[str, str]
     folders: tuple[Path, Path]
-    """Where Ray has its temporary files on each node."""
+    """Folder of Ray's temporary files on each node."""
 
     def ask(self, *command: str) -> str:
-        """What one of its programs answers. Raises HeadwayError where that fails."""
+        """Return the output of a Slurm program. Raises HeadwayError if it fails."""
         with tempfile.TemporaryDirectory() as folder:
             told, errors = Path(folder, "out"), Path(folder, "err")
             code = self.hosts[0].start(command, self.environment, told, errors).wait(_READY_S)
@@ -81,35 +81,35 @@ class Slurm:
             return told.read_text()
 
     def submit(self, script: Path) -> str:
-        """Submit a script: its job."""
+        """Submit a script and return its job id."""
         return self.ask("sbatch", "--parsable", str(script)).strip()
 
     def states(self, job: str) -> list[str]:
-        """Of its tasks, or itself."""
+        """Return the states of a job's tasks, or of the job."""
         words = self.ask("scontrol", "--oneliner", "show", "job", job).split()
         return [word.removeprefix("JobState=") for word in words if word.startswith("JobState=")]
 
     def end(self, job: str) -> str:
-        """Wait for its end: the states in which it ended."""
+        """Wait for the end of a job and return its final states."""
         until(lambda: all(state in _ENDED for state in self.states(job)))
         return " ".join(sorted(set(self.states(job))))
 
     def have_ray(self) -> bool:
-        """Whether Ray runs on both nodes now, as far as its files tell."""
+        """Return whether Ray has session files on both nodes now."""
         return all(any(folder.glob("headway-ray-*/session_*")) for folder in self.folders)
 
     def left(self) -> list[str]:
-        """A line for each file that Ray has left on a node, and each process of it or of Python."""
+        """Return a line per file that Ray has left on a node, and per process of Ray or Python."""
         files = [path.name for folder in self.folders for path in folder.iterdir()]
         running = [_words(process) for host in self.hosts for process in host.processes()]
-        # As a word: a folder's random name may have the letters of ray in it.
+        # Match whole words, because a random folder name may contain "ray".
         processes = [words for words in running if re.search(r"\bray\b|python", words)]
         return [f"left on a node: {thing}" for thing in (*files, *processes)]
 
 
 def main() -> None:
     """Run the trial; see the module."""
-    parser = argparse.ArgumentParser(description="Train by Slurm's jobs, and compare with one machine.")
+    parser = argparse.ArgumentParser(description="Train as Slurm jobs, and compare with one machine.")
     parser.add_argument("--root", type=Path, required=True, help="an empty folder for the stores")
     parser.add_argument("--steps", default="2000", help="environment steps of each seed")
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="further overrides of the sweep")
@@ -121,18 +121,18 @@ def main() -> None:
     except HeadwayError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
-    print("\n".join(found) or "the study as Slurm jobs is that of one machine: curves, store and MLflow")
+    print("\n".join(found) or "the study as Slurm jobs equals that on one machine: curves, store and MLflow")
     sys.exit(1 if found else 0)
 
 
 def trial(root: Path, sweep: Sequence[str]) -> list[str]:
-    """What differs between a study trained here and the same as Slurm jobs; empty if nothing does.
+    """Return the differences between a study trained here and as Slurm jobs.
 
-    Raises HeadwayError where there can be no Slurm, no namespaces or no Ray, or a job cannot be submitted.
+    Raises HeadwayError if Slurm, namespaces or Ray are missing, or a job cannot be submitted.
     """
     require_ray()
     with slurm() as jobs:
-        to_the_end(root / "alone", sweep)
+        train_here(root / "alone", sweep)
         found: list[str] = []
         for name, options in (("cluster", ["--nodes=2", "--cpus=2"]), ("array", ["--array", "--cpus=2"])):
             script = _written(root / name, sweep, options)
@@ -150,20 +150,20 @@ def trial(root: Path, sweep: Sequence[str]) -> list[str]:
 
 
 def _written(root: Path, sweep: Sequence[str], options: Sequence[str]) -> Path:
-    """The script of a sweep."""
+    """Write the script of a sweep and return its path."""
     command = [*headway(sweep, root), "--slurm", *options]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     return Path(done.stdout.rstrip("\n"))
 
 
 def _told(script: Path) -> list[str]:
-    """The last lines of what jobs of a script have said."""
+    """Return the last lines of the logs of a script's jobs."""
     logs = sorted(script.parent.glob("*.out"))
     return [f"{log.name}: {line}" for log in logs for line in log.read_text().splitlines()[-5:]]
 
 
 def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
-    """A job on both nodes whose trainings diverge; what it leaves on them."""
+    """Run a job on both nodes whose trainings diverge; return what it leaves on them."""
     script = _written(root, [*sweep, "algo.lr=1e30"], ["--nodes=2", "--cpus=2"])
     job = jobs.submit(script)
     there: list[bool] = []
@@ -181,7 +181,7 @@ def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
 
 
 def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
-    """Cancel a job that trains on both nodes; what it leaves on them."""
+    """Cancel a job that trains on both nodes; return what it leaves on them."""
     script = _written(root, [*sweep, "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
     job = jobs.submit(script)
     until(lambda: bool(RunIndex(root).rows()) or jobs.states(job)[0] in _ENDED)
@@ -196,12 +196,12 @@ def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
 
 @contextmanager
 def slurm() -> Iterator[Slurm]:
-    """A Slurm of two nodes of two CPUs, which ends with all that it runs. Raises HeadwayError where there can
-    be none."""
+    """Start a Slurm of two nodes with two CPUs each, and end it with all its jobs. Raises HeadwayError if it
+    cannot be started."""
     missing = [program for program in _PROGRAMS if shutil.which(program) is None]
     if missing:
         raise HeadwayError(
-            f"{missing[0]} is not here: apt-get install slurmctld slurmd slurm-client munge, to try Slurm"
+            f"{missing[0]} is not installed: apt-get install slurmctld slurmd slurm-client munge"
         )
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="headway-slurm-")))
@@ -213,7 +213,7 @@ def slurm() -> Iterator[Slurm]:
         key.chmod(0o400)
         places = {"folder": folder, "host": socket.gethostname(), "one": one, "other": other}
         (folder / "slurm.conf").write_text(_CONFIGURATION.format(**places))
-        # Sockets of Ray's, whose paths have to be short, lie in there.
+        # Ray puts sockets there, whose paths must be short.
         rays = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp")))
         folders = folder / "ray-of-the-first", folder / "ray-of-the-second"
         for place in folders:
@@ -236,7 +236,7 @@ def slurm() -> Iterator[Slurm]:
 
 
 def _words(process: psutil.Process) -> str:
-    """Its command line, as far as it still runs."""
+    """Return the command line of a process; empty if it has ended."""
     try:
         return " ".join(process.cmdline())
     except psutil.Error:
@@ -244,7 +244,7 @@ def _words(process: psutil.Process) -> str:
 
 
 def _with(folder: Path, place: Path) -> list[str]:
-    """Before a command: it finds a folder at that place, which to others is another."""
+    """Return a command prefix that mounts `folder` at `place` for the command only."""
     return [
         "unshare",
         "--mount",

@@ -1,15 +1,16 @@
 """Stable-Baselines3's PPO on MPE2's simple_spread: `python -m tests.trials.spread_peer`.
 
-The peer that IPPO and MAPPO stand beside in experiment mpe2_spread, from whose configuration it takes the
-environment's arguments, environment steps and batch, the network and hyper-parameters of `algo=ippo
-algo.policies=shared`, and how many episodes of greedy play there are at the end. What a library has of its
-own stays its own: SuperSuit makes agents into copies of one environment, so that all share a policy;
-normalisation is VecNormalize's. SuperSuit says which episodes end in integers, which VecNormalize takes for
-places: returns of copies 0 and 1 alone would begin anew, and rewards be scaled by sums over many episodes,
-so they are made truth values here; `--as-supersuit` leaves them. SuperSuit hands the time limit of 25 steps
-over as an end like any other, of which PPO then takes the value to be 0; with `--time-limits` it is told, and
-bootstraps, as ours does. The episodes of its evaluation have other seeds than ours. Needs `pip install
-stable-baselines3`, which is no part of Headway.
+Peer of IPPO and MAPPO in experiment mpe2_spread. The experiment's configuration gives the environment's
+arguments, environment steps and batch, the network and hyper-parameters of `algo=ippo algo.policies=shared`,
+and the number of greedy episodes at the end. Agents become copies of one environment by SuperSuit, so that
+all share a policy; VecNormalize normalises.
+
+SuperSuit returns ends of episodes as integers, which VecNormalize uses as indices: only the returns of copies
+0 and 1 would be reset, and rewards scaled by sums over many episodes. They are therefore converted to
+booleans here; `--as-supersuit` leaves them. SuperSuit reports the time limit of 25 steps as a termination,
+after which PPO assumes a value of 0; with `--time-limits` PPO bootstraps there, as Headway does. Evaluation
+episodes have other seeds than Headway's. Needs `pip install stable-baselines3`, which is not a dependency of
+Headway.
 """
 
 import argparse
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from headway_launch.experiments.compose import Experiment
 
 VALUE_WEIGHT = 1.0
-"""Of the critic's loss beside the policy's; ours has an optimiser of its own."""
+"""Weight of the critic's loss in the common loss; Headway's critic has its own optimiser."""
 EVALUATION_SEED = 1_000_000
 
 
@@ -36,14 +37,14 @@ class _Parser(argparse.ArgumentParser):
 
 
 def spread_experiment() -> "Experiment":
-    """What the peer stands beside: its values are taken from there. Raises HeadwayError without mpe2."""
+    """Return the experiment that supplies the settings. Raises HeadwayError without mpe2."""
     from headway_launch.experiments.compose import compose
 
     return compose(["experiment=mpe2_spread", "algo=ippo", "algo.policies=shared"])
 
 
 def hyper_parameters(experiment: "Experiment") -> dict[str, Any]:
-    """Stable-Baselines3's, by its names, as the experiment has them."""
+    """Return the experiment's hyper-parameters by their names in Stable-Baselines3."""
     algo, rollout = experiment.algo_config, experiment.config.rollout
     rows = rollout.copies * rollout.steps * experiment.config.env.args["N"]
     return {
@@ -62,13 +63,12 @@ def hyper_parameters(experiment: "Experiment") -> dict[str, Any]:
 
 
 def train(
-    experiment: "Experiment", seed: int, env_steps: int, episodes: int, time_limits: bool, mended: bool
+    experiment: "Experiment", seed: int, env_steps: int, episodes: int, time_limits: bool, boolean_ends: bool
 ) -> dict[str, float]:
-    """One seed: `return` (mean over agents and greedy episodes), `cpu_seconds` and `seconds` of training.
-    With `time_limits` PPO knows that an episode ends by one, as every episode here does. `mended`: ends are
-    truth values; see the module.
+    """Train one seed; return `return` (mean over agents and greedy episodes), `cpu_seconds` and `seconds`.
 
-    Raises HeadwayError where something is not installed.
+    `time_limits`: mark ends of episodes as time limits. `boolean_ends`: convert ends to booleans (see the
+    module). Raises HeadwayError if a package is missing.
     """
     try:
         import stable_baselines3
@@ -82,13 +82,13 @@ def train(
         raise HeadwayError(f"{missing} is not installed: pip install {missing}") from error
     arguments, number = dict(experiment.config.env.args), experiment.config.rollout.copies
     torch.set_num_threads(1)
-    set_random_seed(seed)  # PPO's own seed asks for env.seed, which SuperSuit's copies have not
+    set_random_seed(seed)  # PPO's own seed needs env.seed, which SuperSuit's copies lack
     one = supersuit.pettingzoo_env_to_vec_env_v1(simple_spread_v3.parallel_env(**arguments))
     copies = supersuit.concat_vec_envs_v1(one, number, num_cpus=1, base_class="stable_baselines3")
     for index, copy in enumerate(copies.unwrapped.vec_envs):
         copy.reset(seed=seed * number + index)
-    if mended:
-        copies.step_wait = _with_truth_values(copies.step_wait)
+    if boolean_ends:
+        copies.step_wait = _with_boolean_ends(copies.step_wait)
     if time_limits:
         copies.step_wait = _with_time_limits(copies.step_wait)
     normalised = VecNormalize(VecMonitor(copies))
@@ -111,8 +111,8 @@ def train(
     return {"return": float(np.mean(totals)), "cpu_seconds": cpu_seconds, "seconds": seconds}
 
 
-def _with_truth_values(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple[Any, ...]]:
-    """A vector's `step_wait` that says in truth values which copies' episodes have ended."""
+def _with_boolean_ends(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple[Any, ...]]:
+    """Return a `step_wait` that reports ends of episodes as booleans."""
 
     def step_wait() -> tuple[Any, ...]:
         observations, rewards, ended, infos = wait()
@@ -122,7 +122,7 @@ def _with_truth_values(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tupl
 
 
 def _with_time_limits(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple[Any, ...]]:
-    """A vector's `step_wait` that says of every end that it is a time limit, as Stable-Baselines3 asks."""
+    """Return a `step_wait` that marks every end as a time limit in the infos."""
 
     def step_wait() -> tuple[Any, ...]:
         observations, rewards, ended, infos = wait()
@@ -134,7 +134,7 @@ def _with_time_limits(wait: Callable[[], tuple[Any, ...]]) -> Callable[[], tuple
 
 
 def main() -> int:
-    """Train the seeds asked for, one after another; a line each."""
+    """Train the seeds in turn, and print one line per seed."""
     parser = _Parser(description="Stable-Baselines3's PPO on MPE2's simple_spread_v3.")
     parser.add_argument("--seeds", type=int, nargs="+", help="(default: the experiment's)")
     parser.add_argument("--env-steps", type=int, help="(default: the experiment's)")
@@ -142,7 +142,9 @@ def main() -> int:
         "--episodes", type=int, help="greedy episodes after training (default: evaluation.final_episodes)"
     )
     parser.add_argument(
-        "--time-limits", action="store_true", help="tell PPO that episodes end by a time limit"
+        "--time-limits",
+        action="store_true",
+        help="mark ends of episodes as time limits, at which PPO bootstraps",
     )
     parser.add_argument(
         "--as-supersuit", action="store_true", help="leave ends as integers, which VecNormalize misreads"
@@ -157,8 +159,8 @@ def main() -> int:
         episodes = asked.episodes or experiment.config.evaluation.final_episodes
         print("seed\tenv steps\treturn\tsteps/s\tsteps/CPU s", flush=True)
         for seed in seeds:
-            mended = not asked.as_supersuit
-            found = train(experiment, seed, env_steps, episodes, asked.time_limits, mended)
+            boolean_ends = not asked.as_supersuit
+            found = train(experiment, seed, env_steps, episodes, asked.time_limits, boolean_ends)
             results.append(found["return"])
             speeds = [f"{env_steps / found[name]:,.0f}" for name in ("seconds", "cpu_seconds")]
             print(f"{seed}\t{env_steps}\t{found['return']:.3f}", *speeds, sep="\t", flush=True)
@@ -171,7 +173,7 @@ def main() -> int:
 
 
 def _check(asked: argparse.Namespace) -> None:
-    """Raises HeadwayError for numbers that cannot be."""
+    """Raise HeadwayError for impossible numbers."""
     for option, number in (("--env-steps", asked.env_steps), ("--episodes", asked.episodes)):
         if number is not None and number < 1:
             raise HeadwayError(f"{option} must be at least 1, not {number}")

@@ -1,4 +1,4 @@
-"""Four sweeps at once into one new store: nothing is lost, nothing is there twice."""
+"""Four concurrent sweeps into one new store lose and duplicate nothing."""
 
 import json
 import sqlite3
@@ -43,10 +43,10 @@ def test_four_sweeps_at_once_lose_nothing(tmp_path: Path) -> None:
     rows = RunIndex(root).rows("together")
     assert sorted((row.seed, row.status) for row in rows) == [(seed, "FINISHED") for seed in range(4)]
     assert all(len(read_curve(Path(row.directory), "evaluation_greedy/return")) == 2 for row in rows)
-    sync_each(root)  # what a busy machine's session had no time to send; nothing is sent twice
+    sync_each(root)  # send what a busy session had no time for; nothing is sent twice
     with sqlite3.connect(root / "mlflow.db") as database:
         known = dict(database.execute("SELECT name, run_uuid FROM runs").fetchall())
-        assert len(database.execute("SELECT run_uuid FROM runs").fetchall()) == 5  # and their cell, once
+        assert len(database.execute("SELECT run_uuid FROM runs").fetchall()) == 5  # four runs and their cell
         for row in rows:
             told = database.execute(
                 "SELECT step, value FROM metrics WHERE run_uuid = ? AND key = 'evaluation_greedy/return'",

@@ -1,4 +1,4 @@
-"""A study killed at random points ends as one that never was, at a small size; at full size see the trial."""
+"""A study killed at random points gives the results of an uninterrupted one; small version of the trial."""
 
 import json
 import random
@@ -11,7 +11,7 @@ import pytest
 
 from headway.store import RunIndex
 from tests.trials import killed_study
-from tests.trials.killed_study import BASE, Blow, trial
+from tests.trials.killed_study import BASE, Kill, trial
 from tests.trials.same_study import differences
 
 pytestmark = pytest.mark.slow
@@ -33,10 +33,10 @@ SMALL = (
 )
 
 
-def test_a_killed_study_is_the_unkilled_one_and_what_differs_would_be_seen(tmp_path: Path) -> None:
+def test_a_killed_study_equals_the_uninterrupted_one_and_differences_are_detected(tmp_path: Path) -> None:
     assert trial(tmp_path, SMALL, kills=3, chance=random.Random(5)) == []
 
-    # The comparison is no rubber stamp: a lost row, a point sent twice and a run too many are seen.
+    # The comparison detects a lost row, a point sent twice and a duplicate run.
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     first, second, third = RunIndex(killed).rows()
     segment = next(Path(first.directory).glob("curve-*.parquet"))
@@ -50,22 +50,24 @@ def test_a_killed_study_is_the_unkilled_one_and_what_differs_would_be_seen(tmp_p
     assert "curve differ" in found
     assert "MLflow's curves differs" in found
     assert "has 2 runs" in found
-    assert "figures differ" in found
+    assert "results differ" in found
 
 
-def test_sessions_that_no_blow_meets_are_no_trial(
+def test_a_trial_without_a_killed_session_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(killed_study, "_headway", lambda command: ["true"])
     monkeypatch.setattr(killed_study, "_iterations", lambda root: 10)
-    with pytest.raises(SystemExit, match="ended before its blow fell"):
+    with pytest.raises(SystemExit, match="ended before it was killed"):
         trial(tmp_path, SMALL, kills=2, chance=random.Random(5))
-    assert capsys.readouterr().out.count("the session had ended by itself at 10 of 10 iterations") == 2
+    assert capsys.readouterr().out.count("the session had already ended at 10 of 10 iterations") == 2
 
 
-def test_a_blow_that_falls_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strike_reports_whether_the_session_was_alive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(killed_study, "_headway", list)
     monkeypatch.setattr(killed_study, "_iterations", lambda root: 10)
-    blow = Blow("session", signal.SIGKILL)
-    assert killed_study._strike(["sleep", "60"], tmp_path, 5, blow, random.Random(5))
-    assert not killed_study._strike(["true"], tmp_path, 5, blow, random.Random(5))
+    kill = Kill("session", signal.SIGKILL)
+    assert killed_study._strike(["sleep", "60"], tmp_path, 5, kill, random.Random(5))
+    assert not killed_study._strike(["true"], tmp_path, 5, kill, random.Random(5))

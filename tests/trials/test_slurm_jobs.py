@@ -1,4 +1,4 @@
-"""What `headway sweep --slurm` writes does its work in a real Slurm, at a small size; see the trial."""
+"""The scripts of `headway sweep --slurm` work in a real Slurm; small version of the trial."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.cluster
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
-def test_slurm_jobs_train_what_one_machine_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slurm_jobs_give_the_study_of_one_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     try:
         with slurm():
             pass

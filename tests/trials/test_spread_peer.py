@@ -1,4 +1,4 @@
-"""The peer's program needs what Headway does not install, and says so; its values are the experiment's."""
+"""The peer's program names its missing dependency, and takes its settings from the experiment."""
 
 import sys
 
@@ -36,8 +36,8 @@ def test_bad_numbers_are_one_line(
     assert told.out == ""
 
 
-def test_the_peer_has_the_values_of_the_experiment() -> None:
-    """The values behind the figures in ALGORITHMS.md."""
+def test_the_peer_has_the_settings_of_the_experiment() -> None:
+    """The settings behind the results in ALGORITHMS.md."""
     experiment = spread_peer.spread_experiment()
     assert dict(experiment.config.env.args) == {"N": 3, "max_cycles": 25, "local_ratio": 0.5}
     assert experiment.config.rollout.copies == 20
@@ -48,17 +48,17 @@ def test_the_peer_has_the_values_of_the_experiment() -> None:
     }  # fmt: skip
 
 
-def test_ends_are_told_to_be_time_limits_and_nothing_else_is() -> None:
+def test_only_ends_are_marked_as_time_limits() -> None:
     infos: list[dict[str, object]] = [{"episode": 1}, {}]
     wait = spread_peer._with_time_limits(lambda: ("seen", "paid", [True, False], infos))
     assert wait() == ("seen", "paid", [True, False], infos)
     assert infos == [{"episode": 1, "TimeLimit.truncated": True}, {"TimeLimit.truncated": False}]
 
 
-def test_ends_are_handed_on_as_truth_values() -> None:
-    """SuperSuit's integers are places to numpy: those of copies 0 and 1, whoever's episode has ended."""
+def test_ends_are_converted_to_booleans() -> None:
+    """As integers they would index copies 0 and 1."""
     given = np.array([0, 1, 1, 0], dtype=np.uint8)
-    _, _, ended, _ = spread_peer._with_truth_values(lambda: ("seen", "paid", given, []))()
+    _, _, ended, _ = spread_peer._with_boolean_ends(lambda: ("seen", "paid", given, []))()
     returns = np.ones(4)
     returns[ended] = 0
     assert returns.tolist() == [1, 0, 0, 1]

@@ -1,4 +1,4 @@
-"""A study on two nodes is that of one machine, whatever happens to one, at a small size; see the trial."""
+"""A study on two nodes equals that on one machine, even if one fails; small version of the trial."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ SWEEP = (
 
 
 def _without_namespaces() -> str:
-    """Why there can be none here; empty where there can."""
+    """Return why namespaces cannot be created here; empty if they can."""
     try:
         with two_hosts():
             return ""
@@ -49,7 +49,7 @@ def namespaces() -> None:
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 @pytest.mark.usefixtures("namespaces")
-def test_a_study_of_which_a_node_is_killed_or_cut_off_is_that_of_one_machine(
+def test_a_study_with_a_killed_or_cut_off_node_equals_that_on_one_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = ("runs-killed", "runs-cut-off")
@@ -57,13 +57,13 @@ def test_a_study_of_which_a_node_is_killed_or_cut_off_is_that_of_one_machine(
     assert trial(tmp_path, SWEEP, {name: TURNS[name] for name in names}) == []
     told = capsys.readouterr().out
     assert told.count("processes of the second node are killed") == 1
-    assert told.count("what was cut off woke") == 1
+    assert told.count("the cut-off actors resumed") == 1
     assert_gone(before)
     assert "headway-" not in _list()
 
 
 @pytest.mark.usefixtures("namespaces")
-def test_what_runs_on_a_host_ends_with_it_and_hosts_of_the_killed_are_removed(tmp_path: Path) -> None:
+def test_processes_end_with_their_host_and_hosts_of_killed_processes_are_removed(tmp_path: Path) -> None:
     told = tmp_path / "told"
     with two_hosts() as (one, other):
         sleeping = other.start(["sleep", "600"], {}, told, told)
@@ -81,7 +81,7 @@ def test_what_runs_on_a_host_ends_with_it_and_hosts_of_the_killed_are_removed(tm
     assert "headway-" not in _list()
 
 
-def test_where_there_can_be_no_namespaces_one_line_says_so(
+def test_missing_namespaces_are_one_error_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -92,6 +92,6 @@ def test_where_there_can_be_no_namespaces_one_line_says_so(
     assert end.value.code == 2
     assert capsys.readouterr() == (
         "",
-        "network namespaces are made with ip, which is not here: apt-get install iproute2\n",
+        "network namespaces need the program ip, which is not installed: apt-get install iproute2\n",
     )
     assert not (tmp_path / "stores").exists()

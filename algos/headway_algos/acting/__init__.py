@@ -1,1 +1,1 @@
-"""Policies at play in workers, in numpy: nothing here imports torch."""
+"""Acting policies for rollout workers, in numpy; nothing here imports torch."""

@@ -1,4 +1,4 @@
-"""How the workers explore: epsilon-greedy choices and Ornstein-Uhlenbeck noise, in numpy."""
+"""Exploring policies of the off-policy algorithms in numpy: epsilon-greedy and Ornstein-Uhlenbeck noise."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import Box, EnvSpec, Observations
 from headway.contracts.acting_policy import Parameters
-from headway_algos.acting.live_agents import Answer, FeedforwardActing, RecurrentActing
+from headway_algos.acting.live_agents import ActingResult, FeedforwardActing, RecurrentActing
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.replay_config import ReplayConfig
 
@@ -18,24 +18,24 @@ Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 
 @dataclass(frozen=True)
 class ExploringStack:
-    """P networks evaluated at once, and how much each agent explores."""
+    """P stacked networks, and the current exploration of each policy."""
 
     flat: MLPActingPolicy
 
     def parameter_shapes(self, replicas: int) -> Shapes:
-        """Those of the networks, and `exploration` (P, 1, 1)."""
+        """Return the shapes of the networks' parameters and of `exploration` (P, 1, 1)."""
         shapes = self.flat.parameter_shapes(replicas)
         shapes.pop("log_std", None)
         stack = replicas * self.flat.grouping.num_policies
         return shapes | {"exploration": ((stack, 1, 1), np.dtype(self.flat.precision))}
 
     @property
-    def alone(self) -> "ExploringStack | None":
-        """See `MaskedActingPolicy`."""
-        return None if self.flat.alone is None else ExploringStack(self.flat.alone)
+    def single_agent(self) -> "ExploringStack | None":
+        """The same stack for one agent that is always alive (see `MaskedActingPolicy`)."""
+        return None if self.flat.single_agent is None else ExploringStack(self.flat.single_agent)
 
     def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
-        """What the networks give for each agent, (C, N, A)."""
+        """Return the network outputs of each agent, (C, N, A)."""
         flat = self.flat
         features = flat.hidden_features(parameters, flat.rows(parameters, observed))
         by_row = flat.outputs(parameters, features)
@@ -43,7 +43,7 @@ class ExploringStack:
         return by_agent
 
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
-        """That of each agent, (C, N)."""
+        """Return the exploration of each agent's policy, (C, N)."""
         flat, replicas = self.flat, self.flat.replicas(parameters)
         rows = flat.grouping.width * (copies // replicas)
         by_row = np.repeat(parameters["exploration"][:, 0].astype(np.float64), rows, axis=1)
@@ -53,40 +53,40 @@ class ExploringStack:
 
 @dataclass(frozen=True)
 class EpsilonGreedyPolicy(FeedforwardActing):
-    """The allowed action of the highest value, or with a chance of epsilon any allowed one."""
+    """The best allowed action or, with probability epsilon, a uniformly random allowed one."""
 
     stack: ExploringStack
 
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec) -> "EpsilonGreedyPolicy":
-        """The policy of an algorithm's config on an environment."""
+        """Return the policy of an algorithm's config for an environment."""
         return cls(ExploringStack(MLPActingPolicy.of(config, spec)))
 
     def parameter_shapes(self, replicas: int) -> Shapes:
-        """`exploration` is epsilon."""
+        """Return the shapes of the networks' parameters and of `exploration`, which is epsilon."""
         return self.stack.parameter_shapes(replicas)
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
-        """Uniforms (T, N, 2): whether to explore, and then which action."""
+        """Draw uniforms (T, N, 2): one decides whether to explore, the other which action."""
         return generator.random((steps, self.stack.flat.spec.num_agents, 2))
 
     @cached_property
-    def alone(self) -> Self | None:
-        """See `MaskedActingPolicy`."""
-        return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
+    def single_agent(self) -> Self | None:
+        """The same policy for one agent that is always alive (see `MaskedActingPolicy`)."""
+        return None if self.stack.single_agent is None else replace(self, stack=self.stack.single_agent)
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `MaskedActingPolicy`."""
+        """Return R, the number of replicas in `parameters`."""
         return self.stack.flat.replicas(parameters)
 
-    def answer(
+    def act_on_all_slots(
         self,
         parameters: Parameters,
         observed: Observations,
-        memory: NDArray[Any] | None,
+        hidden_states: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
-    ) -> Answer:
-        """See `MaskedActingPolicy`. Nothing is remembered."""
+    ) -> ActingResult:
+        """Implement `MaskedActingPolicy.act_on_all_slots`, without recurrence."""
         values = self.stack.outputs(parameters, observed)
         allowed = np.ones(values.shape, np.bool_)
         if observed.action_masks is not None:
@@ -99,17 +99,17 @@ class EpsilonGreedyPolicy(FeedforwardActing):
             drawn = (noise[..., 1] * choices).astype(np.int64)
             any_allowed = (allowed.cumsum(axis=-1) > drawn[..., None]).argmax(axis=-1)
             actions = np.where(noise[..., 0] < epsilon, any_allowed, best)
-        return actions, np.log(epsilon / choices + (1 - epsilon) * (actions == best)), memory
+        return actions, np.log(epsilon / choices + (1 - epsilon) * (actions == best)), hidden_states
 
 
 @dataclass(frozen=True)
 class OrnsteinUhlenbeckPolicy(RecurrentActing):
-    """A deterministic action within the bounds, m + h tanh(network), that exploration lets wander around:
+    """A deterministic policy with additive Ornstein-Uhlenbeck noise x:
 
         x' = (1 - theta) x + sigma n,   n standard normal;   action = m + h (tanh(network) + scale x')
 
-    cut at the bounds m - h and m + h (Uhlenbeck and Ornstein 1930, in steps of one). Each agent remembers its
-    x, which is 0 where its stream begins and stands still while it is absent.
+    clipped to the action bounds m - h and m + h (Uhlenbeck and Ornstein 1930, discretised with step 1). The
+    noise x is the agent's hidden state: 0 where its stream begins, unchanged while the agent is not alive.
     """
 
     stack: ExploringStack
@@ -118,17 +118,17 @@ class OrnsteinUhlenbeckPolicy(RecurrentActing):
 
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec, theta: float, sigma: float) -> "OrnsteinUhlenbeckPolicy":
-        """The policy of an algorithm's config on an environment with a bounded Box."""
+        """Return the policy of an algorithm's config for an environment with bounded Box actions."""
         return cls(ExploringStack(MLPActingPolicy.of(config, spec)), theta, sigma)
 
     @property
     def hidden_size(self) -> int:
-        """A: the size of an action."""
+        """A: number of components of an action."""
         return len(self._box.low)
 
     @property
     def hidden_dtype(self) -> np.dtype[Any]:
-        """Of x."""
+        """Dtype of the noise x."""
         return np.dtype(np.float64)
 
     @property
@@ -138,45 +138,47 @@ class OrnsteinUhlenbeckPolicy(RecurrentActing):
         return space
 
     def parameter_shapes(self, replicas: int) -> Shapes:
-        """`exploration` is the scale of the noise."""
+        """Return the shapes of the networks' parameters and of `exploration`, the scale of the noise."""
         return self.stack.parameter_shapes(replicas)
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
-        """Standard normals (T, N, A)."""
+        """Draw standard normals (T, N, A)."""
         return generator.standard_normal((steps, self.stack.flat.spec.num_agents, self.hidden_size))
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """As where all streams begin."""
-        memory = np.zeros((*observed.alive.shape, self.hidden_size))
-        return self.act_from(parameters, observed, memory, noise)[:2]
+        """Act as at the beginning of every stream, with x = 0."""
+        hidden_states = np.zeros((*observed.alive.shape, self.hidden_size))
+        return self.act_from(parameters, observed, hidden_states, noise)[:2]
 
     @cached_property
-    def alone(self) -> Self | None:
-        """See `MaskedActingPolicy`."""
-        return None if self.stack.alone is None else replace(self, stack=self.stack.alone)
+    def single_agent(self) -> Self | None:
+        """The same policy for one agent that is always alive (see `MaskedActingPolicy`)."""
+        return None if self.stack.single_agent is None else replace(self, stack=self.stack.single_agent)
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `MaskedActingPolicy`."""
+        """Return R, the number of replicas in `parameters`."""
         return self.stack.flat.replicas(parameters)
 
-    def answer(
+    def act_on_all_slots(
         self,
         parameters: Parameters,
         observed: Observations,
-        memory: NDArray[Any] | None,
+        hidden_states: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
-    ) -> Answer:
-        """See `MaskedActingPolicy`. Greedy acting leaves x as it is. A deterministic policy has no density:
-        log-probabilities are 0."""
-        assert memory is not None
+    ) -> ActingResult:
+        """Implement `MaskedActingPolicy.act_on_all_slots`. Greedy acting leaves x unchanged.
+
+        Log-probabilities are 0, since a deterministic policy has no density.
+        """
+        assert hidden_states is not None
         low, high = np.array(self._box.low), np.array(self._box.high)
         chosen = np.tanh(self.stack.outputs(parameters, observed))
         if noise is not None:
             scale = self.stack.exploration(parameters, len(chosen))
-            moved = (1 - self.theta) * memory + self.sigma * noise
-            memory = np.where(observed.alive[..., None], moved, memory)
-            chosen = chosen + scale[..., None] * memory
+            moved = (1 - self.theta) * hidden_states + self.sigma * noise
+            hidden_states = np.where(observed.alive[..., None], moved, hidden_states)
+            chosen = chosen + scale[..., None] * hidden_states
         actions = (low + high) / 2 + (high - low) / 2 * chosen
-        return np.clip(actions, low, high).astype(np.float32), np.zeros(observed.alive.shape), memory
+        return np.clip(actions, low, high).astype(np.float32), np.zeros(observed.alive.shape), hidden_states

@@ -1,4 +1,4 @@
-"""Acting from memory: the numpy twin of an actor with gated recurrent units."""
+"""Acting policy with gated recurrent units, in numpy."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,57 +9,56 @@ from numpy.typing import NDArray
 
 from headway.contracts import ActingPolicy, EnvSpec, Observations
 from headway.contracts.acting_policy import Parameters
-from headway_algos.acting.live_agents import Answer, RecurrentActing
+from headway_algos.acting.live_agents import ActingResult, RecurrentActing
 from headway_algos.acting.mlp import MLPActingPolicy, actor_outputs
 from headway_algos.config import AlgoConfig
 
 
 def acting_policy(config: AlgoConfig, spec: EnvSpec) -> ActingPolicy:
-    """The policy of an algorithm's config on an environment, with or without memory."""
+    """Return the acting policy of an on-policy algorithm, with or without recurrence."""
     flat = MLPActingPolicy.of(config, spec)
     return flat if config.model.core == "none" else GRUActingPolicy(flat, config.model.gru_size)
 
 
 def gated_step(
-    given: NDArray[Any], memory: NDArray[Any], weight: NDArray[Any], bias: NDArray[Any]
+    from_input: NDArray[Any], hidden_states: NDArray[Any], weight: NDArray[Any], bias: NDArray[Any]
 ) -> NDArray[Any]:
-    """The memory (P, M, B) after one step; see `headway_algos.networks.gru.gated_step`."""
-    size = memory.shape[1]
-    recalled = np.matmul(weight, memory)
+    """Return the next hidden states (P, M, B). Equations and other shapes: `headway_algos.networks.gru`."""
+    size = hidden_states.shape[1]
+    from_hidden = np.matmul(weight, hidden_states)
     # The logistic function by tanh, which does not overflow.
-    gates = given[:, : 2 * size] + recalled[:, : 2 * size]
+    gates = from_input[:, : 2 * size] + from_hidden[:, : 2 * size]
     gates *= 0.5
     np.tanh(gates, out=gates)
     gates += 1
     gates *= 0.5
     reset, update = gates[:, :size], gates[:, size:]
-    candidate = recalled[:, 2 * size :] + bias
+    candidate = from_hidden[:, 2 * size :] + bias
     candidate *= reset
-    candidate += given[:, 2 * size :]
+    candidate += from_input[:, 2 * size :]
     np.tanh(candidate, out=candidate)
-    return np.asarray(candidate + update * (memory - candidate))
+    return np.asarray(candidate + update * (hidden_states - candidate))
 
 
 @dataclass(frozen=True)
 class GRUActingPolicy(RecurrentActing):
-    """P stacked policies whose hidden layers are followed by gated recurrent units.
+    """P stacked policies with gated recurrent units between the hidden layers and the output layer.
 
-    What an agent remembers changes with every observation that it is there for, whether or not its action
-    is used.
+    The hidden state of a live agent is updated at every step, whether or not its action is used.
     """
 
     flat: MLPActingPolicy
-    """What comes before and after the units."""
+    """Normalisation, hidden layers, output layer and action distribution."""
     hidden_size: int
-    """M"""
+    """M: number of units."""
 
     @property
     def hidden_dtype(self) -> np.dtype[Any]:
-        """As of the parameters."""
+        """Dtype of hidden states, the same as of parameters."""
         return np.dtype(self.flat.precision)
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-        """Those of the policy without memory, whose last layer is given the M numbers, and the units'."""
+        """Return the shapes of the feedforward layers and of the recurrent units."""
         flat, size = self.flat, self.hidden_size
         stack = replicas * flat.grouping.num_policies
         input_size = flat.hidden[-1] if flat.hidden else flat.spec.observation_size
@@ -73,42 +72,42 @@ class GRUActingPolicy(RecurrentActing):
         return flat.parameter_shapes(replicas) | {name: (s, self.hidden_dtype) for name, s in shapes.items()}
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
-        """As without memory."""
+        """Return the same random numbers as `MLPActingPolicy.noise`."""
         return self.flat.noise(generator, steps)
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """As agents act that remember nothing."""
-        memory = np.zeros((*observed.alive.shape, self.hidden_size), self.hidden_dtype)
-        return self.act_from(parameters, observed, memory, noise)[:2]
+        """Act from hidden states of 0."""
+        hidden_states = np.zeros((*observed.alive.shape, self.hidden_size), self.hidden_dtype)
+        return self.act_from(parameters, observed, hidden_states, noise)[:2]
 
     @cached_property
-    def alone(self) -> Self | None:
-        """See `MaskedActingPolicy`."""
-        return None if self.flat.alone is None else replace(self, flat=self.flat.alone)
+    def single_agent(self) -> Self | None:
+        """The same policy for one agent that is always alive (see `MaskedActingPolicy`)."""
+        return None if self.flat.single_agent is None else replace(self, flat=self.flat.single_agent)
 
     def replicas(self, parameters: Parameters) -> int:
-        """See `MaskedActingPolicy`."""
+        """Return R, the number of replicas in `parameters`."""
         return self.flat.replicas(parameters)
 
-    def answer(
+    def act_on_all_slots(
         self,
         parameters: Parameters,
         observed: Observations,
-        memory: NDArray[Any] | None,
+        hidden_states: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
-    ) -> Answer:
-        """See `MaskedActingPolicy`."""
-        assert memory is not None
+    ) -> ActingResult:
+        """Implement `MaskedActingPolicy.act_on_all_slots`."""
+        assert hidden_states is not None
         flat, replicas = self.flat, self.flat.replicas(parameters)
         features = flat.hidden_features(parameters, flat.rows(parameters, observed))
-        given = np.matmul(parameters["gru_weight_input"], features)
-        given += parameters["gru_bias_input"]
-        before = flat.grouping.gather(memory[None], replicas).swapaxes(1, 2)
-        after = gated_step(given, before, parameters["gru_weight_memory"], parameters["gru_bias_memory"])
-        actions, log_probs = flat.decided(parameters, observed, flat.outputs(parameters, after), noise)
-        remembered = flat.grouping.scatter(after.swapaxes(1, 2), replicas, steps=1)[0]
+        from_input = np.matmul(parameters["gru_weight_input"], features)
+        from_input += parameters["gru_bias_input"]
+        before = flat.grouping.gather(hidden_states[None], replicas).swapaxes(1, 2)
+        after = gated_step(from_input, before, parameters["gru_weight_memory"], parameters["gru_bias_memory"])
+        actions, log_probs = flat.choose_actions(parameters, observed, flat.outputs(parameters, after), noise)
+        next_states = flat.grouping.scatter(after.swapaxes(1, 2), replicas, steps=1)[0]
         if flat.spec.agents_come_and_go:
-            remembered = np.where(observed.alive[..., None], remembered, memory)
-        return actions, log_probs, remembered
+            next_states = np.where(observed.alive[..., None], next_states, hidden_states)
+        return actions, log_probs, next_states

@@ -1,4 +1,4 @@
-"""Acting where most slots are empty: only what somebody is there for is computed."""
+"""Inference restricted to live agents, for environments whose slots are mostly empty."""
 
 from typing import Any, Protocol, Self
 
@@ -8,64 +8,64 @@ from numpy.typing import NDArray
 from headway.contracts import Observations
 from headway.contracts.acting_policy import Parameters
 
-FEWEST_SLOTS = 32
-"""Slots in a copy from which on any are left out. With fewer, calls cost more than their arithmetic."""
-SLOTS_EACH = 2
-"""Slots for each agent that is there, from which on empty ones are left out. Where fewer are, to pick the
-others costs about what it saves."""
+MIN_SLOTS = 32
+"""Slots per copy from which empty ones are skipped; with fewer, call overhead exceeds the arithmetic."""
+MIN_SLOTS_PER_AGENT = 2
+"""Slots per live agent from which empty ones are skipped; with fewer, selecting rows costs what it saves."""
 
-Answer = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
-"""Actions (C, N, ...), log-probabilities (C, N), and what is remembered (C, N, M), if anything is."""
+ActingResult = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
+"""Actions (C, N, ...), log-probabilities (C, N), and hidden states (C, N, M) or None without recurrence."""
 
 
 class MaskedActingPolicy(Protocol):
-    """An acting policy, of which `answer` computes every slot."""
+    """An acting policy that can compute all slots, or those of live agents only."""
 
     @property
-    def alone(self) -> Self | None:
-        """The same policy for one agent, who is always there: which rows stand in one product changes no
-        more than last bits. None where agents do not come and go, follow several policies, or have few
-        slots."""
+    def single_agent(self) -> Self | None:
+        """The same policy for copies of one agent that is always alive; results differ by rounding only.
+
+        None if agents do not come and go, follow several policies, or have fewer than `MIN_SLOTS` slots.
+        """
         ...
 
     def replicas(self, parameters: Parameters) -> int:
-        """R, of which parameters are."""
+        """Return R, the number of replicas in `parameters`."""
         ...
 
-    def answer(
+    def act_on_all_slots(
         self,
         parameters: Parameters,
         observed: Observations,
-        memory: NDArray[Any] | None,
+        hidden_states: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
-    ) -> Answer:
-        """As `headway.contracts.RecurrentPolicy.act_from`; memory is None for a policy without."""
+    ) -> ActingResult:
+        """Like `headway.contracts.RecurrentPolicy.act_from`; `hidden_states` is None without recurrence."""
         ...
 
 
-def answer_where_alive(
+def act_where_alive(
     policy: MaskedActingPolicy,
     parameters: Parameters,
     observed: Observations,
-    memory: NDArray[Any] | None,
+    hidden_states: NDArray[Any] | None,
     noise: NDArray[np.float64] | None,
-) -> Answer:
-    """What a policy answers, zeros in empty slots where it leaves these out. Each of R replicas is computed
-    as if it were the only one, so that the others who are there do not change its last bits."""
-    alone = policy.alone
-    if alone is None:
-        return policy.answer(parameters, observed, memory, noise)
+) -> ActingResult:
+    """Return the policy's result; if empty slots are skipped, their actions and log-probabilities are 0."""
+    single = policy.single_agent
+    if single is None:
+        return policy.act_on_all_slots(parameters, observed, hidden_states, noise)
     replicas = policy.replicas(parameters)
     if replicas == 1:
-        return _answer_of_one(policy, alone, parameters, observed, memory, noise)
+        return _act_one_replica(policy, single, parameters, observed, hidden_states, noise)
     copies = len(observed.alive) // replicas
     blocks = [slice(r * copies, (r + 1) * copies) for r in range(replicas)]
     if not any(_mostly_empty(observed.alive[block]) for block in blocks):
-        return policy.answer(parameters, observed, memory, noise)
-    answers = [
-        _answer_of_one(
+        return policy.act_on_all_slots(parameters, observed, hidden_states, noise)
+    # One replica at a time: live agents of other replicas must not change its last bits.
+    results = [
+        _act_one_replica(
             policy,
-            alone,
+            single,
             {name: array[r : r + 1] for name, array in parameters.items()},
             Observations(
                 observed.observations[block],
@@ -73,72 +73,74 @@ def answer_where_alive(
                 observed.alive[block],
                 None if observed.action_masks is None else observed.action_masks[block],
             ),
-            None if memory is None else memory[block],
+            None if hidden_states is None else hidden_states[block],
             None if noise is None else noise[block],
         )
         for r, block in enumerate(blocks)
     ]
     return (
-        np.concatenate([actions for actions, _, _ in answers]),
-        np.concatenate([log_probs for _, log_probs, _ in answers]),
-        None if memory is None else np.concatenate([after for _, _, after in answers if after is not None]),
+        np.concatenate([actions for actions, _, _ in results]),
+        np.concatenate([log_probs for _, log_probs, _ in results]),
+        None
+        if hidden_states is None
+        else np.concatenate([after for _, _, after in results if after is not None]),
     )
 
 
 def _mostly_empty(alive: NDArray[np.bool_]) -> bool:
-    return int(np.count_nonzero(alive)) * SLOTS_EACH <= alive.size
+    return int(np.count_nonzero(alive)) * MIN_SLOTS_PER_AGENT <= alive.size
 
 
-def _answer_of_one(
+def _act_one_replica(
     policy: MaskedActingPolicy,
-    alone: MaskedActingPolicy,
+    single: MaskedActingPolicy,
     parameters: Parameters,
     observed: Observations,
-    memory: NDArray[Any] | None,
+    hidden_states: NDArray[Any] | None,
     noise: NDArray[np.float64] | None,
-) -> Answer:
-    """Of a single replica, whose agents that are there become copies (B) of one agent."""
+) -> ActingResult:
+    """Act for R = 1; if most slots are empty, the B live agents are computed as B copies of one agent."""
     if not _mostly_empty(observed.alive):
-        return policy.answer(parameters, observed, memory, noise)
-    there = observed.alive.ravel().nonzero()[0]
+        return policy.act_on_all_slots(parameters, observed, hidden_states, noise)
+    live = observed.alive.ravel().nonzero()[0]
     masks, shape = observed.action_masks, observed.alive.shape
-    picked = Observations(
-        _pick(observed.observations, there),
-        np.zeros((len(there), 0), np.float32),
-        np.ones((len(there), 1), np.bool_),
-        None if masks is None else _pick(masks, there),
+    selected = Observations(
+        _select(observed.observations, live),
+        np.zeros((len(live), 0), np.float32),
+        np.ones((len(live), 1), np.bool_),
+        None if masks is None else _select(masks, live),
     )
-    actions, log_probs, after = alone.answer(
+    actions, log_probs, after = single.act_on_all_slots(
         parameters,
-        picked,
-        None if memory is None else _pick(memory, there),
-        None if noise is None else _pick(noise, there),
+        selected,
+        None if hidden_states is None else _select(hidden_states, live),
+        None if noise is None else _select(noise, live),
     )
-    remembered = None
-    if memory is not None and after is not None:
-        remembered = _place(after, there, memory.copy())
+    next_states = None
+    if hidden_states is not None and after is not None:
+        next_states = _insert(after, live, hidden_states.copy())
     return (
-        _place(actions, there, np.zeros((*shape, *actions.shape[2:]), actions.dtype)),
-        _place(log_probs, there, np.zeros(shape)),
-        remembered,
+        _insert(actions, live, np.zeros((*shape, *actions.shape[2:]), actions.dtype)),
+        _insert(log_probs, live, np.zeros(shape)),
+        next_states,
     )
 
 
-def _pick(by_agent: NDArray[Any], there: NDArray[np.int64]) -> NDArray[Any]:
-    """(C, N, ...) -> (B, 1, ...)"""
+def _select(by_agent: NDArray[Any], live: NDArray[np.int64]) -> NDArray[Any]:
+    """Return rows `live` (B,) of (C, N, ...) as (B, 1, ...)."""
     copies, agents, *rest = by_agent.shape
-    return by_agent.reshape(copies * agents, 1, *rest).take(there, axis=0)
+    return by_agent.reshape(copies * agents, 1, *rest).take(live, axis=0)
 
 
-def _place(picked: NDArray[Any], there: NDArray[np.int64], by_agent: NDArray[Any]) -> NDArray[Any]:
-    """(B, 1, ...) into (C, N, ...), which is contiguous and is returned."""
+def _insert(selected: NDArray[Any], live: NDArray[np.int64], by_agent: NDArray[Any]) -> NDArray[Any]:
+    """Write (B, 1, ...) to rows `live` (B,) of the contiguous (C, N, ...), and return that array."""
     copies, agents, *rest = by_agent.shape
-    by_agent.reshape(copies * agents, 1, *rest)[there] = picked
+    by_agent.reshape(copies * agents, 1, *rest)[live] = selected
     return by_agent
 
 
 class FeedforwardActing:
-    """Acts as it answers, for an `MaskedActingPolicy` without memory."""
+    """Implements `act` for a `MaskedActingPolicy` without recurrence."""
 
     def act(
         self: MaskedActingPolicy,
@@ -146,24 +148,23 @@ class FeedforwardActing:
         observed: Observations,
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """See `headway.contracts.ActingPolicy`. Rows of agents not alive give any valid action, zeros where
-        most are not."""
-        actions, log_probs, _ = answer_where_alive(self, parameters, observed, None, noise)
+        """Implement `headway.contracts.ActingPolicy.act`. Agents not alive get any valid action, or 0."""
+        actions, log_probs, _ = act_where_alive(self, parameters, observed, None, noise)
         return actions, log_probs
 
 
 class RecurrentActing:
-    """The same for one with memory."""
+    """Implements `act_from` for a `MaskedActingPolicy` with recurrence."""
 
     def act_from(
         self: MaskedActingPolicy,
         parameters: Parameters,
         observed: Observations,
-        memory: NDArray[Any],
+        hidden_states: NDArray[Any],
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
-        """See `headway.contracts.RecurrentPolicy`. Rows of agents not alive as without memory; what they
-        remember stays."""
-        actions, log_probs, remembered = answer_where_alive(self, parameters, observed, memory, noise)
-        assert remembered is not None
-        return actions, log_probs, remembered
+        """Implement `headway.contracts.RecurrentPolicy.act_from`. Agents not alive get any valid action, or
+        0."""
+        actions, log_probs, next_states = act_where_alive(self, parameters, observed, hidden_states, noise)
+        assert next_states is not None
+        return actions, log_probs, next_states

@@ -1,1 +1,1 @@
-"""Experience laid out by policy for learning."""
+"""Trajectories rearranged for learning: rows by policy, minibatches, sequences, inputs of critics."""

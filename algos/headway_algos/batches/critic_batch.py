@@ -1,4 +1,4 @@
-"""Moments of a trajectory as critics see them: before each step, after the last, where streams were cut."""
+"""Inputs of critics at time points of a trajectory: before each step, after the last, at truncations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from headway_algos.batches.layout import Truncations, zero_where_absent
 
 @dataclass(frozen=True)
 class CriticBatch:
-    """M moments of C copies. Rows of absent agents are 0, and all actions are allowed to them."""
+    """C copies at M time points. Rows of absent agents are 0, and their action masks allow every action."""
 
     observations: NDArray[np.float32]
     """(M, C, N, D)"""
     states: NDArray[np.float32]
     """(M, C, S)"""
     present: NDArray[np.bool_]
-    """(M, C, N)"""
+    """(M, C, N): the agent is alive, or its stream has just ended."""
     masks: NDArray[np.bool_] | None
-    """(M, C, N, A), or None where the environment has none."""
+    """(M, C, N, A) action masks, or None if the environment has none."""
     actions: NDArray[Any] | None = None
-    """(M, C, N) or (M, C, N, size): what was chosen; None where nothing was, or nobody asks."""
-    remembered: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
-    """What was remembered at these moments, (M, C, W, size), of all that was along the trajectory."""
+    """(M, C, N) for Discrete, (M, C, N, size) for Box; None if no actions were taken or none are needed."""
+    select_hidden: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
+    """Returns the hidden states (M, C, W, size) at these time points, out of those of the trajectory."""
 
     @classmethod
     def of_steps(cls, trajectory: Trajectory) -> "CriticBatch":
-        """The T steps, as the agents faced them, and what they chose."""
+        """Return the observations before each of the T steps, with the actions taken."""
         alive = trajectory.alive[:-1]
         return cls(
             zero_where_absent(trajectory.observations[:-1], alive),
@@ -43,46 +43,49 @@ class CriticBatch:
         )
 
     @classmethod
-    def after_the_last_step(cls, trajectory: Trajectory) -> "CriticBatch":
-        """The one moment that nobody has acted on yet."""
+    def after_last_step(cls, trajectory: Trajectory) -> "CriticBatch":
+        """Return the observations after the last step, without actions."""
         alive = trajectory.alive[-1:]
         return cls(
             zero_where_absent(trajectory.observations[-1:], alive),
             trajectory.states[-1:],
             alive,
             _allowed(trajectory.action_masks[-1:], alive),
-            remembered=attrgetter("after_the_last_step"),
+            select_hidden=attrgetter("after_last_step"),
         )
 
     @classmethod
-    def after_endings(cls, trajectory: Trajectory, endings: Truncations) -> "CriticBatch":
-        """F moments of R copies, right after the step of each ending: final observations and states where
-        they are valid, what came next for those who went on.
+    def after_truncations(cls, trajectory: Trajectory, truncations: Truncations) -> "CriticBatch":
+        """Return the observations right after each truncation, as F time points of R copies.
 
-        No mask is recorded for a final observation: those of the step before are the nearest known.
+        Final observations and states are used where valid, next ones for agents whose stream continues. No
+        mask is recorded with a final observation, so the mask of the step before is used.
         """
-        ended = endings.take(trajectory.terminated | trajectory.truncated)
-        next_alive = endings.take(trajectory.alive[1:])
+        ended = truncations.take(trajectory.terminated | trajectory.truncated)
+        next_alive = truncations.take(trajectory.alive[1:])
         observations = np.where(
             ended[..., None],
-            endings.take(trajectory.final_observations),
-            endings.take(trajectory.observations[1:]),
+            truncations.take(trajectory.final_observations),
+            truncations.take(trajectory.observations[1:]),
         )
-        everyone = ended.all(axis=-1, keepdims=True)
+        all_ended = ended.all(axis=-1, keepdims=True)
         states = np.where(
-            everyone, endings.take(trajectory.final_states), endings.take(trajectory.states[1:])
+            all_ended, truncations.take(trajectory.final_states), truncations.take(trajectory.states[1:])
         )
         present, masks = ended | next_alive, None
         if len(trajectory.action_masks):
-            before = endings.take(trajectory.action_masks[:-1]) | ~endings.take(trajectory.alive)[..., None]
-            after = endings.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
+            before = (
+                truncations.take(trajectory.action_masks[:-1])
+                | ~truncations.take(trajectory.alive)[..., None]
+            )
+            after = truncations.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
             masks = np.where(ended[..., None], before, after)
         return cls(
             zero_where_absent(observations, present),
             states,
             present,
             masks,
-            remembered=lambda memories: memories.after_endings(endings),
+            select_hidden=lambda hidden_states: hidden_states.after_truncations(truncations),
         )
 
 

@@ -1,4 +1,4 @@
-"""What networks remembered along a trajectory."""
+"""Hidden states of recurrent networks along a trajectory."""
 
 from dataclasses import dataclass
 from typing import Any, Self
@@ -14,19 +14,19 @@ from headway_algos.networks.gru import RecurrentNetwork
 
 @dataclass(frozen=True)
 class HiddenStates:
-    """M numbers at every moment of T steps of C copies, from W viewpoints (for policies: N agents)."""
+    """Hidden states of M components over T steps of C copies, for W inputs per copy (policies: N agents)."""
 
     before: NDArray[Any]
     """(T + 1, C, W, M): before each step, and after the last; 0 where a stream begins."""
     after: NDArray[Any]
-    """(T, C, W, M): right after what was seen at each step, of streams that ended with it, too."""
+    """(T, C, W, M): after the observation of each step, also where the stream ended with the step."""
     begins: NDArray[np.bool_]
     """(T, C, W): a stream begins with the step."""
     keeps: NDArray[np.bool_]
-    """(T, C, W): there was something to see."""
+    """(T, C, W): the step has an observation, which updates the hidden state."""
 
     @classmethod
-    def replayed(
+    def replay(
         cls,
         network: RecurrentNetwork,
         inputs: Tensor,
@@ -36,12 +36,15 @@ class HiddenStates:
         layout: Layout,
         piece_samples: int,
     ) -> Self:
-        """From what was remembered at the start (C, W, M), with network inputs (P, B, in) of all steps.
-        `begins` has a row more, for what comes after the last step."""
+        """Recompute hidden states from network inputs (P, B, in) of all steps.
+
+        `start` (C, W, M) are the hidden states before the first step. `begins` (T + 1, C, W) has one more
+        row, for the time after the last step.
+        """
         steps = len(keeps)
         start = np.where(begins[0, ..., None], 0, start)
         whole = Sequences.of(layout, steps, start[None], begins[:-1], keeps)
-        found = over_rows(network.memories, inputs, whole, piece_samples)
+        found = over_rows(network.hidden_states, inputs, whole, piece_samples)
         after = layout.grouping.scatter(found.cpu().numpy(), layout.replicas, steps)
         before = np.empty((steps + 1, *after.shape[1:]), after.dtype)
         before[0] = start
@@ -51,7 +54,7 @@ class HiddenStates:
         return cls(before, after, begins[:-1], keeps)
 
     def sequences(self, layout: Layout, length: int) -> Sequences:
-        """The steps in sequences of `length`, each from what was remembered before its first step."""
+        """Return the steps cut into sequences of `length`, with the hidden state before each sequence."""
         return Sequences.of(layout, length, self.before[:-1:length], self.begins, self.keeps)
 
     @property
@@ -60,10 +63,10 @@ class HiddenStates:
         return self.before[:-1]
 
     @property
-    def after_the_last_step(self) -> NDArray[Any]:
-        """(1, C, W, M)"""
+    def after_last_step(self) -> NDArray[Any]:
+        """(1, C, W, M): after the last step."""
         return self.before[-1:]
 
-    def after_endings(self, endings: Truncations) -> NDArray[Any]:
-        """(F, R, W, M): of what ended there, before it was forgotten."""
-        return endings.take(self.after)
+    def after_truncations(self, truncations: Truncations) -> NDArray[Any]:
+        """Return the hidden states (F, R, W, M) at truncations, before they were reset."""
+        return truncations.take(self.after)

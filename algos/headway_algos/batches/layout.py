@@ -1,4 +1,4 @@
-"""A trajectory laid out by network: rows (P, B, ...) with B = G agents x T steps x E copies."""
+"""Rearrangement of trajectories to rows (P, B, ...) per network, B = G agents x T steps x E copies."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,17 +17,19 @@ from headway_algos.networks.timeline import Timeline
 
 @dataclass(frozen=True)
 class Layout:
-    """How arrays by agent become tensors by network, and back."""
+    """Converts arrays by agent to tensors by network, and back."""
 
     grouping: Grouping
     replicas: int
-    """R"""
+    """R: replicas."""
     device: torch.device
     dtype: torch.dtype
 
     def rows(self, by_agent: NDArray[Any], present: NDArray[np.bool_] | None = None) -> Tensor:
-        """(T, C, N, ...) -> (P, B, ...); floating arrays in the layout's precision. With `present` (T, C, N),
-        0 where that is false, as `zero_where_absent` has it, but without a copy of all of them in between."""
+        """Convert (T, C, N, ...) to (P, B, ...), floating-point values in the layout's dtype.
+
+        Rows where `present` (T, C, N) is false become 0. Unlike `zero_where_absent` this makes no extra copy.
+        """
         gathered = np.require(self.grouping.gather(by_agent, self.replicas), requirements="W")
         if present is not None and not present.all():
             if np.may_share_memory(gathered, by_agent):
@@ -38,22 +40,24 @@ class Layout:
         return tensor.to(self.dtype) if tensor.is_floating_point() else tensor
 
     def selection(self, by_agent: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(T, C, N) -> (P, B), false in rows of padding."""
+        """Convert a mask (T, C, N) to (P, B), false in rows of padding."""
         selected = self.grouping.gather(by_agent, self.replicas)
         if not self.grouping.is_member.all():
             members = np.tile(self.grouping.is_member, (self.replicas, 1))
-            rows_each = selected.shape[1] // self.grouping.width
-            selected = selected & np.repeat(members, rows_each, axis=1)
+            rows_per_agent = selected.shape[1] // self.grouping.width
+            selected = selected & np.repeat(members, rows_per_agent, axis=1)
         return selected
 
     def by_agent(self, rows: Tensor, steps: int, agents: int | None = None) -> NDArray[np.float64]:
-        """(P, B, ...) -> (T, C, N, ...) in float64; `agents`: N, where it is fewer than all."""
+        """Convert (P, B, ...) to (T, C, N, ...) in float64; `agents` is N if fewer than all agents."""
         return self.grouping.scatter(rows.detach().double().cpu().numpy(), self.replicas, steps, agents)
 
 
 def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
-    """Values (..., N, ...) with 0 where `present` (..., N) is false, so that no NaN found there reaches a
-    product. The values given are left as they are."""
+    """Return values (..., N, ...) with 0 where `present` (..., N) is false; `values` stays unchanged.
+
+    Keeps NaN of absent agents out of products.
+    """
     if present.all():
         return values
     spread = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
@@ -62,25 +66,25 @@ def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArr
 
 @dataclass(frozen=True)
 class Truncations:
-    """Where streams were cut by truncation, gathered so that every replica has F slots (padded)."""
+    """Time points at which streams were truncated, padded to F per replica."""
 
     steps: NDArray[np.int64]
-    """(F, R): step of each ending."""
+    """(F, R): step of the truncation."""
     copies: NDArray[np.int64]
-    """(F, R): copy over all replicas."""
+    """(F, R): copy, counted over all replicas."""
     used: NDArray[np.bool_]
-    """(F, R): not padding."""
+    """(F, R): False for padding."""
 
     @classmethod
     def of(cls, trajectory: Trajectory, replicas: int) -> "Truncations":
-        """All (step, copy) in which some agent was truncated and not terminated."""
+        """Return all (step, copy) at which an agent was truncated and not terminated."""
         cut = (trajectory.truncated & ~trajectory.terminated).any(axis=2)
         steps, copies = np.nonzero(cut)
         replica_of = copies // (cut.shape[1] // replicas)
         lists = [np.flatnonzero(replica_of == r) for r in range(replicas)]
-        width = max(len(places) for places in lists)
+        width = max(len(positions) for positions in lists)
         table = np.stack(
-            [np.pad(places, (0, width - len(places)), constant_values=-1) for places in lists], 1
+            [np.pad(positions, (0, width - len(positions)), constant_values=-1) for positions in lists], 1
         )
         safe = np.maximum(table, 0)
         if width == 0:
@@ -88,69 +92,69 @@ class Truncations:
         return cls(steps[safe], copies[safe], table >= 0)
 
     def __len__(self) -> int:
-        """F"""
+        """F."""
         return len(self.steps)
 
     def take(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Rows of an array (T, C, ...) at the endings: (F, R, ...)."""
+        """Return the rows of an array (T, C, ...) at the truncations, (F, R, ...)."""
         taken: NDArray[Any] = array[self.steps, self.copies]
         return taken
 
     def put(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """Values (F, R, N) at their places in zeros of shape (T, C, N)."""
+        """Return zeros of `shape` (T, C, N) with `values` (F, R, N) inserted at the truncations."""
         result = np.zeros(shape)
         result[self.steps[self.used], self.copies[self.used]] = values[self.used]
         return result
 
 
 def even_slices(rows: int, stack: int, piece_samples: int) -> list[slice]:
-    """Cuts rows into as few equal pieces as keep `stack` x rows of each within `piece_samples`."""
+    """Split rows into the fewest equal pieces of at most `piece_samples` samples, `stack` per row."""
     pieces = min(-(-rows * stack // piece_samples), rows)
     edges = [rows * i // pieces for i in range(pieces + 1)] if pieces else []
     return [slice(start, end) for start, end in pairwise(edges)]
 
 
-TAKEN_AHEAD = 16_384
-"""Samples, over all policies of a stack, that small minibatches take at once: one after another they would
-wait for memory, wherever each row lies, again and again."""
+PREFETCH_SAMPLES = 16_384
+"""Samples, over all policies of a stack, that small minibatches gather together. Gathering each minibatch
+separately would be bound by memory latency."""
 
 
-class Ahead:
-    """Rows of the next k minibatches, taken at once, the first time that somebody asks for them."""
+class Prefetched:
+    """Rows of the next k minibatches, gathered together at first use."""
 
     def __init__(self, index: Tensor) -> None:
-        """`index` (k, P, W): places in the flattened (P x B) rows."""
+        """`index` (k, P, W): indices of the flattened (P x B) rows."""
         self.index = index
-        self._taken: dict[int, tuple[Tensor, Tensor]] = {}
+        self._cache: dict[int, tuple[Tensor, Tensor]] = {}
 
     def of(self, rows: Tensor) -> Tensor:
-        """Of rows (P, B, ...): (k, P, W, ...)."""
-        # With the rows themselves, so that nothing else comes to stand where they do.
-        known = self._taken.get(id(rows))
-        if known is None:
+        """Return the gathered rows (k, P, W, ...) of `rows` (P, B, ...)."""
+        # Holding `rows` keeps its id from being reused.
+        cached = self._cache.get(id(rows))
+        if cached is None:
             taken = rows.reshape(-1, *rows.shape[2:]).index_select(0, self.index.flatten())
-            known = self._taken[id(rows)] = rows, taken.view(*self.index.shape, *rows.shape[2:])
-        return known[1]
+            cached = self._cache[id(rows)] = rows, taken.view(*self.index.shape, *rows.shape[2:])
+        return cached[1]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Rows to work on at once, for every network of a stack."""
+    """Rows of a minibatch that are processed together, for every network of a stack."""
 
     index: Tensor
-    """(P, rows): places in the flattened (P x B) rows."""
+    """(P, rows): indices of the flattened (P x B) rows."""
     weight: Tensor
-    """(P, rows): 1 / (rows of this network's minibatch), 0 in padding."""
+    """(P, rows): 1 / (rows of this network's minibatch), 0 for padding."""
     timeline: Timeline | None = None
-    """Their order, for networks that remember."""
-    ahead: tuple[Ahead, int] | None = None
-    """What holds them, and where among its k."""
+    """Order of the rows in time, for recurrent networks."""
+    prefetched: tuple[Prefetched, int] | None = None
+    """Cache that holds the rows, and the index of this minibatch, below k."""
 
     def of(self, rows: Tensor) -> Tensor:
-        """This piece of rows (P, B, ...): (P, rows, ...)."""
-        if self.ahead is not None:
-            held, place = self.ahead
-            return held.of(rows)[place, :, : self.index.shape[1]]
+        """Return this piece's rows (P, rows, ...) of (P, B, ...)."""
+        if self.prefetched is not None:
+            cache, number = self.prefetched
+            return cache.of(rows)[number, :, : self.index.shape[1]]
         taken = rows.reshape(-1, *rows.shape[2:]).index_select(0, self.index.flatten())
         return taken.reshape(self.weight.shape + rows.shape[2:])
 
@@ -163,13 +167,13 @@ def minibatches(
     piece_samples: int | None,
     layout: Layout,
 ) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
-    """Shuffled minibatches: a list of pieces whose gradients add up to the minibatch's, and which networks
-    have rows in it, (P,).
+    """Yield shuffled minibatches: pieces whose gradients sum to the minibatch's, and a mask (P,) of networks
+    with rows in it.
 
-    Every network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts`
-    equal minibatches, whatever the others have: so a network's updates do not depend on its stack.
-    `piece_samples` is the most samples, over all networks, of a piece; None: a minibatch is one piece.
-    Padding repeats a selected row of the same network, if it has any.
+    Each network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts` equal
+    minibatches, so that its updates do not depend on its stack. A piece holds at most `piece_samples` samples
+    of all networks together; None: a minibatch is one piece. Padding repeats a selected row of the same
+    network, if it has any.
     """
     stack, batch = selected.shape
     if piece_samples is None:
@@ -182,25 +186,25 @@ def minibatches(
     within = np.arange(max(widths))
     shares = (1 / np.maximum(sizes, 1))[..., None] * (within < sizes[..., None])
     weights = torch.from_numpy(shares).to(layout.device, layout.dtype)
-    del shares  # as many as there are rows
-    together = TAKEN_AHEAD // max(stack * len(within), 1)
-    # Of each network's shuffled rows; past a minibatch's end is padding.
-    places = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
+    del shares  # as large as all rows
+    per_block = PREFETCH_SAMPLES // max(stack * len(within), 1)
+    # Positions among a network's shuffled rows; those past a minibatch's end are padding.
+    positions = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
-        index = np.empty(places.shape, np.int64)
+        index = np.empty(positions.shape, np.int64)
         for p, rows in enumerate(candidates):
             # A gradient over all rows needs no order.
             shuffled = generators[p].permutation(rows) if parts > 1 else rows
-            index[:, p] = p * batch + (shuffled[places[:, p]] if len(rows) else 0)
+            index[:, p] = p * batch + (shuffled[positions[:, p]] if len(rows) else 0)
         indices = torch.from_numpy(index).to(layout.device)
-        ahead, block = None, -1
+        cache, block = None, -1
         for part, width in enumerate(widths):
-            if together > 1 and 0 < width * stack <= piece_samples:
-                if ahead is None or block != part // together:
-                    block = part // together
-                    ahead = Ahead(indices[block * together : (block + 1) * together])
-                held = (ahead, part % together)
-                pieces = [Piece(indices[part, :, :width], weights[part, :, :width], ahead=held)]
+            if per_block > 1 and 0 < width * stack <= piece_samples:
+                if cache is None or block != part // per_block:
+                    block = part // per_block
+                    cache = Prefetched(indices[block * per_block : (block + 1) * per_block])
+                prefetched = (cache, part % per_block)
+                pieces = [Piece(indices[part, :, :width], weights[part, :, :width], prefetched=prefetched)]
             else:
                 cuts = even_slices(width, stack, piece_samples)
                 pieces = [Piece(indices[part, :, rows], weights[part, :, rows]) for rows in cuts]

@@ -1,4 +1,4 @@
-"""What every update of policies learns from: experience and advantages, laid out by policy."""
+"""Input of policy updates: an iteration's experience by policy, and standardised advantages."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -12,23 +12,23 @@ from headway_algos.batches.sequences import Sequences
 
 @dataclass(frozen=True)
 class PolicyBatch:
-    """What the policies did, laid out by policy."""
+    """Observations, actions and log-probabilities of an iteration, by policy."""
 
     observations: Tensor
     """(P, B, D), normalised."""
     masks: Tensor | None
-    """(P, B, A)"""
+    """(P, B, A) action masks"""
     actions: Tensor
-    """(P, B) or (P, B, A)"""
+    """(P, B) for Discrete, (P, B, A) for Box"""
     log_probs: Tensor
-    """(P, B), at the parameters that acted."""
+    """(P, B), under the parameters that sampled the actions."""
     selected: NDArray[np.bool_]
     """(P, B): the agent was alive and its action was used."""
     sequences: Sequences | None = None
-    """Their order, for policies that remember."""
+    """Order of the rows in time, for recurrent policies."""
 
     def narrow(self, policies: Tensor) -> Self:
-        """The rows of policies (n,) alone."""
+        """Return the rows of `policies` (n,)."""
         return type(self)(
             self.observations[policies],
             None if self.masks is None else self.masks[policies],
@@ -40,7 +40,7 @@ class PolicyBatch:
 
 
 def standardise(advantages: Tensor, selected: Tensor) -> Tensor:
-    """Advantages (P, B) to mean 0 and standard deviation 1 over each policy's selected rows."""
+    """Standardise advantages (P, B) to mean 0 and standard deviation 1 over each policy's selected rows."""
     weight = selected.to(advantages.dtype)
     count = weight.sum(1, keepdim=True).clamp(min=1)
     mean = (advantages * weight).sum(1, keepdim=True) / count

@@ -1,4 +1,4 @@
-"""What learners of every kind need to know of the stack of policies that they improve."""
+"""The stack of policies that a learner trains: device, metrics per replica, and divergence check."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,36 +14,35 @@ from headway_algos.grouping import Grouping
 
 
 def resolve_device(device: str) -> torch.device:
-    """`auto` is a GPU if torch sees one; raises HeadwayError for a device that is not there."""
+    """Return the torch device; `auto` is a GPU if available. Raises HeadwayError for an unavailable one."""
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
     if device.startswith("cuda") and not torch.cuda.is_available():
-        raise HeadwayError("device: cuda was asked for, but torch sees no GPU; use device=auto or device=cpu")
+        raise HeadwayError("device: cuda needs a GPU, and torch finds none; use device=auto or device=cpu")
     try:
         return torch.device(device)
     except RuntimeError:
-        raise HeadwayError(f"device: {device!r} is no device; use device=auto, cpu or cuda") from None
+        raise HeadwayError(f"device: {device!r} is not a device; use device=auto, cpu or cuda") from None
 
 
 @dataclass(frozen=True)
 class Stack:
-    """P = R x K policies: those of replica r stand from r K on."""
+    """P = R x K policies, replica-major."""
 
     grouping: Grouping
     spec: EnvSpec
     seeds: tuple[int, ...]
-    """(R,): of the replicas."""
+    """(R,): one per replica."""
 
     def per_replica(self, values: Tensor) -> NDArray[np.float64]:
-        """(P,) -> (R,): the mean over a replica's networks."""
+        """Return the mean over each replica's networks, (R,), of values (P,)."""
         means: NDArray[np.float64] = values.double().cpu().numpy().reshape(len(self.seeds), -1).mean(axis=1)
         return means
 
-    def refuse_divergence(
+    def raise_if_diverged(
         self, acting: Mapping[str, NDArray[Any]], algorithm: str, iteration: int, advice: str
     ) -> None:
-        """Raise HeadwayError where acting parameters (P, ., .) are no longer finite: workers would act on
-        them all the same."""
+        """Raise HeadwayError, naming policy and seed, if acting parameters (P, ., .) are not all finite."""
         for array in acting.values():
             broken = ~np.isfinite(array).all(axis=(1, 2))
             if broken.any():

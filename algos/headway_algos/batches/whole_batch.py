@@ -1,4 +1,4 @@
-"""All that policies learn from, at once: the selected rows of an iteration, side by side."""
+"""The whole batch of an iteration: each policy's selected rows, for updates that take one step on all."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -16,49 +16,51 @@ from headway_algos.networks.timeline import Timeline
 
 @dataclass(frozen=True)
 class WholeBatch:
-    """Every policy's selected rows in their order, then padding up to W, the most that one of them has.
+    """Each policy's selected rows in order, padded to W, the largest number that a policy has.
 
-    Of policies that remember, W = L x U: whole sequences of L steps that hold selected rows, step after step.
+    For recurrent policies W = L x U: U whole sequences of L steps that contain selected rows, step-major.
     """
 
     observations: Tensor
     """(P, W, D), normalised."""
     masks: Tensor | None
-    """(P, W, A)"""
+    """(P, W, A) action masks"""
     actions: Tensor
-    """(P, W) or (P, W, A)"""
+    """(P, W) for Discrete, (P, W, A) for Box"""
     log_probs: Tensor
-    """(P, W), at the parameters that acted."""
+    """(P, W), under the parameters that sampled the actions."""
     advantages: Tensor
     """(P, W)"""
     weight: Tensor
-    """(P, W): 1 / (selected rows of the policy), 0 in padding."""
-    places: Tensor
-    """(P, W): which of the B rows it is."""
+    """(P, W): 1 / (selected rows of the policy), 0 for padding."""
+    row_index: Tensor
+    """(P, W): index of the row among the policy's B rows."""
     timeline: Timeline | None = None
-    """The order of rows, for policies that remember."""
+    """Order of the rows in time, for recurrent policies."""
     length: int = 1
-    """L"""
+    """L: steps per sequence, 1 without recurrence."""
     outputs: Tensor | None = None
-    """(P, W, A): of the network at the parameters that acted, once someone has asked."""
+    """(P, W, A): network outputs under the parameters that sampled the actions, once computed."""
 
     @classmethod
     def of(cls, rows: PolicyBatch, advantages: Tensor) -> Self:
-        """From rows and their advantages (P, B). Padding repeats a selected row of the same policy, if it
-        has any."""
+        """Build the batch from rows and their advantages (P, B).
+
+        Padding repeats a selected row of the same policy, if it has any.
+        """
         if rows.sequences is not None:
             return cls._of_sequences(rows, advantages)
         order, weight = _in_front(rows.selected)
-        places = torch.from_numpy(order).to(advantages.device)
+        row_index = torch.from_numpy(order).to(advantages.device)
         stack = torch.arange(len(order), device=advantages.device)[:, None]
         return cls(
-            rows.observations[stack, places],
-            None if rows.masks is None else rows.masks[stack, places],
-            rows.actions[stack, places],
-            rows.log_probs[stack, places],
-            advantages[stack, places],
+            rows.observations[stack, row_index],
+            None if rows.masks is None else rows.masks[stack, row_index],
+            rows.actions[stack, row_index],
+            rows.log_probs[stack, row_index],
+            advantages[stack, row_index],
             torch.from_numpy(weight).to(advantages),
-            places,
+            row_index,
         )
 
     @classmethod
@@ -87,16 +89,16 @@ class WholeBatch:
 
     @property
     def has_rows(self) -> Tensor:
-        """(P,): the policy has a row to learn from."""
+        """(P,): True for policies with at least one selected row."""
         return (self.weight > 0).any(1)
 
     @property
     def _count(self) -> int:
-        """Rows, or sequences (U), of each policy."""
+        """Rows, or sequences (U), per policy."""
         return self.weight.shape[1] // self.length
 
     def _each(self, which: slice, policies: slice | Tensor) -> Self:
-        """Some of the rows, or sequences, of some of the policies."""
+        """Return the rows, or sequences, `which` of `policies`."""
         named = {field.name: getattr(self, field.name) for field in fields(self)}
         tensors: dict[str, Any] = {name: value for name, value in named.items() if isinstance(value, Tensor)}
         if self.timeline is None:
@@ -111,23 +113,23 @@ class WholeBatch:
         return replace(self, **parts, timeline=self.timeline.part(which, policies))
 
     def with_outputs(self, parts: list[Tensor]) -> Self:
-        """With network outputs (P, rows, A) of all its pieces, in their order."""
+        """Return this batch with `outputs` joined from the outputs (P, rows, A) of its pieces, in order."""
         if not parts:
             return replace(self, outputs=self.observations[..., :0])
         by_step = [part.reshape(len(part), self.length, -1, part.shape[2]) for part in parts]
         return replace(self, outputs=torch.cat(by_step, dim=2).flatten(1, 2))
 
     def narrow(self, policies: Tensor) -> Self:
-        """That of policies (n,) alone."""
+        """Return the batch of `policies` (n,)."""
         return self._each(slice(None), policies)
 
     def pieces(self, piece_samples: int) -> Iterator[Self]:
-        """Cuts along W (along U) that stay in the cache, in order: weights are those of the whole."""
+        """Yield parts along W (or U) that fit the cache, in order, with the weights of the whole batch."""
         for part in even_slices(self._count, len(self.weight), max(piece_samples // self.length, 1)):
             yield self._each(part, slice(None))
 
     def strided(self, every: int) -> Self:
-        """Every policy's rows (sequences) 0, `every`, 2 `every` ..., with weights that again sum to 1."""
+        """Return rows (or sequences) 0, `every`, 2 `every` ... of each policy, with weights that sum to 1."""
         if every == 1:
             return self
         part = self._each(slice(None, None, every), slice(None))
@@ -136,8 +138,7 @@ class WholeBatch:
 
 
 def _in_front(selected: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Places of what is selected (P, B), in order and filled up to the most that a policy has, (P, W), and
-    the weight of each, (P, W): 0 where filled up."""
+    """Return the indices (P, W) of selected entries (P, B), in order, and weights (P, W), 0 for padding."""
     counts = selected.sum(axis=1, keepdims=True)
     column = np.arange(counts.max())
     order = np.argsort(~selected, axis=1, kind="stable")[:, : len(column)]

@@ -1,4 +1,4 @@
-"""The stacked policies, as torch sees them."""
+"""The stacked policies in torch."""
 
 from collections.abc import Sequence
 from copy import deepcopy
@@ -38,37 +38,39 @@ class Actor(nn.Module):
             self.log_std = nn.Parameter(torch.full(shape, model.log_std, dtype=dtype))
 
     def forward(self, rows: Tensor, masks: Tensor | None, timeline: Timeline | None = None) -> Distribution:
-        """Distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
+        """Return action distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
         return self.distribution(self.network(rows, timeline), masks)
 
     def distribution(
         self, outputs: Tensor, masks: Tensor | None, log_std: Tensor | None = None
     ) -> Distribution:
-        """Distributions that network outputs (P, A, B) stand for, with action masks (P, B, A), and those of a
-        Box with the log standard deviation of now unless another is given."""
+        """Return the action distributions of network outputs (P, A, B) under action masks (P, B, A).
+
+        `log_std` replaces the current log standard deviation of Box actions.
+        """
         if self.log_std is None:
             return MaskedCategorical.of_logits(outputs, masks)
         return DiagonalGaussian(outputs, self.log_std if log_std is None else log_std)
 
     @property
     def learnable(self) -> list[nn.Parameter]:
-        """What updates change: the log standard deviation, if there is one, then the network's tensors."""
+        """Parameters that updates change: the log standard deviation, if any, then the network's tensors."""
         return [*([] if self.log_std is None else [self.log_std]), *self.network.parameters()]
 
     def narrow(self, policies: Tensor) -> Self:
-        """A copy that holds policies (n,) of the stack alone."""
+        """Return a copy that holds only `policies` (n,) of the stack."""
         tensors: dict[int, Any] = {id(p): nn.Parameter(p.detach()[policies]) for p in self.parameters()}
         tensors |= {id(buffer): buffer[policies] for buffer in self.buffers()}
         return deepcopy(self, tensors)
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """Take over what policies (n,) became in `part`, narrowed to them. Normalisers stay as they are."""
+        """Copy the parameters of `policies` (n,) from `part`, a result of `narrow`; normalisers excepted."""
         with torch.no_grad():
-            for mine, theirs in zip(self.learnable, part.learnable, strict=True):
-                mine.index_copy_(0, policies, theirs)
+            for whole, narrowed in zip(self.learnable, part.learnable, strict=True):
+                whole.index_copy_(0, policies, narrowed)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """What the acting policy needs, by its names."""
+        """Return the arrays that the acting policy reads, by its names."""
         dtype = self.network.weights[0].dtype
         tensors = {
             "observation_mean": self.moments.mean.to(dtype),

@@ -1,6 +1,6 @@
-"""Action distributions of stacked policies, with actions' axis second: (P, A, B).
+"""Action distributions of stacked policies, with the action axis second: (P, A, B).
 
-Proven equal to torch.distributions in the tests; these skip its checks and keep rows contiguous.
+Tested to equal torch.distributions; these skip its argument checks and keep rows contiguous.
 """
 
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ class MaskedCategorical:
 
     log_probs: Tensor
     allowed: Tensor | None
-    """(P, A, B) bool, or None."""
+    """(P, A, B) bool, or None if every action is allowed."""
 
     @classmethod
     def of_logits(cls, logits: Tensor, masks: Tensor | None) -> Self:
-        """From logits (P, A, B) and masks (P, B, A)."""
+        """Return the distributions of logits (P, A, B) under action masks (P, B, A)."""
         if masks is None:
             return cls(torch.log_softmax(logits, dim=1), None)
         allowed = masks.transpose(1, 2)
-        # A large negative number instead of -inf keeps gradients free of 0 x inf; exp gives exactly 0.
+        # A large negative number avoids 0 x inf in gradients, unlike -inf; its exponential is exactly 0.
         masked = logits.masked_fill(~allowed, torch.finfo(logits.dtype).min / 4)
         return cls(torch.log_softmax(masked, dim=1), allowed)
 
     def log_prob(self, actions: Tensor) -> Tensor:
-        """(P, B) from actions (P, B) int64."""
+        """Return log p(u), (P, B), of actions (P, B) int64."""
         return self.log_probs.gather(1, actions[:, None])[:, 0]
 
     def _expectation(self, values: Tensor) -> Tensor:
@@ -40,27 +40,26 @@ class MaskedCategorical:
         return terms.sum(1)
 
     def entropy(self) -> Tensor:
-        """- sum p log p over the allowed actions: (P, B)."""
+        """Return -sum p log p over the allowed actions, (P, B)."""
         return -self._expectation(self.log_probs)
 
     def kl_from(self, old: "Distribution") -> Tensor:
-        """Return sum p_old (log p_old - log p), (P, B), of another categorical."""
+        """Return KL(old || self) = sum p_old (log p_old - log p), (P, B)."""
         assert isinstance(old, MaskedCategorical)
         return old._expectation(old.log_probs - self.log_probs)
 
     def detach(self) -> Self:
-        """The same as a constant."""
+        """Return the distribution detached from the autograd graph."""
         return type(self)(self.log_probs.detach(), self.allowed)
 
     def fisher_of_outputs(self, direction: Tensor) -> Tensor:
-        """(diag(p) - p p^T) v: the Fisher information in the logits, times v (P, A, B)."""
+        """Return (diag(p) - p p^T) v, (P, A, B): the Fisher information in the logits, times v."""
         probabilities = self.log_probs.exp()
-        weighed = probabilities * direction
-        return weighed - probabilities * weighed.sum(1, keepdim=True)
+        weighted = probabilities * direction
+        return weighted - probabilities * weighted.sum(1, keepdim=True)
 
     def drawn_score(self, noise: Tensor) -> Tensor:
-        """d log p(u) / d logits, (P, A, B), of actions u drawn by uniforms (P, B) in float64: 1 at the
-        action, minus the chances."""
+        """Return d log p(u) / d logits, (P, A, B): one-hot(u) - p, for u drawn by uniforms (P, B) float64."""
         cumulative = self.log_probs.double().exp().cumsum(1)
         chosen = (cumulative <= noise[:, None] * cumulative[:, -1:]).sum(1, keepdim=True)
         actions = torch.arange(cumulative.shape[1], device=chosen.device)[None, :, None]
@@ -69,41 +68,41 @@ class MaskedCategorical:
 
 @dataclass(frozen=True)
 class DiagonalGaussian:
-    """Mean (P, A, B) and a log standard deviation (P, A, 1) that does not depend on the state."""
+    """Gaussians with mean (P, A, B) and a log standard deviation (P, A, 1) independent of the state."""
 
     LOG_STD_FISHER: ClassVar[float] = 2.0
-    """Fisher information of each log standard deviation; the mean and the others share none with it."""
+    """Fisher information of each log standard deviation; its off-diagonal entries are 0."""
 
     mean: Tensor
     log_std: Tensor
 
     def log_prob(self, actions: Tensor) -> Tensor:
-        """Log-density (P, B) of actions (P, B, A)."""
+        """Return the log-density (P, B) of actions (P, B, A)."""
         standard = (actions.transpose(1, 2) - self.mean) * torch.exp(-self.log_std)
         return (-0.5 * standard**2 - self.log_std - 0.5 * log(2 * pi)).sum(1)
 
     def entropy(self) -> Tensor:
-        """(P, B), the same for every row."""
+        """Return the entropy (P, B), the same for every row of a policy."""
         entropy = (self.log_std + 0.5 * log(2 * pi) + 0.5).sum(1)
         return entropy.expand(-1, self.mean.shape[2])
 
     def kl_from(self, old: "Distribution") -> Tensor:
-        """Return KL(old || self), (P, B), of another Gaussian."""
+        """Return KL(old || self), (P, B)."""
         assert isinstance(old, DiagonalGaussian)
         variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
         distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
 
     def detach(self) -> Self:
-        """The same as a constant, whatever becomes of the parameters."""
+        """Return a detached copy, which later changes of the parameters leave unchanged."""
         return type(self)(self.mean.detach(), self.log_std.detach().clone())
 
     def fisher_of_outputs(self, direction: Tensor) -> Tensor:
-        """v / variance: the Fisher information in the mean, times v (P, A, B)."""
+        """Return v / variance, (P, A, B): the Fisher information in the mean, times v."""
         return direction * torch.exp(-2 * self.log_std.detach())
 
     def drawn_score(self, noise: Tensor) -> Tensor:
-        """d log p(u) / d mean, (P, A, B), of actions u drawn by standard normals (P, B, A)."""
+        """Return d log p(u) / d mean, (P, A, B), for actions u drawn by standard normals (P, B, A)."""
         return noise.transpose(1, 2).to(self.log_std.dtype) * torch.exp(-self.log_std)
 
 

@@ -1,13 +1,13 @@
-"""Networks that remember: gated recurrent units between the hidden layers and the output layer, stacked.
+"""Stacked recurrent networks, with gated recurrent units between the hidden layers and the output layer.
 
-The units are those of Cho et al. 2014, arXiv:1406.1078, in the form of cuDNN and torch.nn.GRU, where the
-reset gate is applied after the product with the memory:
+The units are those of Cho et al. 2014, arXiv:1406.1078, in the variant of cuDNN and torch.nn.GRU, which
+applies the reset gate after the product with the hidden state h:
 
     r = sigmoid(W_r x + b_r + U_r h),   z = sigmoid(W_z x + b_z + U_z h),
     c = tanh(W_c x + b_c + r (U_c h + b_h)),   h' = (1 - z) c + z h.
 
-Only the candidate c has a second bias b_h; a second one of the gates would add nothing. Weights of r, z and c
-lie below each other: (P, 3M, in).
+Only the candidate c has a second bias b_h; in the gates it would be redundant. Weights of r, z and c are
+concatenated: (P, 3M, in).
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,21 +19,23 @@ from headway.contracts import HeadwayError
 from headway_algos.acting.mlp import layer_sizes
 from headway_algos.config import ModelConfig
 from headway_algos.networks.mlp import HIDDEN_GAIN, StackedMLP, activated_layer, stacked_matrices
-from headway_algos.networks.timeline import Timeline, begun, kept
+from headway_algos.networks.timeline import Timeline, hold_hidden, reset_hidden
 
 
-def gated_step(given: Tensor, memory: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """The memory (P, M, n) after one step: `given` (P, 3M, n) is W x + b, `weight` is U, `bias` b_h."""
-    size = memory.shape[1]
-    recalled = torch.bmm(weight, memory)
-    reset, update = torch.sigmoid(given[:, : 2 * size] + recalled[:, : 2 * size]).chunk(2, dim=1)
-    candidate = torch.tanh(given[:, 2 * size :] + reset * (recalled[:, 2 * size :] + bias))
-    return candidate + update * (memory - candidate)
+def gated_step(from_input: Tensor, hidden: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return h' (P, M, n), given h and `from_input` W x + b (P, 3M, n); `weight` is U, `bias` is b_h."""
+    size = hidden.shape[1]
+    from_hidden = torch.bmm(weight, hidden)
+    reset, update = torch.sigmoid(from_input[:, : 2 * size] + from_hidden[:, : 2 * size]).chunk(2, dim=1)
+    candidate = torch.tanh(from_input[:, 2 * size :] + reset * (from_hidden[:, 2 * size :] + bias))
+    return candidate + update * (hidden - candidate)
 
 
 class RecurrentNetwork(nn.Module):
-    """P networks: hidden layers, M gated recurrent units, an output layer. Initialised as `StackedMLP`, each
-    matrix of the units orthogonal by itself."""
+    """P networks of hidden layers, M gated recurrent units and an output layer.
+
+    Initialised like `StackedMLP`; the units' matrices of r, z and c are orthogonal each.
+    """
 
     def __init__(
         self,
@@ -56,10 +58,10 @@ class RecurrentNetwork(nn.Module):
             self.weights.append(stacked_matrices(seeds, networks_per_seed, purpose, i, shape, gain, dtype))
             self.biases.append(nn.Parameter(torch.zeros(len(self.weights[i]), shape[0], 1, dtype=dtype)))
 
-        def gates(of: str, columns: int) -> nn.Parameter:
+        def gates(source: str, columns: int) -> nn.Parameter:
             parts = [
                 stacked_matrices(
-                    seeds, networks_per_seed, f"{purpose} gru {of}", gate, (units, columns), 1.0, dtype
+                    seeds, networks_per_seed, f"{purpose} gru {source}", gate, (units, columns), 1.0, dtype
                 )
                 for gate in range(3)
             ]
@@ -71,41 +73,46 @@ class RecurrentNetwork(nn.Module):
         self.bias_memory = nn.Parameter(torch.zeros(stack, units, 1, dtype=dtype))
 
     def forward(self, rows: Tensor, timeline: Timeline | None = None) -> Tensor:
-        """(P, L x n, in) -> (P, out, L x n), with n sequences of L steps, step after step."""
-        outputs: Tensor = torch.bmm(self.weights[-1], self.memories(rows, timeline)) + self.biases[-1]
+        """Return outputs (P, out, L x n) for rows (P, L x n, in): n sequences of L steps, step-major.
+
+        Raises HeadwayError if `timeline` is None.
+        """
+        outputs: Tensor = torch.bmm(self.weights[-1], self.hidden_states(rows, timeline)) + self.biases[-1]
         return outputs
 
-    def memories(self, rows: Tensor, timeline: Timeline | None) -> Tensor:
-        """What is remembered right after each row, (P, M, L x n), of rows (P, L x n, in). Raises HeadwayError
-        where nobody says what came before."""
+    def hidden_states(self, rows: Tensor, timeline: Timeline | None) -> Tensor:
+        """Return the hidden states (P, M, L x n) after each of the rows (P, L x n, in).
+
+        Raises HeadwayError if `timeline` is None.
+        """
         if timeline is None:
             raise HeadwayError(
-                "what updates or judges policies does not tell them what came before, which they need to "
-                "remember; use algo.model.core=none"
+                "the update or critic does not pass the order of rows in time, which recurrence needs; "
+                "use algo.model.core=none"
             )
         x = rows.transpose(1, 2)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = activated_layer(x, weight, bias, self.activation)
-        given = torch.baddbmm(self.bias_input, self.weight_input, x)
-        memory, found = timeline.memory, []
-        width = memory.shape[2]
+        from_input = torch.baddbmm(self.bias_input, self.weight_input, x)
+        hidden, found = timeline.hidden, []
+        width = hidden.shape[2]
         for now, continues, keeps in zip(
-            _steps(given, width), _steps(timeline.continues, width), _steps(timeline.keeps, width),
+            _steps(from_input, width), _steps(timeline.continues, width), _steps(timeline.keeps, width),
             strict=False,
         ):  # fmt: skip
             assert now is not None
-            before = begun(memory, continues)
+            before = reset_hidden(hidden, continues)
             found.append(gated_step(now, before, self.weight_memory, self.bias_memory))
-            memory = kept(before, found[-1], keeps)
+            hidden = hold_hidden(before, found[-1], keeps)
         return torch.cat(found, dim=2)
 
 
 def _steps(rows: Tensor | None, width: int) -> Iterator[Tensor | None]:
-    """Rows (P, ..., L x n) step by step; without end where there are none."""
+    """Yield rows (P, ..., L x n) step by step; yield None forever if `rows` is None."""
     if rows is None:
         while True:
             yield None
-    # One split, whose gradient is put together once: a slice's is as large as all of them.
+    # The gradient of one split is assembled once; the gradient of each slice would be as large as `rows`.
     yield from torch.split(rows, width, dim=2)
 
 
@@ -121,7 +128,7 @@ def make_network(
     last_gain: float,
     dtype: torch.dtype,
 ) -> Network:
-    """The network that a config asks for, of sizes (inputs, outputs)."""
+    """Return stacked networks as configured, for `sizes` (inputs, outputs)."""
     full = (sizes[0], model.hidden, sizes[1])
     if model.core == "none":
         return StackedMLP(seeds, networks_per_seed, purpose, full, model.activation, last_gain, dtype)

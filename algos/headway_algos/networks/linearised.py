@@ -1,8 +1,8 @@
-"""A stack of multilayer perceptrons near its parameters: outputs to first order in the parameters.
+"""Jacobian products of stacked multilayer perceptrons, at fixed parameters theta and rows x.
 
-For rows x and parameters theta, J = d network(x) / d theta. `push` gives J v by forward differentiation, a
-layer at a time (Pearlmutter 1994, "Fast Exact Multiplication by the Hessian"), and `pull` gives J^T u as
-backpropagation does. The activations are kept, so that neither evaluates the network again.
+With J = d network(x) / d theta, `jvp` returns J v by forward differentiation, layer by layer (Pearlmutter
+1994, "Fast Exact Multiplication by the Hessian"), and `vjp` returns J^T u by backpropagation. Both reuse the
+stored activations and do not evaluate the network again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,26 +17,29 @@ from headway_algos.networks.mlp import StackedMLP
 
 @dataclass(frozen=True)
 class LinearisedMLP:
-    """P networks at rows of their own. Directions and gradients are in the order of the parameters: the
-    weights (P, out, in) of all layers, then the biases (P, out, 1)."""
+    """P networks linearised at given rows.
+
+    Directions and gradients are in the order of the parameters: weights (P, out, in) of all layers, then
+    biases (P, out, 1).
+    """
 
     weights: tuple[Tensor, ...]
     inputs: tuple[Tensor, ...]
-    """What each layer is given, (P, in, B)."""
+    """Inputs of each layer, (P, in, B)."""
     outputs: Tensor
     """(P, A, B)"""
     activation: str
 
     @classmethod
     def of(cls, network: StackedMLP, rows: Tensor) -> Self:
-        """At the network's parameters and rows (P, B, D)."""
+        """Linearise at the network's current parameters and rows (P, B, D)."""
         with torch.no_grad():
             *inputs, outputs = network.layers(rows)
         weights = tuple(weight.detach() for weight, _ in network.by_layer())
         return cls(weights, tuple(inputs), outputs, network.activation)
 
     def _through(self, layer: int, signal: Tensor) -> Tensor:
-        """A signal times the slope of the activation that made the input of `layer`."""
+        """Multiply a signal by the derivative of the activation that precedes `layer`."""
         activated = self.inputs[layer]
         aten = torch.ops.aten
         if self.activation == "tanh":
@@ -45,8 +48,8 @@ class LinearisedMLP:
             changed = aten.threshold_backward(signal, activated, 0)
         return changed
 
-    def push(self, direction: Sequence[Tensor]) -> Tensor:
-        """J v, (P, A, B): how outputs change along a direction in the parameters."""
+    def jvp(self, direction: Sequence[Tensor]) -> Tensor:
+        """Return J v, (P, A, B): the derivative of the outputs along a direction in parameter space."""
         layers = len(self.weights)
         change = torch.baddbmm(direction[layers], direction[0], self.inputs[0])
         for i in range(1, layers):
@@ -56,17 +59,19 @@ class LinearisedMLP:
         return change
 
     def back(self, signal: Tensor) -> Iterator[tuple[int, Tensor]]:
-        """Each layer from the last one to the first, with what of a signal u (P, A, B) at the outputs arrives
-        before its activation, (P, out, B)."""
+        """Backpropagate u (P, A, B) and yield each layer, last to first, with its signal before activation.
+
+        Signals are (P, out, B).
+        """
         for i in reversed(range(len(self.weights))):
             yield i, signal
             if i > 0:
                 signal = self._through(i, torch.bmm(self.weights[i].transpose(1, 2), signal))
 
-    def pull(self, signal: Tensor) -> list[Tensor]:
-        """J^T u summed over rows, for each parameter, from a signal u (P, A, B)."""
-        of_weights, of_biases = [], []
+    def vjp(self, signal: Tensor) -> list[Tensor]:
+        """Return J^T u summed over rows, for each parameter, given u (P, A, B)."""
+        weight_gradients, bias_gradients = [], []
         for i, arrived in self.back(signal):
-            of_weights.append(torch.bmm(arrived, self.inputs[i].transpose(1, 2)))
-            of_biases.append(arrived.sum(2, keepdim=True))
-        return of_weights[::-1] + of_biases[::-1]
+            weight_gradients.append(torch.bmm(arrived, self.inputs[i].transpose(1, 2)))
+            bias_gradients.append(arrived.sum(2, keepdim=True))
+        return weight_gradients[::-1] + bias_gradients[::-1]

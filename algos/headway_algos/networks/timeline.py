@@ -1,4 +1,4 @@
-"""The order of rows in time, as networks with memory need it."""
+"""Order of rows in time, for recurrent networks."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -9,26 +9,23 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Timeline:
-    """n sequences of L steps for each of P networks, side by side: rows are (P, L x n), step after step.
+    """Order of rows (P, L x n) as n sequences of L steps, step-major, for each of P networks."""
 
-    A network without memory takes no notice of it.
-    """
-
-    memory: Tensor
-    """(P, M, n): what is remembered before the first step."""
+    hidden: Tensor
+    """(P, M, n): hidden states before the first step."""
     continues: Tensor | None = None
-    """(P, 1, L x n): 0 where a stream begins, before which nothing is remembered, else 1; None: all 1."""
+    """(P, 1, L x n): 0 where a stream begins, which resets the hidden state, else 1; None: all 1."""
     keeps: Tensor | None = None
-    """(P, 1, L x n) bool: the row changes what is remembered; None: every row does."""
+    """(P, 1, L x n) bool: the row updates the hidden state; None: every row does."""
 
     @classmethod
-    def of_moments(cls, memory: Tensor) -> Self:
-        """Of rows (P, B) that have nothing to do with each other, each with its own memory (P, B, M)."""
-        return cls(memory.transpose(1, 2))
+    def of_rows(cls, hidden: Tensor) -> Self:
+        """Return B sequences of one step, with hidden states (P, B, M)."""
+        return cls(hidden.transpose(1, 2))
 
     def part(self, sequences: slice, policies: slice | Tensor) -> Self:
-        """That of some of the sequences, of some of the networks."""
-        count = self.memory.shape[2]
+        """Return the timeline of some sequences of some networks."""
+        count = self.hidden.shape[2]
 
         def cut(rows: Tensor | None) -> Tensor | None:
             if rows is None:
@@ -37,14 +34,14 @@ class Timeline:
             by_step = chosen.view(*chosen.shape[:2], rows.shape[2] // max(count, 1), count)
             return by_step[..., sequences].flatten(2)
 
-        return type(self)(self.memory[policies][..., sequences], cut(self.continues), cut(self.keeps))
+        return type(self)(self.hidden[policies][..., sequences], cut(self.continues), cut(self.keeps))
 
 
-def begun(memory: Tensor, continues: Tensor | None) -> Tensor:
-    """What is remembered (P, M, n) before a step at which some streams begin (P, 1, n)."""
-    return memory if continues is None else memory * continues
+def reset_hidden(hidden: Tensor, continues: Tensor | None) -> Tensor:
+    """Return hidden states (P, M, n), set to 0 where a stream begins: `continues` (P, 1, n) is 0 there."""
+    return hidden if continues is None else hidden * continues
 
 
-def kept(before: Tensor, after: Tensor, keeps: Tensor | None) -> Tensor:
-    """What is remembered (P, M, n) after a step that not all sequences keep (P, 1, n)."""
+def hold_hidden(before: Tensor, after: Tensor, keeps: Tensor | None) -> Tensor:
+    """Return hidden states (P, M, n) after a step: `after` where `keeps` (P, 1, n) is true, else `before`."""
     return after if keeps is None else torch.where(keeps, after, before)

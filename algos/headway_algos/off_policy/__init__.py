@@ -1,4 +1,1 @@
-"""Learning from remembered experience: transitions, a replay memory, target networks, exploration.
-
-This module imports no torch: workers need the acting policies in it.
-"""
+"""Off-policy learning: transitions, replay buffer, target networks, deep Q-learning and DDPG."""

@@ -1,4 +1,4 @@
-"""Deterministic policy gradients over stacks of actors and critics (Lillicrap et al. 2016)."""
+"""Deterministic policy gradients on stacked actors and critics (Lillicrap et al. 2016, arXiv:1509.02971)."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -21,12 +21,14 @@ from headway_algos.optim.adam import StackedAdam
 from headway_algos.recipes.ddpg import DDPGConfig
 
 ACTOR_GAIN = 0.01
-"""Of the actor's last layer: the first actions are near the middle of the bounds (the paper's section 7)."""
+"""Gain of the actor's last layer, so that initial actions are near mid-range (the paper's section 7)."""
 
 
-class DeterministicMethod:
-    """Actors mu(o) and critics Q(o, u), with a slow copy of each (see
-    `headway_algos.off_policy.learner.Method`). Networks see actions in units of the bounds: -1 to 1."""
+class DeterministicPolicyGradient:
+    """Actors mu(o) and critics Q(o, u) with target networks; a `headway_algos.off_policy.learner.Method`.
+
+    Networks work with actions scaled to [-1, 1].
+    """
 
     METRICS: ClassVar[tuple[str, ...]] = (
         "critic/loss",
@@ -51,22 +53,22 @@ class DeterministicMethod:
         self.critic = StackedMLP(
             seeds, policies, "critic", (size + box.size, model.hidden, 1), form, 1.0, dtype
         ).to(device)
-        self.slow_actor = TargetNetwork(self.network, config.target_every, config.tau)
-        self.slow_critic = TargetNetwork(self.critic, config.target_every, config.tau)
+        self.target_actor = TargetNetwork(self.network, config.target_every, config.tau)
+        self.target_critic = TargetNetwork(self.critic, config.target_every, config.tau)
         self.actor_optimiser = StackedAdam(self.network.parameters(), config.lr, config.grad_clip)
         self.critic_optimiser = StackedAdam(
             self.critic.parameters(), config.critic_lr or config.lr, config.grad_clip
         )
 
     def targets(self, batch: Batch) -> Tensor:
-        """y = G + gamma^k Q'(o', mu'(o')), (P, b)."""
+        """Return y = G + gamma^k Q'(o', mu'(o')), (P, b)."""
         with torch.no_grad():
             then = batch.next_observations
-            next_values = _values(self.slow_critic.network, then, _actions(self.slow_actor.network, then))
+            next_values = _values(self.target_critic.network, then, _actions(self.target_actor.network, then))
             return temporal_difference_target(batch.returns, batch.discounts, next_values)
 
     def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
-        """One step of the critics, one of the actors, and the copies follow."""
+        """Take one gradient step of critics and actors, and update the target networks if due."""
         targets, taken = self.targets(batch), (batch.actions - self.middle) / self.half
         values = _values(self.critic, batch.observations, taken)
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
@@ -74,8 +76,8 @@ class DeterministicMethod:
         torch.autograd.backward(loss.sum())
         critic_norm = self.critic_optimiser.step(active)
         actor_norm = self._improve_actors(batch.observations, active)
-        self.slow_actor.follow(active, self.actor_optimiser.counts)
-        self.slow_critic.follow(active, self.critic_optimiser.counts)
+        self.target_actor.follow(active, self.actor_optimiser.counts)
+        self.target_critic.follow(active, self.critic_optimiser.counts)
         return {
             "critic/loss": loss.detach(),
             "critic/value": mean_over_batch(values, active).detach(),
@@ -84,20 +86,24 @@ class DeterministicMethod:
         }
 
     def _improve_actors(self, observations: Tensor, active: NDArray[np.bool_]) -> Tensor:
-        """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], and down the squares of what the tanh gets; norms
-        of the gradients, (P,)."""
+        """Ascend E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], minus the saturation penalty on the inputs of tanh.
+
+        Returns gradient norms (P,).
+        """
         outputs: Tensor = self.network(observations)
         actions = _bounded(outputs)
-        asked = actions.detach().requires_grad_()
-        (slopes,) = torch.autograd.grad(_values(self.critic, observations, asked).sum(), asked)
+        leaf_actions = actions.detach().requires_grad_()
+        (gradients,) = torch.autograd.grad(
+            _values(self.critic, observations, leaf_actions).sum(), leaf_actions
+        )
         self.actor_optimiser.begin()
-        batch = slopes.shape[1]
-        pull = 2 * self.config.saturation_coeff * outputs.detach() / batch
-        torch.autograd.backward([actions, outputs], [-slopes / batch, pull])
+        batch = gradients.shape[1]
+        penalty_gradients = 2 * self.config.saturation_coeff * outputs.detach() / batch
+        torch.autograd.backward([actions, outputs], [-gradients / batch, penalty_gradients])
         return self.actor_optimiser.step(active)
 
     def anneal(self, share: float) -> None:
-        """Set the learning rates to `share` of their base."""
+        """Set the learning rates to `share` of their configured values."""
         self.actor_optimiser.anneal(share)
         self.critic_optimiser.anneal(share)
 
@@ -105,31 +111,31 @@ class DeterministicMethod:
     def _parts(self) -> dict[str, Any]:
         return {
             "actor": self.network, "critic": self.critic,
-            "slow_actor": self.slow_actor, "slow_critic": self.slow_critic,
+            "slow_actor": self.target_actor, "slow_critic": self.target_critic,
             "actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser,
         }  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, their copies and the optimisers."""
+        """Return the states of networks, target networks and optimisers."""
         return {name: part.state_dict() for name, part in self._parts.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         for name, part in self._parts.items():
             part.load_state_dict(state[name])
 
 
 def _actions(actor: StackedMLP, observations: Tensor) -> Tensor:
-    """mu(o) in units of the bounds: (P, b, A)."""
+    """Return mu(o), scaled to [-1, 1], (P, b, A)."""
     return _bounded(actor(observations))
 
 
 def _bounded(outputs: Tensor) -> Tensor:
-    """(P, A, b) -> (P, b, A), within -1 and 1."""
+    """Squash network outputs (P, A, b) to actions (P, b, A) in [-1, 1]."""
     return outputs.tanh().transpose(1, 2)
 
 
 def _values(critic: StackedMLP, observations: Tensor, actions: Tensor) -> Tensor:
-    """Q(o, u): (P, b)."""
+    """Return Q(o, u), (P, b)."""
     outputs: Tensor = critic(torch.cat([observations, actions], dim=2))
     return outputs[:, 0]

@@ -1,4 +1,5 @@
-"""Deep Q-learning over a stack of networks (Mnih et al. 2015; double: van Hasselt et al. 2016)."""
+"""Deep Q-learning on a stack of networks (Mnih et al. 2015, doi 10.1038/nature14236; double Q-learning: van
+Hasselt et al. 2016, arXiv:1509.06461)."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -23,9 +24,8 @@ from headway_algos.optim.adam import StackedAdam
 from headway_algos.recipes.madqn import MADQNConfig
 
 
-class ValueMethod:
-    """Networks Q(o, .), whose highest value acts, and targets from a copy (see
-    `headway_algos.off_policy.learner.Method`)."""
+class QLearning:
+    """Networks Q(o, .) and their target networks; a `headway_algos.off_policy.learner.Method`."""
 
     METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/grad_norm")
 
@@ -42,16 +42,16 @@ class ValueMethod:
         self.optimiser = StackedAdam(self.network.parameters(), config.lr, config.grad_clip)
 
     def targets(self, batch: Batch) -> Tensor:
-        """y = G + gamma^k Q'(o', u), (P, b), where u is the best allowed action by Q (double) or by Q'."""
+        """Return y = G + gamma^k Q'(o', u), (P, b); u is the best allowed action by Q (double) or by Q'."""
         with torch.no_grad():
-            judged = self.target.network(batch.next_observations)
-            chosen_by = self.network(batch.next_observations) if self.config.double else judged
-            best = best_allowed(chosen_by, batch.next_masks)
-            next_values = judged.gather(1, best[:, None])[:, 0]
+            target_values = self.target.network(batch.next_observations)
+            ranking = self.network(batch.next_observations) if self.config.double else target_values
+            best = best_allowed(ranking, batch.next_masks)
+            next_values = target_values.gather(1, best[:, None])[:, 0]
             return temporal_difference_target(batch.returns, batch.discounts, next_values)
 
     def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
-        """One step down the mean loss of Q(o, u) - y over each policy's batch."""
+        """Take one gradient step on the mean loss of Q(o, u) - y over each policy's batch."""
         targets = self.targets(batch)
         values = self.network(batch.observations).gather(1, batch.actions[:, None])[:, 0]
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
@@ -63,16 +63,16 @@ class ValueMethod:
         return {"critic/loss": loss.detach(), "critic/value": value.detach(), "critic/grad_norm": norm}
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.optimiser.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, targets and the optimiser."""
+        """Return the states of networks, target networks and optimiser."""
         parts: dict[str, Any] = {"network": self.network, "target": self.target, "optimiser": self.optimiser}
         return {name: part.state_dict() for name, part in parts.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         self.network.load_state_dict(state["network"])
         self.target.load_state_dict(state["target"])
         self.optimiser.load_state_dict(state["optimiser"])

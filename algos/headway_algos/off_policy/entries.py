@@ -1,4 +1,4 @@
-"""The registry's part of algorithms that learn from a replay memory. Importing it imports no torch."""
+"""Registry entries of the off-policy algorithms. Importing them imports no torch."""
 
 from functools import partial
 
@@ -32,13 +32,13 @@ def _ddpg_refuses(config: ddpg.DDPGConfig, spec: EnvSpec) -> str | None:
     if not isinstance(space, Box):
         instead = "; use algo=madqn" if isinstance(space, Discrete) else ""
         return (
-            f"{config.name} takes Box actions, by which its critic is differentiated, and {spec.name} has "
+            f"{config.name} takes Box actions, for which its critic has gradients, and {spec.name} has "
             f"{_kind(spec)} ones{instead}"
         )
     if not np.isfinite((space.low, space.high)).all():
         return (
-            f"{config.name} takes Box actions with bounds, to which it scales them, and {spec.name} has some "
-            "without; use an algorithm with Gaussian actions, such as algo=ippo"
+            f"{config.name} takes bounded Box actions, which it scales to the bounds, and {spec.name} has "
+            "unbounded ones; use an algorithm with Gaussian actions, such as algo=ippo"
         )
     return missing_groups(config.policies, spec)
 
@@ -49,15 +49,17 @@ def _epsilon_greedy(config: madqn.MADQNConfig, spec: EnvSpec) -> EpsilonGreedyPo
     return EpsilonGreedyPolicy.of(config, spec)
 
 
-def _wandering(config: ddpg.DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
+def _ornstein_uhlenbeck(config: ddpg.DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
     if (line := _ddpg_refuses(config, spec)) is not None:
         raise HeadwayError(line)
     return OrnsteinUhlenbeckPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
 
 
-def _kept_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
-    """Of full memories, or of what the agents of each policy live through: two observations, an action, a
-    mask, a return and a discount each."""
+def _replay_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
+    """Return the bytes of one seed's replay buffers, full or after `env_steps`, whichever is less.
+
+    A transition is two observations, an action, a mask, a return and a discount.
+    """
     members = Grouping.of(config.policies, spec).is_member.sum(axis=1)
     transitions = int(np.minimum(config.capacity, members * env_steps).sum())
     space = spec.action_space
@@ -71,18 +73,18 @@ OFF_POLICY = {
         ddpg.SUMMARY,
         ddpg.SOURCE,
         ddpg.DDPGConfig,
-        _wandering,
-        partial(LEARNER, method=Lazy("headway_algos.off_policy.ddpg:DeterministicMethod")),
+        _ornstein_uhlenbeck,
+        partial(LEARNER, method=Lazy("headway_algos.off_policy.ddpg:DeterministicPolicyGradient")),
         _ddpg_refuses,
-        _kept_bytes,
+        _replay_bytes,
     ),
     "madqn": AlgoEntry(
         madqn.SUMMARY,
         madqn.SOURCE,
         madqn.MADQNConfig,
         _epsilon_greedy,
-        partial(LEARNER, method=Lazy("headway_algos.off_policy.dqn:ValueMethod")),
+        partial(LEARNER, method=Lazy("headway_algos.off_policy.dqn:QLearning")),
         _madqn_refuses,
-        _kept_bytes,
+        _replay_bytes,
     ),
 }

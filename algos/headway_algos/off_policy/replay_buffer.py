@@ -1,4 +1,4 @@
-"""Replay memories (Lin 1992; Mnih et al. 2015), one for each policy of a stack, as one set of arrays."""
+"""Replay buffers (Lin 1992; Mnih et al. 2015), one per policy of a stack, in one set of arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from headway_algos.off_policy.transitions import Transitions
 
 @dataclass(frozen=True)
 class Batch:
-    """b transitions of each policy."""
+    """b transitions per policy; fields as in `headway_algos.off_policy.transitions.Transitions`."""
 
     observations: Tensor
     """(P, b, D)"""
     actions: Tensor
-    """(P, b) or (P, b, A)"""
+    """(P, b) for Discrete, (P, b, A) for Box"""
     returns: Tensor
     """(P, b)"""
     discounts: Tensor
@@ -28,12 +28,11 @@ class Batch:
     next_observations: Tensor
     """(P, b, D)"""
     next_masks: Tensor | None
-    """(P, b, A)"""
+    """(P, b, A); None without action masks"""
 
 
 class ReplayBuffer:
-    """The newest `capacity` transitions of each of P policies. A policy's is filled and drawn from by itself,
-    whatever the others of its stack have."""
+    """The newest `capacity` transitions of each of P policies, filled and drawn from independently."""
 
     def __init__(self, spec: EnvSpec, policies: int, capacity: int, device: torch.device) -> None:
         self.capacity, self.device = capacity, device
@@ -56,12 +55,12 @@ class ReplayBuffer:
             for name, (shape, dtype) in kinds.items()
         }
         self.filled = np.zeros(policies, np.int64)
-        """(P,): transitions held."""
+        """(P,): number of stored transitions."""
         self.position = np.zeros(policies, np.int64)
-        """(P,): where the next one goes."""
+        """(P,): slot of the next transition."""
 
     def add(self, policies: NDArray[np.int64], transitions: Transitions) -> None:
-        """Remember transitions, each for its policy (B,); of more than fit the last stay."""
+        """Store transitions in the buffers of `policies` (B,); the last `capacity` of each are kept."""
         order = np.argsort(policies, kind="stable")
         owner = policies[order]
         counts = np.bincount(owner, minlength=len(self.filled))
@@ -79,21 +78,23 @@ class ReplayBuffer:
     def draws(
         self, generators: Sequence[np.random.Generator], active: NDArray[np.bool_], shape: tuple[int, int]
     ) -> NDArray[np.int64]:
-        """Places (U, P, b) for U = shape[0] batches of b = shape[1], each policy's uniform over what it holds
-        and by its own generator; place 0 of a policy that is not `active` (P,)."""
+        """Draw slots (U, P, b) for U = shape[0] batches of b = shape[1] transitions.
+
+        Each policy draws uniformly with its own generator; policies not `active` (P,) get slot 0.
+        """
         drawn = np.zeros((len(self.filled), *shape), np.int64)
         for p in np.flatnonzero(active).tolist():
             drawn[p] = generators[p].integers(0, self.filled[p], shape)
         return np.moveaxis(drawn, 0, 1)
 
-    def batch(self, places: NDArray[np.int64], dtype: torch.dtype) -> Batch:
-        """The transitions at places (P, b), floating numbers in `dtype`."""
-        rows = places + np.arange(len(places))[:, None] * self.capacity
+    def batch(self, slots: NDArray[np.int64], dtype: torch.dtype) -> Batch:
+        """Return the transitions at `slots` (P, b), with floating-point values in `dtype`."""
+        rows = slots + np.arange(len(slots))[:, None] * self.capacity
         index = torch.from_numpy(rows.ravel()).to(self.device)
 
         def taken(name: str) -> Tensor:
             array = self.arrays[name]
-            rows = array.index_select(0, index).reshape(*places.shape, *array.shape[1:])
+            rows = array.index_select(0, index).reshape(*slots.shape, *array.shape[1:])
             return rows.to(dtype) if rows.is_floating_point() else rows
 
         return Batch(
@@ -105,20 +106,20 @@ class ReplayBuffer:
             next_masks=taken("next_masks") if "next_masks" in self.arrays else None,
         )
 
-    def _held(self) -> Tensor:
-        """Rows of all policies that hold a transition."""
+    def _filled_rows(self) -> Tensor:
+        """Return the indices of rows that hold a transition, over all policies."""
         held = np.arange(self.capacity) < self.filled[:, None]
         return torch.from_numpy(np.flatnonzero(held)).to(self.device)
 
     def state_dict(self) -> dict[str, Any]:
-        """What is held, and no more."""
-        held = self._held()
+        """Return the stored transitions, without empty slots."""
+        held = self._filled_rows()
         arrays = {name: array.index_select(0, held) for name, array in self.arrays.items()}
         return {"arrays": arrays, "filled": self.filled.copy(), "position": self.position.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
+        """Restore the result of `state_dict`."""
         self.filled, self.position = state["filled"].copy(), state["position"].copy()
-        held = self._held()
+        held = self._filled_rows()
         for name, array in self.arrays.items():
             array[held] = state["arrays"][name].to(self.device)

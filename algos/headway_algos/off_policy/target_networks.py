@@ -1,4 +1,4 @@
-"""Target networks (Mnih et al. 2015) and what they say returns should have been."""
+"""Target networks (Mnih et al. 2015, doi 10.1038/nature14236), temporal-difference targets and losses."""
 
 from copy import deepcopy
 from typing import Any
@@ -13,52 +13,54 @@ from headway_algos.networks.mlp import StackedMLP
 
 
 def temporal_difference_target(returns: Tensor, discounts: Tensor, next_values: Tensor) -> Tensor:
-    """y = G + gamma^k V(o'), (P, b), whose second part is nothing where the stream terminated."""
+    """Return y = G + gamma^k V(o'), (P, b); the discount gamma^k is 0 where the stream terminated."""
     return returns + discounts * next_values
 
 
 def best_allowed(values: Tensor, masks: Tensor | None) -> Tensor:
-    """argmax over the allowed actions: (P, b) from values (P, A, b) and masks (P, b, A)."""
+    """Return the allowed actions (P, b) of highest value, given values (P, A, b) and masks (P, b, A)."""
     if masks is not None:
         values = values.masked_fill(~masks.transpose(1, 2), -torch.inf)
     return values.argmax(1)
 
 
 def regression_loss(errors: Tensor, kind: str) -> Tensor:
-    """Half the squared error, or Huber's loss, linear beyond 1 (Huber 1964): as `errors`."""
+    """Return half the squared error, or Huber's loss, linear beyond 1 (Huber 1964), elementwise."""
     if kind == "squared":
         return 0.5 * errors**2
     return functional.huber_loss(errors, torch.zeros_like(errors), reduction="none")
 
 
 class TargetNetwork:
-    """A copy of a stack of networks that follows it slowly."""
+    """A delayed copy of a stack of networks."""
 
     def __init__(self, online: StackedMLP, every: int, tau: float) -> None:
         self.online, self.every, self.tau = online, every, tau
         self.network = deepcopy(online).requires_grad_(False)
 
     def follow(self, active: NDArray[np.bool_], counts: NDArray[np.int64]) -> None:
-        """theta' <- theta' + tau (theta - theta') of networks that have just taken a step (`active`, (P,)) if
-        that was their `every`-th; `counts` (P,) are the steps of each so far."""
+        """Update theta' <- theta' + tau (theta - theta') for `active` networks at every `every`-th step.
+
+        `active` (P,): networks that have just taken a gradient step; `counts` (P,): steps of each so far.
+        """
         due = active & (counts % self.every == 0)
         if not due.any():
             return
         with torch.no_grad():
-            for mine, theirs in zip(self.network.parameters(), self.online.parameters(), strict=True):
-                share = torch.from_numpy(due * self.tau).to(mine)
-                mine.lerp_(theirs, share.view(-1, *[1] * (mine.dim() - 1)).expand_as(mine))
+            for target, online in zip(self.network.parameters(), self.online.parameters(), strict=True):
+                share = torch.from_numpy(due * self.tau).to(target)
+                target.lerp_(online, share.view(-1, *[1] * (target.dim() - 1)).expand_as(target))
 
     def state_dict(self) -> dict[str, Any]:
-        """The copy's tensors."""
+        """Return the target network's tensors."""
         return self.network.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         self.network.load_state_dict(state)
 
 
 def mean_over_batch(losses: Tensor, active: NDArray[np.bool_]) -> Tensor:
-    """(P, b) -> (P,): 0, without gradient, for networks that are not `active` (P,)."""
-    here: Tensor = torch.from_numpy(active).to(losses.device)
-    return torch.where(here, losses.mean(1), 0)
+    """Return means (P,) of losses (P, b); 0, without gradient, for networks not `active` (P,)."""
+    selected: Tensor = torch.from_numpy(active).to(losses.device)
+    return torch.where(selected, losses.mean(1), 0)

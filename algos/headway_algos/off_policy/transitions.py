@@ -1,7 +1,7 @@
-"""Experience as semi-Markov transitions: from one decision of an agent to its next (or a later) one.
+"""Semi-Markov transitions: from one decision of an agent to its next, or n-th next, decision.
 
-An agent decides at the steps at which its action is used. What it is paid until its next decision, each
-step discounted, belongs to the decision before, and the value there is discounted by all the steps between
+An agent makes a decision at each step at which the environment uses its action. The discounted rewards until
+the next decision are credited to it, and the value there is discounted by the number k of steps between
 (Sutton, Precup and Singh 1999, "Between MDPs and semi-MDPs", section 3):
 
     G = r_t + gamma r_{t+1} + ... + gamma^(k-1) r_{t+k-1},   target = G + gamma^k V(o_{t+k})
@@ -21,62 +21,62 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Transitions:
-    """B transitions in the order in which their decisions were taken, those of earlier iterations first."""
+    """B transitions in the order of their decisions, those of earlier iterations first."""
 
     streams: NDArray[np.int64]
     """(B,): copy x N + agent."""
     observations: NDArray[np.float32]
-    """(B, D): what was decided on."""
+    """(B, D): observations at the decisions."""
     actions: NDArray[Any]
-    """(B,) or (B, A)"""
+    """(B,) for Discrete, (B, A) for Box"""
     returns: Array
-    """(B,): rewards until the next observation, discounted."""
+    """(B,): discounted rewards G until the next observation."""
     discounts: Array
-    """(B,): of the value there: gamma^k after k steps, 0 where the stream terminated."""
+    """(B,): discount of the next value, gamma^k after k steps; 0 where the stream terminated."""
     next_observations: NDArray[np.float32]
-    """(B, D); zeros where the discount is 0."""
+    """(B, D): observations to bootstrap from; zeros where the discount is 0."""
     next_masks: NDArray[np.bool_]
-    """(B, A): what is allowed there; all where the stream was truncated, whose mask nobody knows. (B, 0)
-    where the environment has no masks."""
+    """(B, A): action masks at the next observations, all true where the stream was truncated: no mask is
+    recorded there. (B, 0) if the environment has no masks."""
 
     def __len__(self) -> int:
-        """B"""
+        """B."""
         return len(self.streams)
 
 
 @dataclass(frozen=True)
-class Open:
-    """B decisions whose transitions go on in the next iteration."""
+class OpenDecisions:
+    """B decisions whose transitions continue in the next iteration."""
 
     streams: NDArray[np.int64]
-    """(B,)"""
+    """(B,): copy x N + agent."""
     observations: NDArray[np.float32]
-    """(B, D)"""
+    """(B, D): observations at the decisions."""
     actions: NDArray[Any]
-    """(B,) or (B, A)"""
+    """(B,) for Discrete, (B, A) for Box"""
     returns: Array
-    """(B,): so far."""
+    """(B,): discounted rewards so far."""
     discounts: Array
-    """(B,): of what comes next."""
+    """(B,): discount of the next reward or value."""
     ahead: NDArray[np.int64]
-    """(B,): decisions that are still to be looked ahead."""
+    """(B,): number of decisions still to pass before the transition is complete."""
 
     def where(self, chosen: NDArray[np.bool_]) -> Self:
-        """Those chosen, (B,)."""
+        """Return the decisions selected by the mask `chosen` (B,)."""
         return type(self)(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 @dataclass(frozen=True)
-class Links:
-    """From each step of each stream to what comes next: its next decision, its end, or the iteration's."""
+class Spans:
+    """Spans from each step of each stream to its next decision, its end, or the end of the iteration."""
 
     returns: Array
-    """(T + 1, C, N): rewards from this step until then, discounted."""
+    """(T + 1, C, N): discounted rewards over the span."""
     discounts: Array
-    """(T + 1, C, N): of the value there; 0 if the stream terminates."""
-    places: NDArray[np.int64]
-    """(T + 1, C, N): the step of the next decision; T where the iteration ends first; T + 1 + t where the
-    stream ends with step t."""
+    """(T + 1, C, N): discount of the value at the end of the span; 0 if the stream terminates there."""
+    ends: NDArray[np.int64]
+    """(T + 1, C, N): step of the next decision; T if the iteration ends first; T + 1 + t if the stream ends
+    with step t."""
 
     @classmethod
     def of(
@@ -87,114 +87,122 @@ class Links:
         decides: NDArray[np.bool_],
         gamma: float,
     ) -> Self:
-        """From arrays (T, C, N)."""
+        """Compute spans backwards in time, given arrays (T, C, N)."""
         steps = len(rewards)
         over, before_next = terminated | truncated, np.zeros_like(decides)
         before_next[:-1] = decides[1:]
         returns = np.zeros((steps + 1, *rewards.shape[1:]))
         discounts = np.ones_like(returns)
-        places = np.full(returns.shape, steps)
+        ends = np.full(returns.shape, steps)
         for t in range(steps - 1, -1, -1):
             arrives = over[t] | before_next[t]
             returns[t] = rewards[t] + gamma * np.where(arrives, 0, returns[t + 1])
             discounts[t] = gamma * np.where(arrives, ~terminated[t], discounts[t + 1])
-            there = np.where(before_next[t], t + 1, places[t + 1])
-            places[t] = np.where(over[t], steps + 1 + t, there)
-        return cls(returns, discounts, places)
+            next_end = np.where(before_next[t], t + 1, ends[t + 1])
+            ends[t] = np.where(over[t], steps + 1 + t, next_end)
+        return cls(returns, discounts, ends)
 
 
-class TransitionMaker:
-    """Turns iterations into transitions; decisions that are open at an iteration's end wait for the next.
+class TransitionBuilder:
+    """Converts trajectories to transitions; decisions open at the end of an iteration continue in the next.
 
-    Where an environment cannot be snapshotted, its episodes may start anew between two iterations (on
-    resuming): there, open transitions end with the iteration, in what is observed last.
+    Without snapshots (`EnvSpec.snapshots`), episodes may restart between iterations when a run is resumed.
+    Open transitions then end with the iteration, at the last observation.
     """
 
     def __init__(self, spec: EnvSpec, gamma: float, n_step: int) -> None:
         self.spec, self.gamma, self.n_step = spec, gamma, n_step
-        self.open: Open | None = None
+        self.open: OpenDecisions | None = None
 
     def transitions(self, trajectory: Trajectory) -> Transitions:
-        """Those that are whole by now."""
+        """Return the transitions that this trajectory completes."""
         decides = trajectory.alive[:-1] & trajectory.acting
-        links = Links.of(trajectory.rewards, trajectory.terminated, trajectory.truncated, decides, self.gamma)
-        decisions, places = self._ahead(*self._decisions(trajectory, decides, links), links)
-        return self._closed(trajectory, decisions, places)
+        spans = Spans.of(trajectory.rewards, trajectory.terminated, trajectory.truncated, decides, self.gamma)
+        decisions, ends = self._extend(*self._decisions(trajectory, decides, spans), spans)
+        return self._close(trajectory, decisions, ends)
 
-    def _ahead(
-        self, decisions: Open, places: NDArray[np.int64], links: Links
-    ) -> tuple[Open, NDArray[np.int64]]:
-        """Decisions followed over the next ones, as many as are still to be looked ahead; their places."""
-        steps = len(links.places) - 1
+    def _extend(
+        self, decisions: OpenDecisions, ends: NDArray[np.int64], spans: Spans
+    ) -> tuple[OpenDecisions, NDArray[np.int64]]:
+        """Extend decisions over up to `ahead` further spans; return them with the ends reached."""
+        steps = len(spans.ends) - 1
         copies, agents = np.divmod(decisions.streams, self.spec.num_agents)
         returns, discounts, ahead = decisions.returns, decisions.discounts, decisions.ahead
         for _ in range(self.n_step):
-            at_decision = (places < steps) & (ahead > 0)
+            at_decision = (ends < steps) & (ahead > 0)
             ahead = ahead - at_decision
-            onward = at_decision & (ahead > 0)
-            here = np.where(onward, places, 0), copies, agents
-            returns = np.where(onward, returns + discounts * links.returns[here], returns)
-            discounts = np.where(onward, discounts * links.discounts[here], discounts)
-            places = np.where(onward, links.places[here], places)
-        return replace(decisions, returns=returns, discounts=discounts, ahead=ahead), places
+            extended = at_decision & (ahead > 0)
+            span = np.where(extended, ends, 0), copies, agents
+            returns = np.where(extended, returns + discounts * spans.returns[span], returns)
+            discounts = np.where(extended, discounts * spans.discounts[span], discounts)
+            ends = np.where(extended, spans.ends[span], ends)
+        return replace(decisions, returns=returns, discounts=discounts, ahead=ahead), ends
 
     def _decisions(
-        self, trajectory: Trajectory, decides: NDArray[np.bool_], links: Links
-    ) -> tuple[Open, NDArray[np.int64]]:
-        """Open decisions, then this iteration's, each followed to its next place: (B,)."""
+        self, trajectory: Trajectory, decides: NDArray[np.bool_], spans: Spans
+    ) -> tuple[OpenDecisions, NDArray[np.int64]]:
+        """Return open decisions, then new ones, each extended by one span, and their ends (B,)."""
         step, copies, agents = rows = np.nonzero(decides)
-        new = Open(
+        new = OpenDecisions(
             copies * self.spec.num_agents + agents,
             trajectory.observations[rows],
             trajectory.actions[rows],
-            links.returns[rows],
-            links.discounts[rows],
+            spans.returns[rows],
+            spans.discounts[rows],
             np.full(len(step), self.n_step),
         )
-        places = links.places[rows]
+        ends = spans.ends[rows]
         if self.open is None:
-            return new, places
+            return new, ends
         old = self.open
         first = (np.zeros_like(old.streams), *np.divmod(old.streams, self.spec.num_agents))
+        # A decision at step 0 ends the open span right there, with no further reward.
         at_once = decides[first]
-        returns = old.returns + np.where(at_once, 0, old.discounts * links.returns[first])
-        discounts = old.discounts * np.where(at_once, 1, links.discounts[first])
-        followed = Open(old.streams, old.observations, old.actions, returns, discounts, old.ahead)
-        both = (np.concatenate([getattr(x, field.name) for x in (followed, new)]) for field in fields(Open))
-        return Open(*both), np.concatenate([np.where(at_once, 0, links.places[first]), places])
+        returns = old.returns + np.where(at_once, 0, old.discounts * spans.returns[first])
+        discounts = old.discounts * np.where(at_once, 1, spans.discounts[first])
+        extended = OpenDecisions(old.streams, old.observations, old.actions, returns, discounts, old.ahead)
+        both = (
+            np.concatenate([getattr(x, field.name) for x in (extended, new)])
+            for field in fields(OpenDecisions)
+        )
+        return OpenDecisions(*both), np.concatenate([np.where(at_once, 0, spans.ends[first]), ends])
 
-    def _closed(self, trajectory: Trajectory, decisions: Open, places: NDArray[np.int64]) -> Transitions:
-        """Those that arrived, with what is observed there; the others are open from now on."""
+    def _close(
+        self, trajectory: Trajectory, decisions: OpenDecisions, ends: NDArray[np.int64]
+    ) -> Transitions:
+        """Return the completed transitions; keep the others open."""
         steps = len(trajectory.actions)
         copies, agents = np.divmod(decisions.streams, self.spec.num_agents)
-        waits = places == steps
+        continues = ends == steps
         if self.spec.snapshots:
-            self.open, whole = decisions.where(waits), ~waits
+            self.open, complete = decisions.where(continues), ~continues
         else:
-            whole = ~waits | trajectory.alive[-1, copies, agents]
-        places, copies, agents = places[whole], copies[whole], agents[whole]
-        ends = places > steps
-        streams_end = np.where(ends, places - steps - 1, 0), copies, agents
-        goes_on = np.where(ends, 0, places), copies, agents
-        last, on = trajectory.final_observations[streams_end], trajectory.observations[goes_on]
-        discounts = decisions.discounts[whole]
-        masks = np.ones((len(places), 0), np.bool_)
+            complete = ~continues | trajectory.alive[-1, copies, agents]
+        ends, copies, agents = ends[complete], copies[complete], agents[complete]
+        stream_ended = ends > steps
+        final_step = np.where(stream_ended, ends - steps - 1, 0), copies, agents
+        next_step = np.where(stream_ended, 0, ends), copies, agents
+        final, following = trajectory.final_observations[final_step], trajectory.observations[next_step]
+        discounts = decisions.discounts[complete]
+        masks = np.ones((len(ends), 0), np.bool_)
         if self.spec.has_action_mask:
-            masks = trajectory.action_masks[goes_on] | ends[:, None]
+            masks = trajectory.action_masks[next_step] | stream_ended[:, None]
         return Transitions(
-            decisions.streams[whole],
-            decisions.observations[whole],
-            decisions.actions[whole],
-            decisions.returns[whole],
+            decisions.streams[complete],
+            decisions.observations[complete],
+            decisions.actions[complete],
+            decisions.returns[complete],
             discounts,
-            zero_where_absent(np.where(ends[:, None], last, on), discounts > 0),
+            zero_where_absent(np.where(stream_ended[:, None], final, following), discounts > 0),
             masks,
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """The open decisions; empty where there are none."""
-        return {} if self.open is None else {f.name: getattr(self.open, f.name) for f in fields(Open)}
+        """Return the open decisions; empty if there are none."""
+        return (
+            {} if self.open is None else {f.name: getattr(self.open, f.name) for f in fields(OpenDecisions)}
+        )
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
-        self.open = Open(**state) if state else None
+        """Restore the result of `state_dict`."""
+        self.open = OpenDecisions(**state) if state else None

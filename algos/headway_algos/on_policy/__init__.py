@@ -1,1 +1,1 @@
-"""Learners from the experience of one iteration: advantages, critics, updates, orders."""
+"""On-policy learning from one iteration's trajectory: advantages, critics, updates, orders."""

@@ -1,4 +1,4 @@
-"""A2C's gradients found in workers, and applied by a learner as they come."""
+"""A3C: workers compute A2C's gradients, and a learner applies them (Mnih et al. 2016, arXiv:1602.01783)."""
 
 from collections.abc import Sequence
 from ctypes import CDLL
@@ -22,7 +22,7 @@ from headway_algos.recipes.a3c import A3CConfig
 
 @dataclass(frozen=True)
 class _Shared:
-    """What of a learner its workers have, too: it is told by these names."""
+    """Parts of a learner that workers replicate, by the names under which they are published."""
 
     learner: OnPolicyLearner
     actor: GradientUpdate
@@ -37,7 +37,7 @@ class _Shared:
 
     @property
     def tensors(self) -> dict[str, Tensor]:
-        """All that learning changes but the optimisers, as it is now."""
+        """Tensors of actor and critic, normalisers included, by part and name."""
         modules = {"actor": self.learner.actor, "critic": self.critic.networks}
         return {
             f"{part}.{name}": tensor
@@ -47,14 +47,14 @@ class _Shared:
 
     @property
     def optimisers(self) -> dict[str, StackedAdam]:
-        """Of the actor's gradients, and of the critic's."""
+        """Optimisers of actor and critic."""
         regression = self.critic.regression.optimiser
         assert isinstance(regression, StackedAdam)
         return {"actor": self.actor.optimiser, "critic": regression}
 
     @property
     def moments(self) -> dict[str, RunningStatistics]:
-        """Normalisers, which batches are added to."""
+        """Running statistics of observations, critic inputs and returns."""
         networks = self.critic.networks
         return {
             "observations": self.learner.actor.moments,
@@ -64,13 +64,15 @@ class _Shared:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Names of glibc's `mallopt`."""
+"""Parameter numbers M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of glibc's `mallopt`."""
 
 
-def _give_back_large_blocks() -> None:
-    """Have this process's larger tensors in memory of their own, where glibc says what is where. Else what an
-    environment allocates between a contribution's tensors (SUMO does) keeps the next ones from taking their
-    places: a worker grew by some 20 MB (`benchmarks crossing`)."""
+def _return_large_blocks() -> None:
+    """Make glibc's malloc return freed large tensors to the system; no effect with other C libraries.
+
+    Otherwise allocations of an environment (SUMO) in between fragment the heap, and a worker grew by about
+    20 MB (`benchmarks crossing`).
+    """
     mallopt = getattr(CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, 400_000)
@@ -78,23 +80,28 @@ def _give_back_large_blocks() -> None:
 
 
 class A2CContributor:
-    """Learns on a copy, which the next copy replaces: what comes of it are the gradients, before any clip,
-    and the moments of its batch (see `headway.contracts.Contributor`)."""
+    """A `headway.contracts.Contributor` of gradients, not yet clipped, and of its batch's statistics.
+
+    It updates a local copy of the learner, which the next published parameters replace.
+    """
 
     def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
         torch.set_num_threads(1)
-        _give_back_large_blocks()
+        _return_large_blocks()
         self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
         self.shared = _Shared.of(self.learner)
 
     def adopt(self, published: Parameters) -> Parameters:
-        """See `headway.contracts.Contributor`."""
+        """Copy the published tensors and return the acting parameters."""
         for name, tensor in self.shared.tensors.items():
             tensor.copy_(torch.as_tensor(published[name]))
         return self.learner.acting_parameters()
 
     def contribute(self, trajectory: Trajectory, number: int) -> Contribution:
-        """See `headway.contracts.Contributor`."""
+        """Return the gradients of actor and critic on this trajectory.
+
+        Raises HeadwayError if learning diverged.
+        """
         optimisers = self.shared.optimisers
         counts = {part: optimiser.counts.copy() for part, optimiser in optimisers.items()}
         try:
@@ -114,18 +121,18 @@ class A2CContributor:
         return Contribution(arrays, metrics)
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's
-        """What the critic of policies that remember carries on."""
+        """Return the hidden states of a recurrent critic at the end of the last trajectory."""
         return self.shared.critic.networks.carried
 
     def restore(self, snapshot: Any) -> None:  # noqa: ANN401 - the contract's
-        """Inverse of `snapshot`."""
+        """Restore the result of `snapshot`."""
         self.shared.critic.networks.carried = snapshot
 
 
 class AsynchronousA2CLearner(OnPolicyLearner):
-    """Policies, critics and optimisers that all workers share (see `headway.contracts.AsynchronousLearner`).
+    """A `headway.contracts.AsynchronousLearner` that applies workers' gradients to shared parameters.
 
-    By `update` it learns in step, as one worker alone does.
+    Its `update` trains synchronously, as with a single worker.
     """
 
     def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
@@ -134,11 +141,11 @@ class AsynchronousA2CLearner(OnPolicyLearner):
         self.shared = _Shared.of(self)
 
     def published(self) -> dict[str, NDArray[Any]]:
-        """Actor, critic and normalisers."""
+        """Return copies of the tensors of actor, critic and normalisers."""
         return {name: tensor.cpu().numpy().copy() for name, tensor in self.shared.tensors.items()}
 
     def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
-        """One step along gradients, clipped, that may be of earlier parameters than those that move."""
+        """Clip the contributed gradients, which may stem from older parameters, and take one step."""
         share = 1 - (1 - self.config.lr_end) * progress
         arrays = contribution.arrays
         for part, optimiser in self.shared.optimisers.items():
@@ -151,6 +158,6 @@ class AsynchronousA2CLearner(OnPolicyLearner):
             if name in arrays:
                 count, mean, squares = torch.as_tensor(arrays[name], device=self.device)
                 moments.add(count[..., :1], mean, squares)
-        self.stack.refuse_divergence(
+        self.stack.raise_if_diverged(
             self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
         )

@@ -1,4 +1,4 @@
-"""The policies as they acted, asked by critics that weigh actions."""
+"""The behaviour policy: action probabilities and sampled actions, for critics that need them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ from headway_algos.networks.timeline import Timeline
 
 
 class BehaviourPolicy:
-    """What the policies do at their present parameters: ask before they are improved."""
+    """The policies at their current parameters; valid as behaviour policy until they are updated."""
 
     def __init__(
         self,
@@ -27,63 +27,66 @@ class BehaviourPolicy:
         actor: Actor,
         acting: ActingPolicy,
         layout: Layout,
-        memories: HiddenStates | None = None,
+        hidden_states: HiddenStates | None = None,
     ) -> None:
-        """`memories`: what was remembered along the trajectory that is judged, by policies that do."""
+        """`hidden_states`: those of the trajectory to evaluate, if the policies are recurrent."""
         self.config, self.actor, self.acting, self.layout = config, actor, acting, layout
-        self.memories = memories
+        self.hidden_states = hidden_states
 
-    def remembering(self, memories: HiddenStates | None) -> "BehaviourPolicy":
-        """The same along a trajectory of which this was remembered."""
-        return BehaviourPolicy(self.config, self.actor, self.acting, self.layout, memories)
+    def with_hidden_states(self, hidden_states: HiddenStates | None) -> "BehaviourPolicy":
+        """Return the same policy for a trajectory with these hidden states."""
+        return BehaviourPolicy(self.config, self.actor, self.acting, self.layout, hidden_states)
 
-    def probabilities(self, scene: CriticBatch) -> NDArray[np.float64]:
-        """Chances of each action, (M, C, N, A), of Discrete actions only; exactly 0 for forbidden ones.
-        Computed in pieces that stay in the cache."""
-        observations = self.layout.rows(scene.observations)
-        masks = None if scene.masks is None else self.layout.rows(scene.masks)
-        memory = None
-        if self.memories is not None:
-            memory = self.layout.rows(scene.remembered(self.memories))
+    def probabilities(self, batch: CriticBatch) -> NDArray[np.float64]:
+        """Return action probabilities (M, C, N, A), exactly 0 for forbidden actions. Discrete actions only.
+
+        Computed in pieces that fit the cache.
+        """
+        observations = self.layout.rows(batch.observations)
+        masks = None if batch.masks is None else self.layout.rows(batch.masks)
+        hidden = None
+        if self.hidden_states is not None:
+            hidden = self.layout.rows(batch.select_hidden(self.hidden_states))
         parts = []
         with torch.no_grad():
             for piece in even_slices(observations.shape[1], len(observations), self.config.piece_samples):
                 rows = observations[:, piece]
                 if self.config.normalise_observations:
                     rows = self.actor.moments.normalised(rows)
-                timeline = None if memory is None else Timeline.of_moments(memory[:, piece])
+                timeline = None if hidden is None else Timeline.of_rows(hidden[:, piece])
                 distribution = self.actor(rows, None if masks is None else masks[:, piece], timeline)
                 assert isinstance(distribution, MaskedCategorical)
                 parts.append(distribution.log_probs.exp().transpose(1, 2))
-        return self.layout.by_agent(torch.cat(parts, dim=1), len(scene.observations))
+        return self.layout.by_agent(torch.cat(parts, dim=1), len(batch.observations))
 
-    def drawn(self, scene: CriticBatch, generators: Sequence[np.random.Generator]) -> CriticBatch:
-        """The scene with actions as a worker would have drawn them next, each replica's with its own of the
-        generators (R,)."""
-        moments, replicas = len(scene.observations), len(generators)
-        masks = None if scene.masks is None else _by_replica(scene.masks, replicas)
+    def with_drawn_actions(
+        self, batch: CriticBatch, generators: Sequence[np.random.Generator]
+    ) -> CriticBatch:
+        """Return the batch with actions sampled as by a worker, with one generator per replica (R,)."""
+        points, replicas = len(batch.observations), len(generators)
+        masks = None if batch.masks is None else _by_replica(batch.masks, replicas)
         observed = Observations(
-            _by_replica(scene.observations, replicas),
-            _by_replica(scene.states, replicas),
-            _by_replica(scene.present, replicas),
+            _by_replica(batch.observations, replicas),
+            _by_replica(batch.states, replicas),
+            _by_replica(batch.present, replicas),
             masks,
         )
-        each = len(observed.alive) // replicas
-        noise = np.concatenate([self.acting.noise(random, each) for random in generators])
+        rows = len(observed.alive) // replicas
+        noise = np.concatenate([self.acting.noise(random, rows) for random in generators])
         parameters = self.actor.acting_parameters()
         if isinstance(self.acting, RecurrentPolicy):
-            assert self.memories is not None
-            memory = _by_replica(scene.remembered(self.memories), replicas)
-            actions = self.acting.act_from(parameters, observed, memory, noise)[0]
+            assert self.hidden_states is not None
+            hidden = _by_replica(batch.select_hidden(self.hidden_states), replicas)
+            actions = self.acting.act_from(parameters, observed, hidden, noise)[0]
         else:
             actions, _ = self.acting.act(parameters, observed, noise)
-        split = actions.reshape(replicas, moments, -1, *actions.shape[1:])
-        by_moment = np.moveaxis(split, 0, 1).reshape(moments, -1, *actions.shape[1:])
-        return replace(scene, actions=zero_where_absent(by_moment, scene.present))
+        split = actions.reshape(replicas, points, -1, *actions.shape[1:])
+        by_point = np.moveaxis(split, 0, 1).reshape(points, -1, *actions.shape[1:])
+        return replace(batch, actions=zero_where_absent(by_point, batch.present))
 
 
 def _by_replica(array: NDArray[Any], replicas: int) -> NDArray[Any]:
-    """(M, C, ...) -> (R x M x E, ...): all moments of a replica as if they were copies of it."""
-    moments, copies, *rest = array.shape
-    split = array.reshape(moments, replicas, copies // replicas, *rest)
-    return np.moveaxis(split, 1, 0).reshape(moments * copies, *rest)
+    """Convert (M, C, ...) to (R x M x E, ...): time points of a replica become copies of it."""
+    points, copies, *rest = array.shape
+    split = array.reshape(points, replicas, copies // replicas, *rest)
+    return np.moveaxis(split, 1, 0).reshape(points * copies, *rest)

@@ -1,4 +1,4 @@
-"""Generalised advantage estimation (Schulman et al. 2015, arXiv:1506.02438)."""
+"""Generalised advantage estimation (Schulman et al. 2015, arXiv:1506.02438), counterfactual advantages."""
 
 from collections.abc import Sequence
 
@@ -18,16 +18,17 @@ def generalised_advantages(
     gamma: float,
     gae_lambda: float,
 ) -> Array:
-    """Advantages (T, C, N) from rewards (T, C, N) and values (T + 1, C, N).
+    """Return advantages (T, C, N), given rewards (T, C, N) and values (T + 1, C, N):
 
-    delta_t = r_t + gamma V_{t+1} (1 - terminated_t) - V_t and
-    A_t = delta_t + gamma lambda (1 - done_t) A_{t+1}, where V_{t+1} after a truncated step is
-    `final_values[t]`, the value of the observation the stream really ended in.
+        delta_t = r_t + gamma V_{t+1} (1 - terminated_t) - V_t
+        A_t = delta_t + gamma lambda (1 - done_t) A_{t+1}
 
-    While an agent is absent (`present` (T + 1, C, N) false) but its stream goes on, time passes: what it
-    is paid meanwhile, discounted, belongs to its last action before (a semi-Markov step: Sutton, Precup
-    and Singh 1999); a reward that is NaN or infinite counts as 0. Advantages of absent steps are 0 and the
-    values found there are never used. An agent absent after the last step is given a value of 0.
+    After a truncated step V_{t+1} is `final_values[t]` (T, C, N), the value of the stream's last observation.
+
+    While an agent is absent (`present` (T + 1, C, N) false) but its stream continues, its discounted rewards
+    are credited to its last action before (a semi-Markov step: Sutton, Precup and Singh 1999, "Between MDPs
+    and semi-MDPs"). Advantages of absent steps are 0 and values there are ignored; the value of an agent
+    absent after the last step is 0. A reward that is NaN or infinite counts as 0.
     """
     rewards = np.where(np.isfinite(rewards), rewards, 0)
     advantages = np.zeros_like(rewards)
@@ -48,29 +49,30 @@ def generalised_advantages(
 def with_teammates_values(
     values: Array, present: NDArray[np.bool_], teams: Sequence[str] = ()
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Values and presence (T + 1, C, N) in which agents absent after the last step are given the mean value
-    of their copy's present agents there, of their own team where `teams` names each agent's (N): with a
-    shared reward these await the same return, and 0 in its place would make leaving look costly (or, with
-    negative rewards, good)."""
+    """Return values and presence (T + 1, C, N), filled in for agents absent after the last step.
+
+    Such an agent gets the mean value of the agents present in its copy, of its own team if `teams` (N,) names
+    the agents' teams. Agents with a shared reward expect the same return; a value of 0 would make leaving
+    look costly (or, with negative rewards, profitable).
+    """
     values, present = values.copy(), present.copy()
     names = np.array(teams)
     for members in [slice(None)] if not teams else [np.flatnonzero(names == team) for team in set(teams)]:
-        here, last = present[-1][:, members], values[-1][:, members]
-        count = here.sum(axis=1, keepdims=True)
-        mean = np.where(here, last, 0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
-        values[-1][:, members] = np.where(here, last, mean)
-        present[-1][:, members] = here | (count > 0)
+        last_present, last = present[-1][:, members], values[-1][:, members]
+        count = last_present.sum(axis=1, keepdims=True)
+        mean = np.where(last_present, last, 0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+        values[-1][:, members] = np.where(last_present, last, mean)
+        present[-1][:, members] = last_present | (count > 0)
     return values, present
 
 
 def counterfactual_advantages(
     action_values: Array, actions: NDArray[np.int64], probabilities: Array, present: NDArray[np.bool_]
 ) -> Array:
-    """A^a = Q(s, u) - sum_u' pi(u'|o^a) Q(s, (u^-a, u')): equation 4 of Foerster et al. 2018,
-    arXiv:1705.08926.
+    """Return A^a = Q(s, u) - sum_u' pi(u'|o^a) Q(s, (u^-a, u')), (T, C, N), 0 where absent.
 
-    From Q of each own action (T, C, N, A), the actions taken (T, C, N) and the policy's chances
-    (T, C, N, A): (T, C, N), 0 where absent.
+    Equation 4 of Foerster et al. 2018, arXiv:1705.08926. `action_values` (T, C, N, A) are Q of each own
+    action, `actions` (T, C, N) those taken, `probabilities` (T, C, N, A) the policy's.
     """
     taken = np.take_along_axis(action_values, actions[..., None], axis=-1)[..., 0]
     baseline = (probabilities * action_values).sum(axis=-1)

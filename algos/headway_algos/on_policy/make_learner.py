@@ -1,4 +1,4 @@
-"""The on-policy learner that a configuration asks for."""
+"""Construction of the on-policy learner for a configuration."""
 
 from collections.abc import Sequence
 
@@ -11,9 +11,9 @@ from headway_algos.on_policy.split_learner import SplitLearner
 
 
 def make_learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
-    """Return a learner for one seed or a stack of seeds, as `headway.contracts.AlgoEntry.learner` has it."""
+    """Return a learner for one seed or a stack of seeds (see `headway.contracts.AlgoEntry.learner`)."""
     make = SplitLearner if config.shared_until > 0 else OnPolicyLearner
-    # On a CPU each seed has products of its own: how a product is rounded may depend on its number of rows.
+    # On a CPU seeds share no matrix product: its rounding may depend on the number of rows.
     if len(seeds) == 1 or resolve_device(device).type != "cpu":
         return make(config, spec, seeds, device)
     return PerSeedLearner([make(config, spec, (seed,), device) for seed in seeds])

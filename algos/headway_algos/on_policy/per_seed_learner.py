@@ -1,4 +1,4 @@
-"""Learners that keep the seeds of a stack apart."""
+"""A stack of learners with one seed each, which never mixes seeds in one matrix product."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,11 +14,10 @@ from headway.contracts import Learner, Trajectory
 class PerSeedLearner:
     """R learners of one seed each, behind the interface of one learner of R seeds.
 
-    On a CPU the last bits of a batched matrix product depend on more than its factors. With MKL on an AMD
-    processor they change with the number of rows, with the number of matrices in the batch (one, or several)
-    and with the address of a matrix (a multiple of 16 bytes, or not). A seed learns bit for bit the same in
-    any stack only if no product holds numbers of two seeds. The price is the share of torch's calls, which a
-    stack would have divided by R: little where batches are large, most of the time where they are tiny.
+    On a CPU the last bits of a batched matrix product depend on more than its factors: with MKL on an AMD
+    processor, on the number of rows, on whether the batch has one or several matrices, and on the alignment
+    of a matrix to 16 bytes. A seed trains bit for bit the same in any stack only if no product contains
+    numbers of two seeds. The cost is R times as many torch calls, which matters for small batches.
 
     States and acting parameters have the layout of one learner of R seeds: a leading axis of R x K policies.
     """
@@ -28,14 +27,14 @@ class PerSeedLearner:
         self.learners = tuple(learners)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """See `headway.contracts.Learner`."""
+        """Return the learners' acting parameters, concatenated along the policy axis."""
         each = [learner.acting_parameters() for learner in self.learners]
         return {name: np.concatenate([one[name] for one in each]) for name in each[0]}
 
     def update(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
-        """Give each learner its own copies of the trajectory, which holds E copies per seed."""
+        """Update each learner with its own E copies of the trajectory; return their metrics, (R,) each."""
         copies = trajectory.rewards.shape[1] // len(self.learners)
         each = [
             learner.update(trajectory.of_copies(r * copies, copies), iteration, progress)
@@ -44,18 +43,18 @@ class PerSeedLearner:
         return {name: np.concatenate([one[name] for one in each]) for name in each[0]}
 
     def state_dict(self) -> dict[str, Any]:
-        """See `headway.contracts.Learner`."""
+        """Return the learners' states as one, concatenated along the policy axis."""
         joined: dict[str, Any] = _joined([learner.state_dict() for learner in self.learners])
         return joined
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; takes the state of one learner of R seeds as well."""
+        """Restore the result of `state_dict`, or the state of one learner of R seeds."""
         for r, learner in enumerate(self.learners):
             learner.load_state_dict(_split(state, r, len(self.learners)))
 
 
 def _joined(states: Sequence[Any]) -> Any:  # noqa: ANN401 - states are nested plain values
-    """Several states as one: tensors concatenated along their first axis, all else taken from the first."""
+    """Join states: concatenate tensors along their first axis, take everything else from the first state."""
     first = states[0]
     if isinstance(first, Tensor):
         return torch.cat(list(states))
@@ -67,7 +66,7 @@ def _joined(states: Sequence[Any]) -> Any:  # noqa: ANN401 - states are nested p
 
 
 def _split(state: Any, index: int, parts: int) -> Any:  # noqa: ANN401 - states are nested plain values
-    """State `index` of `parts` equal parts: the inverse of `_joined`."""
+    """Return part `index` of a state joined from `parts` equal ones: the inverse of `_joined`."""
     if isinstance(state, Tensor):
         return torch.tensor_split(state, parts)[index]
     if isinstance(state, Mapping):

@@ -1,7 +1,7 @@
-"""Policies that are one at first and part later.
+"""Training of one shared policy that is later split into separate ones.
 
-Independent policies learn each from its own agent's experience: of N agents each has an N-th of what a
-shared policy has. Sharing first gives them what all agents learned; parting lets them specialise.
+With N independent policies each sees 1/N of the data that a shared policy would. Training starts with a
+shared policy, on all agents' data; after the split the policies can specialise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,53 +18,55 @@ from headway_algos.on_policy.learner import OnPolicyLearner
 
 
 class SplitLearner:
-    """Learns one shared policy for `shared_until` of the training; then every policy of its own goes on from
-    there, normalisers, critics and optimisers included (see `headway.contracts.Learner`)."""
+    """A `headway.contracts.Learner` of one shared policy until `shared_until`, of K separate ones afterwards.
+
+    At the split each policy gets a copy of the shared one, with its normalisers, critic and optimisers.
+    """
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
         self.config = config
-        together = replace(config, policies="shared", shared_until=0.0, apart_lr=1.0)
-        self.together = OnPolicyLearner(together, spec, seeds, device)
-        self.apart = OnPolicyLearner(_slower(config), spec, seeds, device)
-        self.parted = False
+        shared = replace(config, policies="shared", shared_until=0.0, apart_lr=1.0)
+        self.shared = OnPolicyLearner(shared, spec, seeds, device)
+        self.separate = OnPolicyLearner(_with_reduced_steps(config), spec, seeds, device)
+        self.is_split = False
 
     @property
     def policies(self) -> int:
-        """K, once they have parted."""
-        return self.apart.grouping.num_policies
+        """K: number of policies after the split."""
+        return self.separate.grouping.num_policies
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
-        """Those of each policy, as long as they are one in K equal copies."""
-        if self.parted:
-            return self.apart.acting_parameters()
-        shared = self.together.acting_parameters()
+        """Return the acting parameters of K policies; K equal copies before the split."""
+        if self.is_split:
+            return self.separate.acting_parameters()
+        shared = self.shared.acting_parameters()
         return {name: np.repeat(array, self.policies, axis=0) for name, array in shared.items()}
 
     def update(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
-        """One iteration of whichever it is time for; before the first one apart, they part."""
+        """Update the shared policy, or, once `progress` reaches `shared_until`, the separate ones."""
         if progress < self.config.shared_until:
-            return self.together.update(trajectory, iteration, progress)
-        if not self.parted:
-            state = _repeated(self.together.state_dict(), self.apart.state_dict(), self.policies)
-            self.apart.load_state_dict(state)
-            self.parted = True
-        return self.apart.update(trajectory, iteration, progress)
+            return self.shared.update(trajectory, iteration, progress)
+        if not self.is_split:
+            state = _repeat_per_policy(self.shared.state_dict(), self.separate.state_dict(), self.policies)
+            self.separate.load_state_dict(state)
+            self.is_split = True
+        return self.separate.update(trajectory, iteration, progress)
 
     def state_dict(self) -> dict[str, Any]:
-        """Of the learner whose time it is."""
-        learner = self.apart if self.parted else self.together
-        return {"parted": self.parted, "learner": learner.state_dict()}
+        """Return the state of the current learner, and whether the policies have been split."""
+        learner = self.separate if self.is_split else self.shared
+        return {"parted": self.is_split, "learner": learner.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
-        self.parted = bool(state["parted"])
-        (self.apart if self.parted else self.together).load_state_dict(state["learner"])
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
+        self.is_split = bool(state["parted"])
+        (self.separate if self.is_split else self.shared).load_state_dict(state["learner"])
 
 
-def _slower(config: AlgoConfig) -> AlgoConfig:
-    """The same with `apart_lr` of its learning rates."""
+def _with_reduced_steps(config: AlgoConfig) -> AlgoConfig:
+    """Return the config with learning rates multiplied by `apart_lr`, and KL bounds by its square."""
     share = config.apart_lr
     critic_lr = None if config.critic_lr is None else config.critic_lr * share
     return replace(
@@ -76,14 +78,17 @@ def _slower(config: AlgoConfig) -> AlgoConfig:
     )
 
 
-def _repeated(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states are nested plain values
-    """A state with each tensor (R, ...) repeated into (R x times, ...) where its counterpart in `like` is so
-    long; what a whole replica has only one of (a team's critic) is taken as it is."""
+def _repeat_per_policy(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states are nested plain values
+    """Repeat each tensor (R, ...) of a state to (R x times, ...) if its counterpart in `like` is that long.
+
+    Tensors of which each replica has one only, such as a team's critic, are copied unchanged.
+    """
     if isinstance(one, Tensor):
-        alike = like is None or one.shape == like.shape  # None: what a critic remembers before it saw any
+        # `like` is None for the hidden states of a critic before its first update.
+        alike = like is None or one.shape == like.shape
         return one.clone() if alike else one.repeat_interleave(times, dim=0)
     if isinstance(one, Mapping):
-        return {name: _repeated(value, like[name], times) for name, value in one.items()}
+        return {name: _repeat_per_policy(value, like[name], times) for name, value in one.items()}
     if isinstance(one, list):
-        return [_repeated(value, other, times) for value, other in zip(one, like, strict=True)]
+        return [_repeat_per_policy(value, other, times) for value, other in zip(one, like, strict=True)]
     return one

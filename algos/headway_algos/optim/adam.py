@@ -1,4 +1,4 @@
-"""One Adam over a stack of networks, gradients clipped and steps counted for each network by itself."""
+"""Adam for a stack of networks, with gradient clipping and step counts per network."""
 
 from collections.abc import Iterable, Sequence
 from copy import copy
@@ -17,11 +17,11 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-5
 
 
 class StackedAdam:
-    """Adam (Kingma and Ba, arXiv:1412.6980) works element by element, so one serves every network.
+    """Adam (Kingma and Ba 2015, arXiv:1412.6980) for all networks of a stack.
 
     `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound. Moments and
-    counts of steps belong to a network: no network's steps depend on its stack, or on when others stepped.
-    The parameters become parts of one tensor: a step is then a handful of operations, however many there are.
+    step counts are per network, so its steps do not depend on its stack. The parameters become views of one
+    tensor, so that a step takes a few operations whatever their number.
     """
 
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
@@ -41,21 +41,20 @@ class StackedAdam:
         self._arrays = [] if self.values.whole.is_cuda else [block.whole.numpy() for block in blocks]
 
     def begin(self) -> None:
-        """Forget the gradients: parameters get new ones from torch, or `gradient` gets them at once."""
+        """Clear the gradients, both of the parameters and in `gradient`."""
         self.gradient.whole.zero_()
         for parameter in self.parameters:
             parameter.grad = None
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.lr = self.base_lr * share
 
     def step(self, active: NDArray[np.bool_]) -> Tensor:
-        """Clip and apply the gradients; returns each network's norm before the clip, (P,).
+        """Clip and apply the gradients since `begin`; return the gradient norms before clipping, (P,).
 
-        The gradients are those since `begin`, 0 where there is none. Networks that are not `active` (P,) had
-        no data: they stay as they were, instead of moving on by their momentum, and their norm is 0. Raises
-        RuntimeError where the parameters are elsewhere by now.
+        Networks not `active` (P,) had no data: they stay unchanged, also by momentum, and their norm is 0.
+        Raises RuntimeError if a parameter's storage has been replaced.
         """
         self._collect()
         return (self._step_by_torch if self.values.whole.is_cuda else self._step_compiled)(active)
@@ -68,7 +67,7 @@ class StackedAdam:
         if self.grad_clip is not None:
             gradient *= (self.grad_clip / (norm + 1e-6)).clamp_(max=1)[:, None]
         tensors = [self.values.whole, gradient, self.means.whole, self.squares.whole]
-        # Adam's correction of its young moments depends on the count: networks of one count go together.
+        # Adam's bias correction depends on the count: networks with equal counts are updated together.
         for count in sorted(set(self.counts[active].tolist())):
             chosen = active & (self.counts == count)
             if chosen.all():
@@ -94,8 +93,10 @@ class StackedAdam:
         return torch.from_numpy(norms)
 
     def starts(self, parameters: Iterable[nn.Parameter]) -> list[int]:
-        """Where the values of each of these parameters begin among those of their network. Raises
-        RuntimeError where they are elsewhere by now."""
+        """Return the offset of each parameter among the values of its network.
+
+        Raises RuntimeError if a parameter's storage has been replaced.
+        """
         known = {id(parameter): place for place, parameter in enumerate(self.parameters)}
         whole = self.values.whole
         return [
@@ -104,21 +105,23 @@ class StackedAdam:
         ]
 
     def _found(self, place: int) -> int:
-        """Where a parameter's values are in memory."""
+        """Return the address of a parameter's values; raise RuntimeError if it has changed."""
         begins = self._begins[place]
         if self.parameters[place].data_ptr() != begins:
-            raise RuntimeError("a parameter was moved, or given to another optimiser, since this one began")
+            raise RuntimeError(
+                "a parameter was moved, or given to another optimiser, after this one was made"
+            )
         return begins
 
     def _collect(self) -> None:
-        """The parameters' gradients, where they have any, side by side."""
+        """Copy the parameters' gradients, if any, into `gradient`."""
         for place, gradient in enumerate(self.gradient.parts):
             self._found(place)
             if (found := self.parameters[place].grad) is not None:
                 gradient.copy_(found)
 
     def narrow(self, policies: Tensor, parameters: Iterable[nn.Parameter]) -> Self:
-        """The same for networks `policies` (n,) alone: `parameters` are copies of theirs."""
+        """Return an optimiser for `parameters`, copies of those of networks `policies` (n,)."""
         part = copy(self)
         part._hold(list(parameters))
         part.means.whole.copy_(self.means.whole[policies])
@@ -127,35 +130,36 @@ class StackedAdam:
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """Take over what `part`, narrowed to these policies, has become."""
+        """Copy the state of networks `policies` (n,) from `part`, a result of `narrow`."""
         self.means.whole.index_copy_(0, policies, part.means.whole)
         self.squares.whole.index_copy_(0, policies, part.squares.whole)
         self.counts[policies.cpu().numpy()] = part.counts
 
     def state_dict(self) -> dict[str, Any]:
-        """Adam's moments, in the shapes of the parameters, and step counts, each with leading axis P."""
+        """Return Adam's moments, in the shapes of the parameters, and step counts, with leading axis P."""
         counts = torch.from_numpy(self.counts)
         return {"means": self.means.parts, "squares": self.squares.parts, "counts": counts}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
-        mine = self.means.parts + self.squares.parts
-        for part, stored in zip(mine, [*state["means"], *state["squares"]], strict=True):
+        """Restore the result of `state_dict`, by copying."""
+        moments = self.means.parts + self.squares.parts
+        for part, stored in zip(moments, [*state["means"], *state["squares"]], strict=True):
             part.copy_(stored)
         self.counts[:] = state["counts"].cpu().numpy()
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Tensors (P, ...) side by side in one (P, V)."""
+    """Tensors (P, ...) stored as views of one tensor (P, V)."""
 
     whole: Tensor
+    """(P, V)"""
     parts: list[Tensor]
-    """Views of it."""
+    """(P, ...) each: views of `whole`."""
 
     @classmethod
     def like(cls, tensors: Sequence[Tensor]) -> Self:
-        """Room for such tensors, 0."""
+        """Return zeros in the shapes of `tensors`."""
         sizes = [tensor[0].numel() for tensor in tensors]
         starts = [0, *accumulate(sizes)]
         whole = tensors[0].detach().new_zeros(len(tensors[0]), starts[-1])
@@ -164,7 +168,7 @@ class Blocks:
 
 
 def _apply(tensors: Sequence[Tensor], count: int, lr: float) -> None:
-    """torch's Adam on (values, gradient, means, squares) that took `count` steps."""
+    """Apply a step of torch's Adam to (values, gradient, means, squares), after `count` steps so far."""
     values, gradient, means, squares = ([tensor] for tensor in tensors)
     counts = [torch.full((), float(count), device=gradient[0].device)]
     with torch.no_grad():

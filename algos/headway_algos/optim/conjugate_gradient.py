@@ -1,4 +1,4 @@
-"""Conjugate gradient (Hestenes and Stiefel 1952) for a stack of linear systems, each solved by itself."""
+"""Conjugate gradient (Hestenes and Stiefel 1952) for a stack of independent linear systems."""
 
 from collections.abc import Callable
 
@@ -6,26 +6,26 @@ import torch
 from torch import Tensor
 
 TOLERANCE = 1e-24
-"""A system whose squared residual has come down to this share of its squared right-hand side is solved."""
+"""A system is solved once its squared residual is at most this share of its squared right-hand side."""
 
 
 def conjugate_gradient(
     product: Callable[[Tensor], Tensor], target: Tensor, iterations: int
 ) -> tuple[Tensor, Tensor]:
-    """x (P, V) with product(x) near target (P, V), after at most so many iterations from 0; and product(x).
+    """Solve product(x) = target (P, V) approximately from x = 0; return x and product(x), (P, V) each.
 
-    `product` multiplies each system's vector by its own symmetric, positive definite matrix. A system that is
-    solved, or whose target is 0, is left as it is while others go on. Residuals are kept orthogonal to those
-    before, which they are but for rounding: where one eigenvalue stands out, rounding was else seen to grow
-    ten-millionfold in ten iterations (Golub and Van Loan, "Matrix Computations", on Lanczos' method).
+    `product` multiplies each system's vector by its own symmetric positive definite matrix. Systems that are
+    solved, or have target 0, stay unchanged while others continue. Residuals are reorthogonalised against all
+    earlier ones: with one dominant eigenvalue, rounding errors otherwise grew ten-millionfold in ten
+    iterations (Golub and Van Loan, "Matrix Computations", on the Lanczos method).
     """
     solution, image = torch.zeros_like(target), torch.zeros_like(target)
     residual, direction = target.clone(), target.clone()
     squared = (residual**2).sum(1, keepdim=True)
-    enough = TOLERANCE * squared
+    tolerance = TOLERANCE * squared
     earlier: list[Tensor] = []
     for _ in range(iterations):
-        unsolved = squared > enough
+        unsolved = squared > tolerance
         if not unsolved.any():
             break
         earlier.append(torch.where(unsolved, residual / squared.sqrt(), 0))

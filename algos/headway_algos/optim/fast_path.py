@@ -1,4 +1,4 @@
-"""Learning from minibatches with compiled kernels: multilayer perceptrons in float32 on a CPU."""
+"""Minibatch training with compiled kernels: multilayer perceptrons in float32 on a CPU."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,32 +20,32 @@ from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.gradient_steps import Learn
 
 ENABLED = True
-"""False: everything learns by torch's autograd and matrix products, as tests and benchmarks compare it."""
+"""False: train everything with torch, so that tests and benchmarks can compare."""
 
 
 @dataclass(frozen=True)
 class Perceptrons:
-    """P networks of one form, as kernels take them."""
+    """P stacked multilayer perceptrons, with the arrays that kernels work on."""
 
     values: NDArray[Any]
-    """(P, V): all that an optimiser steps."""
+    """(P, V): all parameters."""
     gradient: NDArray[Any]
-    """(P, V)"""
+    """(P, V): their gradients."""
     form: NDArray[np.int64]
-    """(L, 4): inputs, outputs, where weights and where biases begin, of each layer."""
+    """(L, 4): per layer, number of inputs, number of outputs, offsets of weights and of biases."""
     relu: bool
     held: NDArray[Any]
-    """(F, ROWS), to work in: what layers are given, then outputs."""
+    """(F, ROWS): buffer for the inputs of each layer, then the outputs."""
     signals: NDArray[Any]
-    """(2, W, ROWS), to work in: derivatives of a loss in the outputs of a layer, and of the layer before."""
+    """(2, W, ROWS): buffer for backpropagated gradients."""
     scratch: NDArray[Any]
-    """(SCRATCH, ROWS), to work in: what a loss keeps of each row."""
+    """(SCRATCH, ROWS): buffer for the losses."""
     bits: NDArray[np.int32]
-    """(ROWS,), to work in: powers of 2 by their bits."""
+    """(ROWS,): buffer for the exponents of floating-point numbers."""
 
     @classmethod
     def of(cls, network: Network, optimiser: StackedAdam) -> Self | None:
-        """Return a stack's networks as the kernels take them; None if torch has to learn."""
+        """Return the arrays of a stack of networks, or None if torch is to be used."""
         values, gradient = optimiser.values.whole, optimiser.gradient.whole
         compiled = ENABLED and not values.is_cuda and values.dtype == torch.float32
         if not compiled or not isinstance(network, StackedMLP):
@@ -60,7 +60,7 @@ class Perceptrons:
         return cls(values.numpy(), gradient.numpy(), form, relu, held, signals, scratch, bits)
 
     def learn(self, kernel: Callable[..., None], piece: Piece, *others: object) -> None:
-        """Call a kernel with what all take first, and others of its own."""
+        """Call a kernel with the arguments common to all kernels, then `others`."""
         index, weight = (np.ascontiguousarray(tensor.numpy()) for tensor in (piece.index, piece.weight))
         kernel(
             self.values, self.gradient, self.form, self.relu, self.held, self.signals,
@@ -69,7 +69,7 @@ class Perceptrons:
 
 
 def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
-    """Rows (P, B, ...) as an array (P B, ...) of the type of an empty one, which stands for none."""
+    """Return rows (P, B, ...) as an array (P B, ...) with the dtype of the empty array `like`, or `like`."""
     if rows is None:
         return like
     array: NDArray[Any] = np.ascontiguousarray(rows.detach().numpy(), dtype=like.dtype)
@@ -86,7 +86,7 @@ def policy_gradients(
     entropy_coeff: float,
     clip: float | None,
 ) -> Learn | None:
-    """Return the compiled gradients of PPO's loss, or of A2C's if `clip` is None; None if torch has to learn.
+    """Return the compiled gradients of PPO's loss, or of A2C's if `clip` is None. None: use torch.
 
     They report the approximate KL divergence, the entropy and the share of clipped ratios. `old` are the
     network outputs (P, B, A) of the policies that acted, None without a KL penalty, and their log standard
@@ -135,9 +135,10 @@ def regression(
     targets: Tensor,
     config: AlgoConfig,
 ) -> Learn | None:
-    """Return the compiled gradients of `squared_error`, or None if torch has to learn.
+    """Return the compiled gradients of `squared_error`, or None if torch is to be used.
 
-    Takes inputs (P, B, D), the outputs (P, B) that were taken (None if there is only one) and targets (P, B).
+    Arguments are inputs (P, B, D), the index (P, B) of the trained output (None with one output) and targets
+    (P, B).
     """
     networks = Perceptrons.of(network, optimiser)
     if networks is None:

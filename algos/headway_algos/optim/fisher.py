@@ -1,10 +1,10 @@
-"""Products of a policy's Fisher information with directions in its parameters, for a stack of policies.
+"""Fisher-vector products for a stack of policies.
 
-F = E[J^T M J] over the rows: J differentiates the network's outputs by the parameters, M is the Fisher
-information of the action distribution in those outputs. It is the Hessian of the mean KL(pi_old || pi) at
-pi = pi_old (Schulman et al. 2015, arXiv:1502.05477, appendix C; Pascanu and Bengio 2013, arXiv:1301.3584).
+F = E[J^T M J] over the rows, where J is the Jacobian of the network's outputs in the parameters and M the
+Fisher information of the action distribution in those outputs. F is the Hessian of the mean KL(pi_old || pi)
+at pi = pi_old (Schulman et al. 2015, arXiv:1502.05477, appendix C; Pascanu and Bengio 2013, arXiv:1301.3584).
 
-Directions of all parameters of a policy lie side by side in one vector: (P, V).
+Vectors (P, V) concatenate all parameters of a policy.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -23,26 +23,26 @@ FisherProduct = Callable[[Tensor], Tensor]
 
 
 def flat(tensors: Iterable[Tensor]) -> Tensor:
-    """Tensors (P, ...) side by side: (P, V)."""
+    """Concatenate tensors (P, ...) to (P, V)."""
     return torch.cat([tensor.flatten(1) for tensor in tensors], dim=1)
 
 
 def unflat(vector: Tensor, like: Sequence[Tensor]) -> list[Tensor]:
-    """The inverse of `flat`: views of vector (P, V), shaped as `like`."""
+    """Split a vector (P, V) into views shaped like `like`: the inverse of `flat`."""
     widths = [tensor[0].numel() for tensor in like]
     parts = torch.split(vector, widths, dim=1)
     return [part.view(len(vector), *t.shape[1:]) for part, t in zip(parts, like, strict=True)]
 
 
 def fisher_product(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherProduct:
-    """The product at the actor's parameters over the batch's rows, in the fastest form its network has."""
+    """Return the product at the actor's current parameters over the batch, by the fastest method."""
     if isinstance(actor.network, StackedMLP):
         return gauss_newton(actor, batch, piece_samples)
     return double_backward(actor, batch, piece_samples)
 
 
 def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherProduct:
-    """By J^T M J, for multilayer perceptrons: through J, back through J^T, nothing evaluated twice."""
+    """Return v -> J^T M J v, for multilayer perceptrons; the network is evaluated only once."""
     pieces = list(batch.pieces(piece_samples))
     network = actor.network
     assert isinstance(network, StackedMLP)
@@ -63,8 +63,8 @@ def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherP
             parts[0] += DiagonalGaussian.LOG_STD_FISHER * has_rows * direction[0]
             direction, parts = direction[1:], parts[1:]
         for network, distribution, piece in zip(linear, distributions, pieces, strict=True):
-            signal = distribution.fisher_of_outputs(network.push(direction)) * piece.weight[:, None]
-            for part, gradient in zip(parts, network.pull(signal), strict=True):
+            signal = distribution.fisher_of_outputs(network.jvp(direction)) * piece.weight[:, None]
+            for part, gradient in zip(parts, network.vjp(signal), strict=True):
                 part += gradient
         return result
 
@@ -72,7 +72,7 @@ def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherP
 
 
 def double_backward(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherProduct:
-    """As the derivative of (gradient of the mean KL) . v, by automatic differentiation: for any network."""
+    """Return v -> d (v . d mean KL / d theta) / d theta, by automatic differentiation, for any network."""
     parameters = actor.learnable
 
     def product(vector: Tensor) -> Tensor:
@@ -80,8 +80,8 @@ def double_backward(actor: Actor, batch: WholeBatch, piece_samples: int) -> Fish
         for piece in batch.pieces(piece_samples):
             new = actor(piece.observations, piece.masks, piece.timeline)
             mean_kl = (new.kl_from(new.detach()) * piece.weight).sum()
-            slope = flat(torch.autograd.grad(mean_kl, parameters, create_graph=True))
-            result += flat(torch.autograd.grad((slope * vector).sum(), parameters))
+            gradient = flat(torch.autograd.grad(mean_kl, parameters, create_graph=True))
+            result += flat(torch.autograd.grad((gradient * vector).sum(), parameters))
         return result
 
     return product

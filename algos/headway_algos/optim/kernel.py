@@ -1,11 +1,11 @@
-"""Compiled steps of learning on a processor: small perceptrons forward and back, losses, Adam.
+"""Compiled training steps on a CPU: forward and backward passes of small perceptrons, losses, Adam.
 
-Networks of a stack come one after another, each through its own rows in parts that fit the cache, features
-first: what a network becomes depends neither on its stack nor on how much the others have to learn from.
-torch takes longer to call a product of small matrices than to compute it. What these compute is said, and
-tested, where torch does the same: `distributions`, `updates.ppo`, `updates.a2c`, `return_regression`.
-
-This is one file since numba notices only changes in the file of the function that is called.
+For small matrices torch's call overhead exceeds the arithmetic, and on some processors its matrix products
+are slower than these at any size. The networks of a stack are processed one after another, each on its own
+rows in parts that fit the cache, features first, so that a network's result does not depend on its stack. The
+equations stand at the torch equivalents, against which the kernels are tested: `updates.ppo`, `updates.a2c`,
+`critics.return_regression`. One file holds them all, because numba watches only the file of the function that
+is called for changes.
 """
 
 import math
@@ -20,24 +20,22 @@ from headway.contracts.numba_setup import compiled_with
 P = ParamSpec("P")
 R = TypeVar("R")
 Floats = NDArray[Any]
-"""In the networks' precision."""
+"""Floating-point array in the networks' dtype."""
 
 ROWS, LANES = 256, 32
-"""Most rows that pass through a network at once, and the multiple to which their number is filled up: loops
+"""Maximum number of rows passed through a network at a time, and the multiple to which it is padded: loops
 over whole vectors run up to a third faster than loops with a remainder."""
 SCRATCH = 5
-"""Numbers per row that the losses work with."""
+"""Intermediate results per row that the losses keep."""
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Without allocation. Sums may be taken in any order and products rounded together with them; NaN and
-    infinities are what they are."""
+    """Compile without memory allocation; sums may be reordered and fused, NaN and infinities are kept."""
     return compiled_with(function, _nrt=False, fastmath={"contract", "reassoc", "nsz"})
 
 
-# tanh(x) / x = P(x^2) / Q(x^2), fitted for the least relative error (1.2e-8) below where tanh is 1 in
-# float32.
+# tanh(x) / x = P(x^2) / Q(x^2), a minimax fit of relative error 1.2e-8 up to where tanh is 1 in float32.
 _END = np.float32(8.5)
 _P = tuple(
     np.float32(c)
@@ -104,8 +102,7 @@ _exp = compiled_with(_exp_by_parts, _nrt=False, fastmath={"contract"})
 def _add_product(
     w: Floats, step_out: int, step_in: int, outs: int, ins: int, x: Floats, y: Floats, n: int
 ) -> None:
-    """y[o] += sum_i w[o step_out + i step_in] x[i], in n columns; four by four, so that what was loaded is
-    used several times."""
+    """y[o] += sum_i w[o step_out + i step_in] x[i], in n columns; in blocks of 4 x 4, which reuse loads."""
     whole_outs, whole_ins = outs - outs % 4, ins - ins % 4
     for o in range(0, whole_outs, 4):
         y0, y1, y2, y3 = y[o], y[o + 1], y[o + 2], y[o + 3]
@@ -144,7 +141,7 @@ def _add_product(
 
 @_compiled
 def _add_outer(g: Floats, x: Floats, outs: int, ins: int, w: Floats, n: int) -> None:
-    """w[o, i] += sum_t g[o, t] x[i, t], of w laid out row after row; four by four as well."""
+    """w[o, i] += sum_t g[o, t] x[i, t], with w in row-major order; in blocks of 4 x 4, which reuse loads."""
     whole_outs, whole_ins = outs - outs % 4, ins - ins % 4
     for o in range(0, whole_outs, 4):
         g0, g1, g2, g3 = g[o], g[o + 1], g[o + 2], g[o + 3]
@@ -214,8 +211,8 @@ def _add_outer(g: Floats, x: Floats, outs: int, ins: int, w: Floats, n: int) -> 
 
 
 @_compiled
-def _filled(n: int) -> int:
-    """Return n, rounded up to a multiple of LANES."""
+def _padded(n: int) -> int:
+    """Return n rounded up to a multiple of LANES."""
     return (n + LANES - 1) // LANES * LANES
 
 
@@ -223,12 +220,13 @@ def _filled(n: int) -> int:
 def _forward(
     values: Floats, form: NDArray[np.int64], relu: bool, held: Floats, rows: Floats, index: NDArray[np.int64]
 ) -> None:
-    """Pass rows (., D) of an index (n,) through one network, `values` (V,).
+    """Evaluate one network, `values` (V,), on the rows `index` (n,) of `rows` (., D).
 
-    `held` (F, ROWS) gets the inputs of every layer, then the outputs; rows of 0 fill it up to a multiple of
-    LANES. `form` (L, 4) is each layer's inputs, outputs, and where its weights and biases begin.
+    Writes the inputs of each layer, then the outputs, to `held` (F, ROWS), padded with rows of 0 to a
+    multiple of LANES. `form` (L, 4) holds each layer's number of inputs, number of outputs, and offsets of
+    weights and biases.
     """
-    n, top = _filled(len(index)), 0
+    n, top = _padded(len(index)), 0
     for t in range(len(index)):
         row = rows[index[t]]
         for i in range(form[0, 0]):
@@ -266,13 +264,15 @@ def _backward(
     gradient: Floats,
     n: int,
 ) -> None:
-    """Add to the gradient (V,) of one network that of a loss, given its derivatives in the outputs of n
-    rows: `signals[len(form) % 2]`, of signals (2, W, ROWS)."""
+    """Add a loss's gradient on n rows to `gradient` (V,) of one network.
+
+    `signals` (2, W, ROWS) holds d loss / d outputs at index len(form) % 2.
+    """
     last = signals[len(form) % 2]
     for a in range(form[-1, 1]):
-        for t in range(n, _filled(n)):
+        for t in range(n, _padded(n)):
             last[a, t] = _ZERO
-    n, top = _filled(n), 0
+    n, top = _padded(n), 0
     for layer in range(len(form)):
         top += form[layer, 0]
     for layer in range(len(form) - 1, -1, -1):
@@ -305,7 +305,7 @@ def _backward(
 
 @_compiled
 def _rows_of_its_own(weight: Floats) -> int:
-    """How many rows a network has in a minibatch; behind them is padding, of weight 0."""
+    """Return a network's number of rows in a minibatch; padding, of weight 0, follows them."""
     n = 0
     while n < len(weight) and weight[n] > 0:
         n += 1
@@ -317,10 +317,10 @@ def _surrogate_derivatives(
     log_ratios: Floats, advantages: Floats, share: Floats, clip: float, ratios: Floats,
     exponents: NDArray[np.int32], powers: Floats, n: int, shares: Floats,
 ) -> None:  # fmt: skip
-    """Replace advantages of rows by the derivatives of a loss in their log-probabilities.
+    """Replace the advantages (n,) by d loss / d log-probability.
 
-    The loss is PPO's, or A2C's if `clip` is below 0. PPO adds to `shares` (3,) the rows' shares of the
-    approximate KL divergence and, third, of the clipped ratios.
+    The loss is PPO's, or A2C's if `clip` is below 0. PPO adds the approximate KL divergence and the share of
+    clipped ratios to `shares` (3,), first and third.
     """
     if clip < 0:
         for t in range(n):
@@ -368,11 +368,12 @@ def learn_gaussian(
     log_std_at: int,
     old_log_std: Floats,
 ) -> None:
-    """Add PPO's gradients at index and weight (P, n) of rows (P B, ...).
+    """Add the gradients of PPO's or A2C's loss on rows `index` (P, n), with `weight` (P, n), of `rows` (P B,
+    ...).
 
-    `shares` (P, 3) gets the approximate KL divergence, the entropy and the share of clipped ratios. Log
-    standard deviations begin at `log_std_at` of a network's values; `old_means` (P B, A) is empty without a
-    penalty.
+    Adds the approximate KL divergence, the entropy and the share of clipped ratios to `shares` (P, 3). Log
+    standard deviations are at offset `log_std_at` of a network's values; `old_means` (P B, A) is empty
+    without a KL penalty.
     """
     penalised, size, half_log_2pi = len(old_means) > 0, form[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
     top = form[:, 0].sum()
@@ -423,9 +424,15 @@ _FORBIDDEN = np.float32(np.finfo(np.float32).min / 4)
 
 @_compiled
 def _normalise(
-    logits: Floats, chances: Floats, scale: Floats, bits: NDArray[np.int32], powers: Floats, size: int, n: int
+    logits: Floats,
+    probabilities: Floats,
+    scale: Floats,
+    bits: NDArray[np.int32],
+    powers: Floats,
+    size: int,
+    n: int,
 ) -> None:
-    """Turn logits (A, n) into log-probabilities, and write the probabilities to `chances`."""
+    """Turn logits (A, n) into log-probabilities, and write the probabilities to `probabilities`."""
     for t in range(n):
         scale[t] = logits[0, t]
     for a in range(1, size):
@@ -434,16 +441,16 @@ def _normalise(
     for a in range(size):
         for t in range(n):
             logits[a, t] -= scale[t]
-            chances[a, t] = logits[a, t]
-        _exp(chances[a], bits, powers, n)
+            probabilities[a, t] = logits[a, t]
+        _exp(probabilities[a], bits, powers, n)
     for t in range(n):
-        scale[t] = chances[0, t]
+        scale[t] = probabilities[0, t]
     for a in range(1, size):
         for t in range(n):
-            scale[t] += chances[a, t]
+            scale[t] += probabilities[a, t]
     for a in range(size):
         for t in range(n):
-            chances[a, t] /= scale[t]
+            probabilities[a, t] /= scale[t]
     for t in range(n):
         scale[t] = math.log(scale[t])
     for a in range(size):
@@ -467,7 +474,7 @@ def learn_categorical(
     rows: Floats,
     log_probs: Floats,
     advantages: Floats,
-    old_chances: Floats,
+    old_probabilities: Floats,
     kl_coeff: Floats,
     clip: float,
     entropy_coeff: float,
@@ -475,11 +482,13 @@ def learn_categorical(
     actions: NDArray[np.int64],
     masks: NDArray[np.bool_],
 ) -> None:
-    """Add PPO's gradients of Discrete actions (P B,) as `learn_gaussian` does those of Box ones.
+    """Add the gradients of PPO's or A2C's loss on rows `index` (P, n), with `weight` (P, n), of `rows` (P B,
+    ...).
 
-    `masks` (P B, A) are empty where all actions are allowed, `old_chances` (P B, A) without a penalty.
+    Adds the approximate KL divergence, the entropy and the share of clipped ratios to `shares` (P, 3).
+    `masks` (P B, A) is empty if all actions are allowed, `old_probabilities` (P B, A) without a KL penalty.
     """
-    masked, penalised, size = len(masks) > 0, len(old_chances) > 0, form[-1, 1]
+    masked, penalised, size = len(masks) > 0, len(old_probabilities) > 0, form[-1, 1]
     top, bonus = form[:, 0].sum(), np.float32(entropy_coeff)
     log_ratios, pulls, ratios, scales, entropies = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     for p in range(len(index)):
@@ -489,21 +498,21 @@ def learn_categorical(
             start = rows_here * part // parts
             n = rows_here * (part + 1) // parts - start
             places, share = index[p, start : start + n], weight[p, start : start + n]
-            logits, chances = held[top:], signals[len(form) % 2]
+            logits, probabilities = held[top:], signals[len(form) % 2]
             _forward(values[p], form, relu, held, rows, places)
             if masked:
                 for t in range(n):
                     for a in range(size):
                         if not masks[places[t], a]:
                             logits[a, t] = _FORBIDDEN
-            _normalise(logits, chances, scales, bits, powers, size, n)
+            _normalise(logits, probabilities, scales, bits, powers, size, n)
             for t in range(n):
                 r = places[t]
                 log_ratios[t], pulls[t] = logits[actions[r], t] - log_probs[r], advantages[r]
                 entropies[t] = _ZERO
             for a in range(size):
                 for t in range(n):
-                    entropies[t] -= chances[a, t] * logits[a, t]
+                    entropies[t] -= probabilities[a, t] * logits[a, t]
             _surrogate_derivatives(log_ratios, pulls, share, clip, ratios, bits, powers, n, shares[p])
             total = _ZERO
             for t in range(n):
@@ -517,12 +526,14 @@ def learn_categorical(
                     ratios[t] = _ZERO
             for a in range(size):
                 for t in range(n):
-                    chances[a, t] *= bonus * share[t] * (logits[a, t] + entropies[t]) - pulls[t] + ratios[t]
+                    probabilities[a, t] *= (
+                        bonus * share[t] * (logits[a, t] + entropies[t]) - pulls[t] + ratios[t]
+                    )
             for t in range(n):
-                chances[actions[places[t]], t] += pulls[t]
+                probabilities[actions[places[t]], t] += pulls[t]
                 if penalised:
                     for a in range(size):
-                        chances[a, t] -= ratios[t] * old_chances[places[t], a]
+                        probabilities[a, t] -= ratios[t] * old_probabilities[places[t], a]
             _backward(values[p], form, relu, held, signals, gradient[p], n)
 
 
@@ -545,8 +556,11 @@ def learn_returns(
     most: float,
     losses: Floats,
 ) -> None:
-    """Add the gradients of squared errors, bounded by `most`, at index and weight (P, n) of rows (P B, ...),
-    and the mean to `losses` (P,). `taken` (P B,) names the outputs that are compared; empty: the only one."""
+    """Add the gradients of squared errors, bounded by `most`, on rows `index` (P, n) of `rows` (P B, ...).
+
+    Adds the mean, by `weight` (P, n), to `losses` (P,). `taken` (P B,) selects the trained outputs; empty if
+    there is only one.
+    """
     chosen = len(taken) > 0
     top = form[:, 0].sum()
     for p in range(len(index)):
@@ -585,8 +599,10 @@ def adam(
     epsilon: float,
     norms: Floats,
 ) -> None:
-    """A step of the networks (P, V) that are active (P,), each after `counts` (P,) of its own, along
-    gradients whose `norms` (P,) are bounded; of others the norms are 0."""
+    """Take Adam's step of the `active` (P,) networks (P, V), after `counts` (P,) steps so far.
+
+    Gradient norms are clipped at `bound` and written to `norms` (P,), 0 for inactive networks.
+    """
     one = values.dtype.type(1)
     first, second = values.dtype.type(decays[0]), values.dtype.type(decays[1])
     least = values.dtype.type(epsilon)
@@ -600,7 +616,7 @@ def adam(
             total += g[i] * g[i]
         norm = math.sqrt(total)
         norms[p] = norm
-        # Written so that the share of a norm that is not a number is none either, as torch has it.
+        # Written so that a NaN norm makes the share NaN, as in torch.
         limit = bound / (norm + 1e-6) if bound < math.inf else 1.0
         share = values.dtype.type(1.0 if limit >= 1 else limit)
         count = counts[p] + 1
@@ -615,7 +631,7 @@ def adam(
 
 
 def warm() -> None:
-    """Compile all of it, or load it from the cache, by steps of empty minibatches."""
+    """Compile all kernels, or load them from the cache, by calling them with empty minibatches."""
     form = np.zeros((1, 4), np.int64)
     counts, active, indices = np.zeros(1, np.int64), np.ones(1, np.bool_), np.zeros((1, 0), np.int64)
     for dtype in (np.float32, np.float64):

@@ -1,5 +1,5 @@
-"""Steps along the natural gradient, by Kronecker factors, within a trust region (Wu et al. 2017,
-arXiv:1708.05144), for a stack of networks."""
+"""Natural-gradient steps with Kronecker factors, within a trust region, for a stack of networks (Wu et al.
+2017, arXiv:1708.05144)."""
 
 from collections.abc import Callable, Sequence
 from copy import copy
@@ -19,33 +19,33 @@ from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.kronecker import KroneckerFactors, inner, joined
 
 Information = Callable[[Tensor], Tensor]
-"""v (P, O, B) -> M v: products with the Fisher information in a network's outputs, row by row."""
+"""v (P, O, B) -> M v (P, O, B), with M the Fisher information in the network's outputs, per row."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a step of each network was, (P,) each; 0 of a network that took none."""
+    """Size and predicted KL divergence of a step, (P,) each; 0 for networks that took none."""
 
     size: Tensor
-    """Eta, of at most the learning rate."""
+    """Eta, at most the learning rate."""
     predicted_kl: Tensor
-    """1/2 eta^2 d^T F d, damping included: at most the bound."""
+    """1/2 eta^2 d^T F d, damping included; at most the bound."""
 
 
 class StackedKFAC:
-    """Moves networks by eta d, where d = F^-1 g, F in Kronecker factors, and eta is of section 3 there,
+    """Optimiser with steps eta d, where d = F^-1 g with F in Kronecker factors and (section 3 of the paper)
 
         eta = min(lr, sqrt(2 delta / d^T F d)),
 
-    so that 1/2 eta^2 d^T F d, to second order the KL divergence, is at most delta. The paper takes F in
-    factors for the length, too, as `kfac_length: factors` does. But d lies where these factors, which average
-    older batches and know nothing of what layers have in common, are small: divergences can be
-    several times what they say. The default is F of the batch itself (as in section 6.4 of Martens and
-    Grosse, arXiv:1503.05671), at the cost of one pass. Either is damped, which bounds steps where F vanishes.
+    so that 1/2 eta^2 d^T F d, the KL divergence to second order, is at most delta. In eta the paper uses the
+    factors as F, as does `kfac_length: factors`. But d favours directions in which the factors are small;
+    they average over older batches and ignore correlations between layers, so the true divergence can be
+    several times larger. The default is the exact F of the batch (as in section 6.4 of Martens and Grosse,
+    arXiv:1503.05671), at the cost of one more pass. Either is damped, which bounds steps where F vanishes.
 
-    With momentum, d is the running average mu d + (1 - mu) F^-1 g, and the bound is of the step that is
-    really taken. A Gaussian's log standard deviation, whose Fisher information is known and shared with
-    nothing else, is part of d. Every network of the stack goes by itself.
+    With momentum, d is the running average mu d + (1 - mu) F^-1 g, and the bound holds for the step taken. A
+    Gaussian's log standard deviation is part of d, with its exact Fisher information. The networks of the
+    stack are independent.
     """
 
     def __init__(
@@ -63,37 +63,40 @@ class StackedKFAC:
         self.direction = [
             torch.zeros_like(part) for part in self._parts([p.detach() for p in self._learnable])
         ]
-        """d, of the last step."""
+        """d of the last step."""
 
     @property
     def _learnable(self) -> list[nn.Parameter]:
         return [*([] if self.log_std is None else [self.log_std]), *self.network.parameters()]
 
     def _parts(self, parameters: Sequence[Tensor]) -> list[Tensor]:
-        """In the order of an actor's learnable tensors: log standard deviation, then one matrix a layer."""
+        """Return the log standard deviation, if any, then a matrix per layer: weights joined with biases."""
         first = 0 if self.log_std is None else 1
         return [*parameters[:first], *joined(parameters[first:])]
 
     def begin(self) -> None:
-        """A new batch."""
+        """Start a new batch."""
         self.factors.begin()
         self.pieces.clear()
 
     def include(self, linear: LinearisedMLP, score: Tensor, information: Information, weight: Tensor) -> None:
-        """Add a piece of the batch, at the networks' parameters: see `KroneckerFactors.include`."""
+        """Add a piece of the batch at the current parameters (see `KroneckerFactors.include`)."""
         self.factors.include(linear, score, weight)
         if self.exact:
             self.pieces.append((linear, information, weight))
 
     def step(self, gradient: Sequence[Tensor], active: NDArray[np.bool_]) -> Step:
-        """Move the networks that have rows in the batch, (P,), up a gradient: in the order of an actor's
-        learnable tensors. The others, and what is carried on for them, stay as they were."""
+        """Take an ascent step of the `active` (P,) networks, those with rows in the batch.
+
+        `gradient` is in the order of an actor's learnable tensors. Other networks and their state stay
+        unchanged.
+        """
         self.factors.absorb(active)
         moves = torch.from_numpy(active).to(gradient[0].device)
         solution = self._solve(self._parts(gradient))
-        for mine, new in zip(self.direction, solution, strict=True):
-            kept = self.momentum * mine + (1 - self.momentum) * new
-            mine.copy_(torch.where(moves[:, None, None], kept, mine))
+        for direction, new in zip(self.direction, solution, strict=True):
+            averaged = self.momentum * direction + (1 - self.momentum) * new
+            direction.copy_(torch.where(moves[:, None, None], averaged, direction))
         curvature = self._curvature(self.direction)
         self.pieces.clear()
         longest = (2 * self.bound * self.share**2 / curvature).sqrt()
@@ -113,7 +116,7 @@ class StackedKFAC:
         return [*own, *self.factors.solve(gradient[first:])]
 
     def _curvature(self, direction: list[Tensor]) -> Tensor:
-        """d^T F d, (P,), damped."""
+        """Return d^T F d, (P,), with damping."""
         first = 0 if self.log_std is None else 1
         own, layers = direction[:first], direction[first:]
         total = DiagonalGaussian.LOG_STD_FISHER * inner(own, own) if own else 0
@@ -123,16 +126,16 @@ class StackedKFAC:
         total = total + self.damping * inner(direction, direction)
         parameters = [layer[:, :, :-1] for layer in layers] + [layer[:, :, -1:] for layer in layers]
         for linear, information, weight in self.pieces:
-            change = linear.push(parameters)
+            change = linear.jvp(parameters)
             total = total + ((change * information(change)).sum(1) * weight).sum(1)
         return total
 
     def anneal(self, share: float) -> None:
-        """Take steps of `share` of their length from now on: the bound is `share` squared of its base."""
+        """Scale steps to `share` of their configured size: the KL bound is multiplied by its square."""
         self.share = share
 
     def narrow(self, policies: Tensor, network: nn.Module, log_std: nn.Parameter | None) -> Self:
-        """The same for networks `policies` (n,) alone, of which these are copies."""
+        """Return an optimiser for `network` and `log_std`, copies of networks `policies` (n,)."""
         part = copy(self)
         part.network, part.log_std, part.pieces = _perceptrons(network), log_std, []
         part.factors = self.factors.narrow(policies)
@@ -140,17 +143,17 @@ class StackedKFAC:
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """Take over what is carried on in `part`, narrowed to these networks."""
+        """Copy the state of networks `policies` (n,) from `part`, a result of `narrow`."""
         self.factors.adopt(policies, part.factors)
         for mine, theirs in zip(self.direction, part.direction, strict=True):
             mine.index_copy_(0, policies, theirs)
 
     def state_dict(self) -> dict[str, Any]:
-        """Factors and directions, each with leading axis P."""
+        """Return factors and directions, each with leading axis P."""
         return {"factors": self.factors.state_dict(), "direction": self.direction}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; a copy, which leaves `state` as it is."""
+        """Restore the result of `state_dict`, by copying."""
         self.factors.load_state_dict(state["factors"])
         for mine, theirs in zip(self.direction, state["direction"], strict=True):
             mine.copy_(theirs)
@@ -159,7 +162,7 @@ class StackedKFAC:
 def _perceptrons(network: nn.Module) -> StackedMLP:
     if not isinstance(network, StackedMLP):
         raise HeadwayError(
-            "K-FAC takes multilayer perceptrons, and this model has others; use another algorithm, or "
-            "algo=custom with another algo.update than kfac and with algo.critic_update=adam"
+            "K-FAC takes multilayer perceptrons, and this model has other networks; use another algorithm, "
+            "or algo=custom with another algo.update than kfac and with algo.critic_update=adam"
         )
     return network

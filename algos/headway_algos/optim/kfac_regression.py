@@ -1,4 +1,4 @@
-"""A critic's natural gradient (Wu et al. 2017, arXiv:1708.05144, section 3.1), for a stack of networks."""
+"""Natural gradient for a stack of critics (Wu et al. 2017, arXiv:1708.05144, section 3.1)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,12 +14,12 @@ from headway_algos.optim.kfac import StackedKFAC
 
 
 class KFACRegression:
-    """Steps of `StackedKFAC` for networks that regress on one number a row.
+    """Steps of `StackedKFAC` for networks that regress on one number per row.
 
-    What is learned is seen as the mean of a Gaussian of standard deviation 1, so that squared errors are
-    twice its negative log-likelihood, and the Fisher information is the Gauss-Newton matrix E[J^T J]. With
-    one number a row nothing has to be drawn: the scores of draws are z J with z standard normal, and the mean
-    of z^2 is 1. A step's divergence is half the mean squared change of that number, in the units of learning.
+    The prediction is the mean of a Gaussian with standard deviation 1, so that squared errors are twice its
+    negative log-likelihood, and the Fisher information is the Gauss-Newton matrix E[J^T J]. No sampling is
+    needed: the scores of samples are z J with z standard normal, and E[z^2] = 1. The KL divergence of a step
+    is half the mean squared change of the prediction, in the units of the targets.
     """
 
     def __init__(self, network: nn.Module, config: AlgoConfig) -> None:
@@ -29,7 +29,7 @@ class KFACRegression:
         self.network = self.optimiser.network
 
     def begin(self) -> None:
-        """Forget the gradients, and begin a new batch."""
+        """Clear the gradients and start a new batch."""
         self.gradient = [torch.zeros_like(parameter) for parameter in self.network.parameters()]
         self.optimiser.begin()
 
@@ -46,7 +46,7 @@ class KFACRegression:
         losses = loss(outputs)
         (of_outputs,) = torch.autograd.grad(losses.sum(), outputs)
         outputs.requires_grad_(False)
-        for total, part in zip(self.gradient, linear.pull(of_outputs), strict=True):
+        for total, part in zip(self.gradient, linear.vjp(of_outputs), strict=True):
             total += part
         fitted = torch.ones_like(outputs)
         if taken is not None:
@@ -63,13 +63,13 @@ class KFACRegression:
         return torch.stack([gradient.square().sum((1, 2)) for gradient in self.gradient]).sum(0).sqrt()
 
     def anneal(self, share: float) -> None:
-        """Take steps of `share` of their length from now on."""
+        """Scale steps to `share` of their configured size."""
         self.optimiser.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Factors and directions."""
+        """Return factors and directions."""
         return self.optimiser.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
+        """Restore the result of `state_dict`."""
         self.optimiser.load_state_dict(state)

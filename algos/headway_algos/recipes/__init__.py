@@ -1,1 +1,1 @@
-"""Named algorithms: one short file each, its equations, its source and its composition."""
+"""Named algorithms, one short file each: equations, source and composition."""

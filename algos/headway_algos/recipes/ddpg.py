@@ -1,18 +1,18 @@
-"""DDPG: deep deterministic policy gradient, every agent by itself.
+"""DDPG: deep deterministic policy gradient, with independent agents.
 
-Every agent a acts by u = mu(o), a network within the bounds of its actions, and explores by adding noise that
-wanders (Ornstein-Uhlenbeck: what it adds now is close to what it added before). From a memory of all it lived
-through, its critic Q(o, u) takes a step down E[l(Q(o, u) - y)] and its actor one up Q along its own action:
+Each agent acts by a deterministic network u = mu(o), scaled to the bounds of its actions, and explores with
+Ornstein-Uhlenbeck noise, which is correlated in time. On minibatches from the replay buffer the critic
+Q(o, u) descends E[l(Q(o, u) - y)] and the actor ascends Q at its own action:
 
     y = r + gamma Q'(o', mu'(o')),   dJ/dtheta = E[dQ/du(o, u = mu(o)) dmu/dtheta(o)]
 
-(Lillicrap et al. 2016, arXiv:1509.02971, algorithm 1), where Q' and mu' are copies that follow slowly:
-theta' <- tau theta + (1 - tau) theta'. Not of the paper: actions enter the critic with the observation,
-observations are normalised by their running moments instead of batches', there is no weight decay, and the
-actor may be held from the bounds of its actions (`saturation_coeff`; 0, the default, is the paper's).
+(Lillicrap et al. 2016, arXiv:1509.02971, algorithm 1). Q' and mu' are target networks, theta' <- tau theta +
+(1 - tau) theta'. Differences from the paper: actions enter the critic's first layer, observations are
+normalised by running statistics instead of batch normalisation, there is no weight decay, and a penalty can
+keep the actor off the bounds (`saturation_coeff`; 0, the default, is the paper's).
 
-Neighbours: MADQN is the same for Discrete actions, which need no actor; IPPO learns a Gaussian policy, from
-what it has just done alone.
+Related: MADQN is the counterpart for Discrete actions and needs no actor; IPPO learns a Gaussian policy from
+on-policy data.
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ from typing import Literal
 from headway.contracts.checks import require
 from headway_algos.replay_config import ReplayConfig
 
-SUMMARY = "deterministic actor and Q critic of each agent: replay memory, target networks; Box actions"
+SUMMARY = "deterministic actor and Q critic per agent: replay buffer, target networks; Box actions"
 SOURCE = "Lillicrap et al. 2016, arXiv:1509.02971"
 
 
 @dataclass(frozen=True)
 class DDPGConfig(ReplayConfig):
-    """DDPG is deterministic policy gradients from a memory, with Ornstein-Uhlenbeck exploration."""
+    """DDPG: deterministic policy gradient with a replay buffer and Ornstein-Uhlenbeck exploration."""
 
     name: str = "ddpg"
     lr: float = 1e-4
@@ -35,25 +35,23 @@ class DDPGConfig(ReplayConfig):
     critic_lr: float | None = 1e-3
     """Learning rate of the critic; null: `lr`."""
     target_every: int = 1
-    """Steps of learning between updates of the target networks."""
+    """Gradient steps between updates of the target networks."""
     tau: float = 0.005
-    """Share of the way that target networks go to the networks in learning at each of their updates; 1: a
-    copy."""
+    """Step size of a target network's update towards its online network; 1: copy."""
     loss: Literal["huber", "squared"] = "squared"
-    """Of the difference from a target: half its square, or (Huber) linear beyond 1."""
+    """Loss of the temporal-difference error: half its square, or (Huber) linear beyond 1."""
     saturation_coeff: float = 0.0
-    """Weight, beside Q, of the squares of what the actor puts into its tanh, summed over the actions of an
-    agent: without it actions stick to the bounds, where no gradient is left (Andrychowicz et al. 2017,
-    arXiv:1707.01495, appendix A). It is in units of reward: of rewards ten times as large it must be ten
-    times, too, to do the same."""
+    """Weight of a penalty in the actor's objective: the squared inputs of its tanh, summed over the
+    components of an action. Without it actions can stick to the bounds, where the gradient vanishes
+    (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A). In units of reward: scale it with them."""
     ou_theta: float = 0.15
-    """Share of the noise that a step takes away."""
+    """Share by which the noise decays per step."""
     ou_sigma: float = 0.2
-    """Standard deviation of what a step adds to the noise, where the bounds are 1 from their middle."""
+    """Standard deviation of the noise's increment per step, in units of half the action range."""
     exploration_start: float = 1.0
-    """Scale of the noise at first."""
+    """Initial scale of the noise."""
     exploration_end: float = 0.1
-    """Scale of the noise in the end."""
+    """Final scale of the noise."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,15 +1,14 @@
 """IA2C: independent advantage actor-critic.
 
-Every agent a takes one gradient step up
+Each agent a takes one gradient step on the whole batch of an iteration, in ascent of
 
     E[log pi_a(u|o) A] + c H(pi_a)
 
-over the iteration's experience (Mnih et al. 2016, arXiv:1602.01783, section 4, with the workers in step),
-with advantages from a critic V(o) of its own observation and an entropy bonus, as if the other agents were
-part of the environment.
+(Mnih et al. 2016, arXiv:1602.01783, section 4, with synchronous workers). Advantages come from a critic V(o)
+of the agent's own observation; the other agents are treated as part of the environment.
 
-Neighbours: MAA2C replaces V(o) by V(s); IPPO goes over the same experience several times, which its clip
-makes safe; ITRPO takes one step too, along the natural gradient.
+Related: MAA2C replaces V(o) by V(s); IPPO makes several passes over the same batch, with a clipped surrogate;
+ITRPO takes one step along the natural gradient.
 """
 
 from dataclasses import dataclass
@@ -23,16 +22,16 @@ SOURCE = "Mnih et al. 2016, arXiv:1602.01783"
 
 @dataclass(frozen=True)
 class IA2CConfig(AlgoConfig):
-    """IA2C is local critic x A2C x simultaneous."""
+    """IA2C: local critic, A2C update, simultaneous order."""
 
     name: str = "ia2c"
     critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. With V(s) it is algo=maa2c; algo=custom takes any critic."""
+    """V(o) of an agent's own observation. For V(s): algo=maa2c; algo=custom accepts any critic."""
     update: Literal["a2c"] = "a2c"
-    """One gradient step. algo=custom takes any update."""
+    """One gradient step. algo=custom accepts any update."""
     order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom takes any order."""
+    """All agents at once. algo=custom accepts any order."""
     epochs: int = 1
-    """Passes of the critic; the actor takes one step whatever this is."""
+    """Passes of the critic over the batch; the actor always takes one step."""
     minibatches: int = 1
-    """Of the critic's passes; the actor's step is over the whole batch whatever this is."""
+    """Minibatches per pass of the critic; the actor always uses the whole batch."""

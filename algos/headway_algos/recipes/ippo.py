@@ -1,14 +1,14 @@
 """IPPO: independent proximal policy optimisation.
 
-Every agent a improves its own policy pi_a(u|o) by PPO's clipped surrogate
+Each agent a improves its own policy pi_a(u|o) by gradient ascent on PPO's clipped surrogate
 
     L(theta) = E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)],   rho = pi_theta(u|o) / pi_old(u|o)
 
-(Schulman et al. 2017, arXiv:1707.06347, equation 7) with advantages from a critic V(o) of its own
-observation (generalised advantage estimation, arXiv:1506.02438), as if the other agents were part of
-the environment (de Witt et al. 2020, arXiv:2011.09533).
+(Schulman et al. 2017, arXiv:1707.06347, equation 7), with generalised advantage estimation
+(arXiv:1506.02438) from a critic V(o) of its own observation. The other agents are treated as part of the
+environment (de Witt et al. 2020, arXiv:2011.09533).
 
-Neighbours: MAPPO replaces V(o) by V(s); IA2C takes one plain gradient step instead of PPO's epochs;
+Related: MAPPO replaces V(o) by V(s); IA2C takes one plain gradient step instead of PPO's epochs;
 ITRPO replaces the clip by a trust region.
 """
 
@@ -23,12 +23,12 @@ SOURCE = "Schulman et al. 2017, arXiv:1707.06347; de Witt et al. 2020, arXiv:201
 
 @dataclass(frozen=True)
 class IPPOConfig(AlgoConfig):
-    """IPPO is local critic x PPO x simultaneous."""
+    """IPPO: local critic, PPO update, simultaneous order."""
 
     name: str = "ippo"
     critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. With V(s) it is algo=mappo; algo=custom takes any critic."""
+    """V(o) of an agent's own observation. For V(s): algo=mappo; algo=custom accepts any critic."""
     update: Literal["ppo"] = "ppo"
-    """Proximal policy optimisation. algo=custom takes any update."""
+    """Proximal policy optimisation. algo=custom accepts any update."""
     order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom takes any order."""
+    """All agents at once. algo=custom accepts any order."""

@@ -1,14 +1,14 @@
 """ITRPO: independent trust-region policy optimisation.
 
-Every agent a takes one step that solves, to second order,
+Each agent a takes one step that solves, with a linear objective and a quadratic constraint,
 
     maximise E[pi_a(u|o) / pi_old(u|o) A]   subject to   E[KL(pi_old || pi_a)] <= delta
 
-(Schulman et al. 2015, arXiv:1502.05477, equation 14) with advantages from a critic V(o) of its own
-observation, as if the other agents were part of the environment. An entropy bonus, where there is one, is
-part of what is maximised.
+(Schulman et al. 2015, arXiv:1502.05477, equation 14), with advantages from a critic V(o) of its own
+observation. The other agents are treated as part of the environment. The entropy bonus, if any, is part of
+the objective.
 
-Neighbours: IPPO replaces the constraint by a clip and many small steps; MATRPO replaces V(o) by V(s).
+Related: IPPO replaces the constraint by a clip and many small steps; MATRPO replaces V(o) by V(s).
 """
 
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ SOURCE = "Schulman et al. 2015, arXiv:1502.05477"
 
 @dataclass(frozen=True)
 class ITRPOConfig(AlgoConfig):
-    """ITRPO is local critic x TRPO x simultaneous."""
+    """ITRPO: local critic, TRPO update, simultaneous order."""
 
     name: str = "itrpo"
     critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. With V(s) it is algo=matrpo; algo=custom takes any critic."""
+    """V(o) of an agent's own observation. For V(s): algo=matrpo; algo=custom accepts any critic."""
     update: Literal["trpo"] = "trpo"
-    """Trust-region policy optimisation. algo=custom takes any update."""
+    """Trust-region policy optimisation. algo=custom accepts any update."""
     order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom takes any order."""
+    """All agents at once. algo=custom accepts any order."""

@@ -1,12 +1,12 @@
 """MATRPO: trust-region policy optimisation with a central critic.
 
-Policies pi_a(u|o) stay decentralised and take TRPO's step, as in ITRPO; the advantages come from a critic
-V(s) of the global state, used in training only. This is what the benchmark of MARLlib (Hu et al. 2023,
-arXiv:2210.13708) calls MATRPO. Li and He (2020, arXiv:2010.07916) gave that name to another algorithm, in
-which agents agree on the joint step by messages.
+Decentralised policies pi_a(u|o) take TRPO's step, as in ITRPO. Advantages come from a critic V(s) of the
+global state, used in training only. This is MATRPO as MARLlib defines it (Hu et al. 2023, arXiv:2210.13708).
+The algorithm of Li and He (2020, arXiv:2010.07916) has the same name but differs: its agents agree on the
+joint step by exchanging messages.
 
-Neighbours: ITRPO's critic sees only o; MAPPO replaces the trust region by a clip; HATRPO updates the agents
-one after another and weighs each one's advantages by the others' ratios.
+Related: ITRPO's critic sees only o; MAPPO replaces the trust region by a clip; HATRPO updates the agents one
+after another and weights advantages by the probability ratios of the agents updated before.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ SOURCE = "Schulman et al. 2015, arXiv:1502.05477, with the critic of Yu et al. 2
 
 @dataclass(frozen=True)
 class MATRPOConfig(AlgoConfig):
-    """MATRPO is central critic x TRPO x simultaneous."""
+    """MATRPO: central critic, TRPO update, simultaneous order."""
 
     name: str = "matrpo"
     critic: Literal["central"] = "central"
-    """V(s) of the global state. With V(o) it is algo=itrpo; algo=custom takes any critic."""
+    """V(s) of the global state. For V(o): algo=itrpo; algo=custom accepts any critic."""
     update: Literal["trpo"] = "trpo"
-    """Trust-region policy optimisation. algo=custom takes any update."""
+    """Trust-region policy optimisation. algo=custom accepts any update."""
     order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once; one after another it is algo=hatrpo. algo=custom takes any order."""
+    """All agents at once. One after another: algo=hatrpo; algo=custom accepts any order."""

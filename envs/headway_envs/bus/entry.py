@@ -4,7 +4,7 @@ from functools import partial
 
 from headway.contracts import EnvEntry, Lazy, RuleEntry
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.metrics import MEANINGS
+from headway_envs.bus.metrics import METRIC_DESCRIPTIONS
 
 HOLDING_SHARES = (0.7, 0.9)
 """Headways, as shares of the target, below which the headway_holding rules hold a bus."""
@@ -43,7 +43,7 @@ ENTRY = EnvEntry(
             Lazy("headway_envs.bus.rules:ScheduleHolding"),
         ),
     },
-    metrics=MEANINGS,
+    metrics=METRIC_DESCRIPTIONS,
     renderer=Lazy("headway_envs.bus.renderer:BusRenderer"),
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),
 )

@@ -1,6 +1,6 @@
 """Descriptions and units of the metrics of a service day."""
 
-MEANINGS = {
+METRIC_DESCRIPTIONS = {
     "mean_wait_min": "mean wait of passengers who boarded or still wait at the end of the day, minutes",
     "p95_wait_min": "95th percentile of the waits averaged in mean_wait_min, minutes",
     "captive_wait_min": "mean wait of captive passengers, who do not use the competing service, minutes",

@@ -4,7 +4,7 @@ from functools import partial
 
 from headway.contracts import RANDOM, EnvEntry, Lazy, RuleEntry
 from headway_envs.bus_published.config import BusPublishedConfig
-from headway_envs.bus_published.metrics import MEANINGS
+from headway_envs.bus_published.metrics import METRIC_DESCRIPTIONS
 
 SERVICE_BELOW = 0.5
 """Share of its uptime below which `move_with_service` sends a bus to the centre."""
@@ -31,6 +31,6 @@ ENTRY = EnvEntry(
         ),
         "random": RANDOM,
     },
-    metrics=MEANINGS,
+    metrics=METRIC_DESCRIPTIONS,
     preload=("headway_envs.bus_published.kernel", "headway_envs.bus_published.env"),
 )

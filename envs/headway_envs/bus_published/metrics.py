@@ -1,6 +1,6 @@
 """Descriptions and units of the metrics of an episode."""
 
-MEANINGS = {
+METRIC_DESCRIPTIONS = {
     "team_reward": "sum of all buses' rewards over the episode, as in the published table",
     "steps": "number of steps of the episode",
     "moves": "number of MOVE actions of all buses",

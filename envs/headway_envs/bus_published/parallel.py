@@ -7,7 +7,7 @@ from headway_envs.parallel_env import ParallelEnvBase
 
 
 def parallel_env(config: BusPublishedConfig | Prepared) -> ParallelEnvBase:
-    """Return one copy as a ParallelEnv, made from a configuration or from what `prepare` returned for it."""
+    """Return one copy as a ParallelEnv, made from a configuration or from the result of `prepare`."""
     prepared = prepare(config) if isinstance(config, BusPublishedConfig) else config
     scaled = prepared.config.observation == "scaled"
     return ParallelEnvBase(

@@ -1,4 +1,4 @@
-"""Who wants to drive where: SUMO's vehicle types, routes and flows."""
+"""Traffic demand: vehicle types, routes and flows for SUMO."""
 
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.network import APPROACHES, LINKS, TURNS, exit_of
@@ -8,8 +8,10 @@ MIN_GAP_M = 2.5
 
 
 def routes_xml(config: IntersectionConfig) -> str:
-    """SUMO's route file. A vehicle is bound for one of the two turns of its lane, with even chances, so that
-    nobody ever needs another lane. Route ids are `approach_turn`, those of vehicles begin with their type."""
+    """Return the content of a SUMO route file.
+
+    Each vehicle takes one of the two turns of its lane with equal probability, so that none needs a lane
+    change. Route ids are `approach_turn`; vehicle ids begin with the type."""
     lines = ["<routes>", _type(HDV, 2.6, 4.5, config), _type(AV, 3.0, 3.0, config)]
     for index, approach in enumerate(APPROACHES):
         for turn in TURNS:
@@ -26,7 +28,7 @@ def routes_xml(config: IntersectionConfig) -> str:
 
 
 def _type(name: str, acceleration: float, braking: float, config: IntersectionConfig) -> str:
-    """SUMO's Intelligent Driver Model with the parameters of Flow's vehicles."""
+    """Return a vehicle type: SUMO's Intelligent Driver Model with the parameters of Flow's vehicles."""
     return (
         f'  <vType id="{name}" carFollowModel="IDM" accel="{acceleration}" decel="{braking}" tau="1" '
         f'minGap="{MIN_GAP_M}" maxSpeed="30" speedFactor="1" speedDev="0.1" '
@@ -35,7 +37,7 @@ def _type(name: str, acceleration: float, braking: float, config: IntersectionCo
 
 
 def _flows(config: IntersectionConfig, name: str, lane: int) -> list[str]:
-    """Poisson arrivals from the first second on, human-driven at 10 m/s and automated at 5 m/s."""
+    """Return flows with Poisson arrivals from 1 s on; human drivers enter at 10 m/s, AVs at 5 m/s."""
     kinds = ((HDV, config.vph_per_lane_hdv, 10), (AV, config.vph_per_lane_av, 5))
     return [
         f'  <flow id="{kind}.{name}" type="{kind}" route="{name}" begin="1" period="exp({rate / 3600:.9f})" '

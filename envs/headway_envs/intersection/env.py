@@ -1,4 +1,4 @@
-"""The batched face of the intersection: one copy, which is all that a process can hold."""
+"""Batched intersection of one copy, the maximum per process."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,26 +16,26 @@ from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
 from headway_envs.intersection.sumo.simulation import Simulation
 
 
-def paid_share(config: IntersectionConfig) -> bool:
-    """Whether the team's reward stands in every slot."""
+def shares_reward(config: IntersectionConfig) -> bool:
+    """Return whether every slot receives the team's reward."""
     return config.reward.kind == "scaled" and config.reward.scope == "team"
 
 
 class IntersectionBatchedEnv:
-    """One crossing; implements `headway.contracts.BatchedEnv`.
+    """One intersection; implements `headway.contracts.BatchedEnv`.
 
-    Agents are slots for automated vehicles: one that enters takes the lowest free slot, and leaves it when it
-    leaves the road or crashes; another may have it from the next step on. Actions are accelerations within 3
-    m/s^2. A vehicle that crashes is terminated; one that leaves ends as `at_exit` says, with what it observed
-    last; at the horizon all are truncated.
+    Agents are slots for automated vehicles (AVs). An AV takes the lowest free slot when it enters and frees
+    it when it leaves or crashes; the slot can be taken again from the next step on. Actions are accelerations
+    within 3 m/s^2. An AV that crashes is terminated; one that leaves ends as `at_exit` sets, with its last
+    observation as final observation; at the horizon all AVs are truncated.
     """
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
-        """Raises HeadwayError unless `copies` is 1. SUMO is loaded by `reset`."""
+        """Allocate arrays; `reset` loads SUMO. Raises HeadwayError unless `copies` is 1."""
         if copies != 1:
             raise HeadwayError(
-                f"a process can hold 1 copy of the intersection, not {copies}; let rollout.block=1, with a "
-                "worker process for each copy"
+                f"a process can hold 1 copy of the intersection, not {copies}; set rollout.block=1, with one "
+                "worker process per copy"
             )
         config = self.config = prepared.config
         self.prepared = prepared
@@ -48,21 +48,21 @@ class IntersectionBatchedEnv:
             name="intersection",
             agents=tuple(f"av_{slot}" for slot in range(config.slots)),
             observation_size=size,
-            action_space=Box((-kernel.STRONGEST,), (kernel.STRONGEST,)),
+            action_space=Box((-kernel.MAX_ACCELERATION,), (kernel.MAX_ACCELERATION,)),
             state_size=STATE_SIZE,
-            shared_reward=paid_share(config),
+            shared_reward=shares_reward(config),
             agents_come_and_go=True,
             metrics=METRICS,
             max_copies_per_process=1,
         )
-        self._asked = (1, config.slots, 1)
+        self._actions_shape = (1, config.slots, 1)
         self.events: dict[int, str] = {}
-        """Slots whose vehicle left or crashed in the last step: `arrived` or `collided`."""
+        """`arrived` or `collided` for each slot whose vehicle left or crashed in the last step."""
         self.crash_places: list[tuple[float, float]] = []
-        """Where vehicles crashed in the last step of the running episode, (x, y) in m from the centre; none
-        once a step has ended it."""
+        """Positions of crashes in the last step, (x, y) in m from the centre; empty if that step ended the
+        episode."""
         self._seed, self._episode = 0, 0
-        self.ledger = EpisodeMetrics(config)
+        self.counters = EpisodeMetrics(config)
         self._observed = Observations(slots.observations[None], self._account["state"], slots.alive[None])
         flags = [np.zeros((1, config.slots), np.bool_) for _ in range(2)]
         self._outcome = StepResult(
@@ -85,8 +85,8 @@ class IntersectionBatchedEnv:
         return 1
 
     @property
-    def street(self) -> SumoBridge:
-        """The vehicles, for rules and pictures; there is one from the first `reset` on."""
+    def bridge(self) -> SumoBridge:
+        """Vehicles and simulation, for rules and pictures; created at the first use."""
         if self._street is None:
             prepared = self.prepared
             simulation = Simulation(prepared.network.path, prepared.routes, STEP_S)
@@ -95,21 +95,21 @@ class IntersectionBatchedEnv:
 
     @property
     def steps_taken(self) -> int:
-        """In the running episode."""
-        return self.ledger.steps
+        """Number of steps of 0.1 s taken in the current episode."""
+        return self.counters.steps
 
     @property
     def episode(self) -> tuple[int, int]:
-        """The running one: the seed of the last `reset`, and how many episodes have ended since."""
+        """Seed of the last `reset`, and number of episodes that have ended since."""
         return self._seed, self._episode
 
     def observed(self) -> Observations:
-        """What the agents face now."""
+        """Return the current observations: views of the environment's arrays."""
         return self._observed
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        """Begin episode 0 of a seed, (1,). Raises HeadwayError where another environment of this process has
-        its simulation."""
+        """Begin episode 0; seeds (1,). Raises ValueError for another shape, and HeadwayError if another
+        environment of this process holds the simulation."""
         if len(seeds) != 1:
             raise ValueError(f"seeds must have shape (1,), not {np.shape(seeds)}")
         self._seed, self._episode = int(seeds[0]), 0
@@ -117,11 +117,13 @@ class IntersectionBatchedEnv:
         return self._observed
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """0.1 s, `action_repeat` times; accelerations (1, N, 1) in m/s^2, cut at 3. Rewards are sums over
-        them: of the team's all, for those who have left, too; of the paper's and an own one those until one
-        leaves. Raises ValueError for another shape."""
-        if actions.shape != self._asked:
-            raise ValueError(f"actions must have shape {self._asked}, not {actions.shape}")
+        """Advance by `action_repeat` steps of 0.1 s; accelerations (1, N, 1) in m/s^2, clipped to 3.
+
+        Rewards are summed over these steps: the team's over all of them, also for slots whose AV has left;
+        the paper's and own rewards until the AV leaves. Raises ValueError for another shape of actions.
+        """
+        if actions.shape != self._actions_shape:
+            raise ValueError(f"actions must have shape {self._actions_shape}, not {actions.shape}")
         outcome, slots = self._outcome, self._slots
         self.crash_places = []
         if self.events or outcome.episode_ended[0]:
@@ -135,66 +137,66 @@ class IntersectionBatchedEnv:
         for _ in range(self.config.action_repeat):
             crashed = self._advance(accelerations)
             over = crashed and self.config.on_collision == "end_episode"
-            if over or self.ledger.steps >= self.config.horizon:
+            if over or self.counters.steps >= self.config.horizon:
                 outcome.episode_ended[0] = True
                 self._end(crashed=over)
                 break
         return outcome, self._observed
 
     def _advance(self, accelerations: NDArray[np.float32]) -> bool:
-        """One step of 0.1 s; whether anybody crashed."""
-        ledger, street = self.ledger, self.street
-        # Who has entered since actions were asked for drives on as it came.
-        street.command(accelerations, self._slots.acting)
-        changes = street.advance(ledger.steps + 1, self.events)
-        ledger.count(changes)
+        """Advance by one step of 0.1 s and return whether vehicles crashed."""
+        counters, bridge = self.counters, self.bridge
+        # AVs that entered after the action was chosen keep their speed.
+        bridge.command(accelerations, self._slots.acting)
+        changes = bridge.advance(counters.steps + 1, self.events)
+        counters.count(changes)
         if changes.arrived or changes.crashes:
-            self._let_go(changes)
-        kernel.take_in(
-            street.crossing,
-            street.roster.memory,
+            self._end_departed(changes)
+        kernel.process_step(
+            bridge.crossing,
+            bridge.roster.records,
             self._account,
             self._scratch,
             *self._slots,
-            len(street.roster),
-            street.answers,
+            len(bridge.roster),
+            bridge.readings,
             changes.arrived,
             changes.crashes,
             changes.lane_changes,
-            ledger.outflow_vph,
+            counters.outflow_vph,
             changes.pending,
-            ledger.steps / self.config.horizon,
+            counters.steps / self.config.horizon,
         )
         return changes.crashes > 0
 
     def hand_over(self, speed_mode: int) -> None:
-        """Let SUMO drive all vehicles as humans, with this speed mode; actions are ignored until the
+        """Let SUMO drive all vehicles as humans with the given speed mode, ignoring actions, until the
         episode ends."""
-        self.street.hand_over(speed_mode)
+        self.bridge.hand_over(speed_mode)
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
-        """Raises HeadwayError: a state that SUMO saves does not go on exactly."""
+        """Raise HeadwayError: a simulation state saved by SUMO does not continue exactly."""
         raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
 
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
-        """Raises HeadwayError, as `snapshot`."""
+        """Raise HeadwayError: there are no snapshots."""
         raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
 
     def close(self) -> None:
-        """Let another environment of this process have the simulation."""
+        """Release the simulation for other environments of this process."""
         if self._street is not None:
             self._street.close()
 
     def _begin(self) -> None:
-        self.ledger, self.crash_places = EpisodeMetrics(self.config), []
+        self.counters, self.crash_places = EpisodeMetrics(self.config), []
         self._account.fill(0)
         draw = generator(self._seed, "intersection", self._episode)
-        self.street.begin(int(draw.integers(2**31 - 1)), draw)
+        self.bridge.begin(int(draw.integers(2**31 - 1)), draw)
         self._slots.observations.fill(0)
         self._slots.alive.fill(False)
 
-    def _let_go(self, changes: Changes) -> None:
-        """The streams of those who left or crashed end; own rewards charge a crash."""
+    def _end_departed(self, changes: Changes) -> None:
+        """End the streams of AVs that left or crashed; with own rewards, charge for the crash."""
         outcome = self._outcome
         cut = self.config.at_exit == "truncated"
         self._end_streams(changes.left, "arrived", outcome.truncated if cut else outcome.terminated)
@@ -205,7 +207,7 @@ class IntersectionBatchedEnv:
             outcome.rewards[0, crashed] -= self.config.reward.collision
 
     def _end_streams(self, slots: Sequence[int], event: str, flags: NDArray[np.bool_]) -> None:
-        """Streams end with what they observed last; who has never been asked had none."""
+        """End streams with their last observation. An AV that has never acted has no stream to end."""
         for slot in slots:
             self.events[slot] = event
             if self._outcome.acting[0, slot]:
@@ -213,12 +215,12 @@ class IntersectionBatchedEnv:
                 self._outcome.final_observations[0, slot] = self._slots.observations[slot]
 
     def _end(self, crashed: bool) -> None:
-        """Every slot's stream ends, and the next episode begins."""
+        """End the streams of all slots and begin the next episode."""
         outcome = self._outcome
         rest = ~(outcome.terminated[0] | outcome.truncated[0])
         (outcome.terminated if crashed else outcome.truncated)[0, rest] = True
         outcome.final_observations[0, rest] = self._slots.observations[rest]
         outcome.final_states[:] = self._account["state"]
-        outcome.metrics[0] = self.ledger.metrics(self._account[0])
+        outcome.metrics[0] = self.counters.metrics(self._account[0])
         self._episode += 1
         self._begin()

@@ -1,4 +1,4 @@
-"""The metrics of an episode."""
+"""Metrics of an episode, computed from its counters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,35 +18,36 @@ METRICS = (
     "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
     "fairness_jain", "sumo_steps", *(f"reward_{term}" for term in TERMS),
 )  # fmt: skip
-"""In the order of `EpisodeMetrics.metrics`; `meanings` says what they are."""
+"""Names, in the order of `EpisodeMetrics.metrics`; `intersection.metrics` describes them."""
 
 
 @dataclass
 class EpisodeMetrics:
-    """What is counted in an episode."""
+    """Counters of an episode: steps, vehicles, collisions and travel times."""
 
     config: IntersectionConfig
     steps: int = 0
     entered: int = 0
     arrived: int = 0
     entered_early: int = 0
-    """Within the warm-up; so with the next."""
+    """Vehicles that entered during the warm-up."""
     arrived_early: int = 0
+    """Vehicles that left during the warm-up."""
     crashes: int = 0
     avs: int = 0
     without_slot: int = 0
     pending: int = 0
     travel_s: list[float] = field(default_factory=list)
     through: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
-    """AVs that went through, by approach."""
+    """Number of AVs that left, by approach."""
 
     @property
     def outflow_vph(self) -> float:
-        """Vehicles that left, an hour, since the beginning."""
+        """Vehicles that left since the start of the episode, per hour."""
         return self.arrived * 3600 / (max(self.steps, 1) * STEP_S)
 
     def count(self, changes: Changes) -> None:
-        """A step."""
+        """Count the changes of one step."""
         self.steps += 1
         self.pending += changes.pending
         if not (changes.entered or changes.arrived or changes.crashes):
@@ -64,13 +65,13 @@ class EpisodeMetrics:
             self.travel_s.append(seconds)
 
     def metrics(self, account: np.void) -> list[float]:
-        """In the order of METRICS, with what the kernel has added up in an element of ACCOUNT."""
+        """Return the metrics in the order of METRICS; `account`: an ACCOUNT record with the kernel's sums."""
         total, steps = {name: float(account[name]) for name in SUMS}, max(self.steps, 1)
         seconds = steps * STEP_S
         late = seconds - self.config.warm_up_s
         early_in, early_out = (self.entered_early, self.arrived_early) if late > 0 else (0, 0)
         per_hour = 3600 / (late if late > 0 else seconds)
-        spent = _spent_for_each(account["present"] * STEP_S, self.through)
+        spent = _seconds_per_passage(account["present"] * STEP_S, self.through)
         with_any, with_av, with_hdv = (max(total[f"steps_{kind}"], 1) for kind in ("all", "av", "hdv"))
         return [
             total["team_return"],
@@ -103,14 +104,14 @@ class EpisodeMetrics:
         ]
 
 
-def _spent_for_each(seconds: NDArray[np.float64], through: Sequence[int]) -> list[float]:
-    """Seconds spent by AVs for each that went through, of the approaches that AVs came from: one where all
-    are stuck counts."""
+def _seconds_per_passage(seconds: NDArray[np.float64], through: Sequence[int]) -> list[float]:
+    """Return the time spent by AVs per AV that left, s, for each approach that AVs came from. An approach
+    where all AVs are stuck counts as one AV that left."""
     return [float(spent) / max(count, 1) for spent, count in zip(seconds, through, strict=True) if spent > 0]
 
 
 def jain(values: Sequence[float]) -> float:
-    """Jain's index, (sum x)^2 / (n sum x^2): 1 where all are equal, 1/n where one has all; 1 for none.
+    """Return Jain's fairness index (sum x)^2 / (n sum x^2), between 1/n and 1 (all equal); 1 without values.
     Source: Jain, Chiu and Hawe 1984."""
     array = np.asarray(values)
     squares = float((array**2).sum())

@@ -1,6 +1,6 @@
-"""What follows from where all vehicles are: observations, reward terms and sums for the metrics; compiled.
+"""Compiled kernel: observations, state, reward terms and sums for the metrics, from all vehicles' positions.
 
-Axes: those of `layout`.
+Axes: those of `intersection.layout`.
 """
 
 from pathlib import Path
@@ -14,16 +14,16 @@ from headway_envs.intersection.layout import (
     ACCOUNT,
     CELLS,
     CROSSING,
-    LANES,
     NEAR_SIZE,
     NEIGHBOUR_SIZE,
+    NUM_LANES,
     PAPER_SIZE,
-    PAY_OWN,
-    PAY_PAPER,
-    PAY_TEAM,
+    PATH_SIZE,
+    REWARD_OWN,
+    REWARD_PAPER,
+    REWARD_TEAM,
     SCRATCH,
     TRAFFIC,
-    WAY_SIZE,
     Floats,
     Record,
     Slots,
@@ -34,36 +34,39 @@ from headway_envs.intersection.layout import (
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
 from headway_envs.numba_setup import compiled, compiled_apart, drop_stale_cache
 
-drop_stale_cache(Path(__file__).parent)  # constants of other files are compiled in, too
+drop_stale_cache(Path(__file__).parent)  # constants of other files are compiled in
 
-STRONGEST = 3.0
-"""Bound of a commanded acceleration, m/s^2."""
+MAX_ACCELERATION = 3.0
+"""Bound on commanded accelerations, m/s^2."""
 TARGET_SPEED = 20.0
-_LONGEST_S = 20.0
-"""Times of arrival are cut here, s."""
+"""Speed at which the velocity term is largest, m/s."""
+_MAX_ARRIVAL_S = 20.0
+"""Maximum time of arrival in observations, s."""
 _NEAR_M = 50.0
-"""Within which a distance matters to who is about to brake. Over the network's length, as in the paper's
-observation, ten metres are next to nothing."""
-_LONGEST_HEADWAY_S = 5.0
-_LIKELY_SPEED = 3.0
-"""Who drives slower, or stands, is ranked as if it came at this speed, m/s."""
+"""Unit of distances relevant to braking, m. Divided by the network's length, as in the paper's observation,
+ten metres would be close to 0."""
+_MAX_HEADWAY_S = 5.0
+_MIN_RANKING_SPEED = 3.0
+"""Minimum speed assumed when vehicles are ranked by time of arrival, m/s."""
 _PAPER_GAINS = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.0)
 _EPSILON = 1e-5
 
 
 @compiled
-def _until_line(traffic: Traffic, row: int) -> float:
-    """Time to the stop line at the speed of now, s, cut; 0 for who has passed it."""
+def _time_to_line(traffic: Traffic, row: int) -> float:
+    """Return the time to the stop line at the current speed, s, at most `_MAX_ARRIVAL_S`; 0 beyond the
+    line."""
     distance = max(ROAD_M - traffic.position[row], 0.0)
     seconds: float = distance / max(traffic.speed[row], 0.1)
-    return min(seconds, _LONGEST_S)
+    return min(seconds, _MAX_ARRIVAL_S)
 
 
 @compiled
 def _observe_paper(crossing: Record, traffic: Traffic, row: int, out: NDArray[np.float32]) -> None:
-    """Section 5.2 of the paper: own place on its edge, speed, leader and follower; the fifth is taken over
-    the speed limit, as in Flow, where the paper prints the length. The way through the junction is one
-    edge."""
+    """Fill the paper's observation (section 5.2): position on the edge, speed, leader and follower.
+
+    The fifth feature is divided by the speed limit, as in Flow; the paper prints the length. The path through
+    the junction counts as one edge."""
     position, inside = traffic.position[row], crossing.link_length[traffic.link[row]]
     if position >= ROAD_M + inside:
         position -= ROAD_M + inside
@@ -89,33 +92,34 @@ def _observe_paper(crossing: Record, traffic: Traffic, row: int, out: NDArray[np
 def _observe_extended(
     crossing: Record, traffic: Traffic, row: int, scratch: Record, out: NDArray[np.float32]
 ) -> None:
-    """Which part of the way (3), distance and time to the stop line, the turn (3); what is near (4): the stop
-    line, the leader as distance and as time headway, the follower; then those who come next on ways that
-    cross the own (`_show_crossing`)."""
+    """Fill the additional features of an extended observation: part of the path (3), distance and time to the
+    stop line, turn (3); near distances (4) of the stop line, the leader (distance and time headway) and the
+    follower; then the next vehicles on conflicting paths (`_observe_conflicts`)."""
     link, position, speed = traffic.link[row], traffic.position[row], traffic.speed[row]
     part = 0 if position < ROAD_M else (1 if position < ROAD_M + crossing.link_length[link] else 2)
     out[PAPER_SIZE + part] = 1.0
     left = max(ROAD_M - position, 0.0)
     out[PAPER_SIZE + 3] = left / ROAD_M
-    out[PAPER_SIZE + 4] = _until_line(traffic, row) / _LONGEST_S
+    out[PAPER_SIZE + 4] = _time_to_line(traffic, row) / _MAX_ARRIVAL_S
     turn = link % 4
     out[PAPER_SIZE + 5 + (turn if turn < 2 else turn - 1)] = 1.0
-    near, around = PAPER_SIZE + WAY_SIZE, traffic.around[row]
+    near, around = PAPER_SIZE + PATH_SIZE, traffic.around[row]
     out[near] = min(left / _NEAR_M, 1.0)
     out[near + 1 : near + NEAR_SIZE] = 1.0
     if around[0] >= 0:
         gap = around[1] + MIN_GAP_M
         out[near + 1] = min(gap / _NEAR_M, 1.0)
-        out[near + 2] = min(gap / max(speed, 0.1) / _LONGEST_HEADWAY_S, 1.0)
+        out[near + 2] = min(gap / max(speed, 0.1) / _MAX_HEADWAY_S, 1.0)
     if around[2] >= 0:
         out[near + 3] = min((around[3] + MIN_GAP_M) / _NEAR_M, 1.0)
     if part < 2:
-        _show_crossing(crossing, traffic, row, scratch, out[near + NEAR_SIZE :])
+        _observe_conflicts(crossing, traffic, row, scratch, out[near + NEAR_SIZE :])
 
 
 @compiled
-def _find_next(crossing: Record, traffic: Traffic, count: int, scratch: Record) -> None:
-    """Who can come next on a way: the first on each link before the stop line, all inside the junction."""
+def _find_candidates(crossing: Record, traffic: Traffic, count: int, scratch: Record) -> None:
+    """List the candidates for conflicts: the first vehicle before the stop line of each link, and all
+    vehicles inside the junction."""
     first, inside, found = scratch.first, scratch.inside, 0
     first[:] = -1
     for row in range(count):
@@ -131,8 +135,8 @@ def _find_next(crossing: Record, traffic: Traffic, count: int, scratch: Record) 
 
 
 @compiled
-def _head(crossing: Record, traffic: Traffic, link: int, lane: int, first: Whole) -> int:
-    """The row of the first on a lane among those whose ways cross a link; -1: none."""
+def _first_on_lane(crossing: Record, traffic: Traffic, link: int, lane: int, first: Whole) -> int:
+    """Return the row of the first vehicle on a lane among those in conflict with a link; -1: none."""
     head, least = -1, np.inf
     for way in range(2 * lane, 2 * lane + 2):
         row = int(first[way])
@@ -145,35 +149,35 @@ def _head(crossing: Record, traffic: Traffic, link: int, lane: int, first: Whole
 
 
 @compiled
-def _show_crossing(
+def _observe_conflicts(
     crossing: Record, traffic: Traffic, row: int, scratch: Record, out: NDArray[np.float32]
 ) -> None:
-    """Of all whose ways cross the own, those inside the junction and the first on each lane, four at most,
-    the soonest first: 1, distance to their stop line (negative past it), speed, how much later they arrive,
-    whether automated, whether they go first."""
+    """Fill the features of up to four vehicles in conflict, inside the junction or first on their lane, in
+    order of arrival: 1, distance to the stop line (negative beyond it), speed, arrival relative to the own
+    one, whether automated, whether the own vehicle must yield."""
     link = traffic.link[row]
-    soonest, rows = scratch.soonest, scratch.ranked
-    soonest[:] = np.inf
+    arrival, rows = scratch.arrival, scratch.ranked
+    arrival[:] = np.inf
     rows[:] = -1
     for other in scratch.inside:
         if other < 0:
             break
         if crossing.foes[link, traffic.link[other]]:
             left = ROAD_M - traffic.position[other]
-            _insert(soonest, rows, left / max(traffic.speed[other], _LIKELY_SPEED), int(other))
-    for lane in range(LANES):
-        head = _head(crossing, traffic, link, lane, scratch.first)
+            _insert(arrival, rows, left / max(traffic.speed[other], _MIN_RANKING_SPEED), int(other))
+    for lane in range(NUM_LANES):
+        head = _first_on_lane(crossing, traffic, link, lane, scratch.first)
         if head >= 0:
             left = ROAD_M - traffic.position[head]
-            _insert(soonest, rows, left / max(traffic.speed[head], _LIKELY_SPEED), head)
-    mine, place = _until_line(traffic, row), 0
+            _insert(arrival, rows, left / max(traffic.speed[head], _MIN_RANKING_SPEED), head)
+    mine, place = _time_to_line(traffic, row), 0
     for shown in rows:
         if shown < 0:
             return
         out[place] = 1.0
         out[place + 1] = (ROAD_M - traffic.position[shown]) / _NEAR_M
         out[place + 2] = traffic.speed[shown] / SPEED_LIMIT
-        out[place + 3] = (_until_line(traffic, int(shown)) - mine) / _LONGEST_S
+        out[place + 3] = (_time_to_line(traffic, int(shown)) - mine) / _MAX_ARRIVAL_S
         out[place + 4] = 1.0 if traffic.slot[shown] >= 0 else 0.0
         out[place + 5] = 1.0 if crossing.yields[link, traffic.link[shown]] else 0.0
         place += NEIGHBOUR_SIZE
@@ -181,7 +185,7 @@ def _show_crossing(
 
 @compiled
 def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
-    """Keep rows (n,) in the order of their keys (n,), the smallest first; the last drops out."""
+    """Insert a row into rows (n,), sorted by ascending keys (n,); the last entry is dropped."""
     place = len(keys) - 1
     if key >= keys[place]:
         return
@@ -192,9 +196,10 @@ def _insert(keys: Floats, rows: Whole, key: float, row: int) -> None:
 
 
 @compiled
-def _describe(crossing: Record, traffic: Traffic, count: int, happened: StepEvents, account: Record) -> None:
-    """The state: for each approach, AVs, HDVs and mean speed in each cell of the road, then vehicles inside
-    the junction and beyond it with their mean speeds; the share of the episode passed, vehicles waiting."""
+def _fill_state(crossing: Record, traffic: Traffic, count: int, events: StepEvents, account: Record) -> None:
+    """Fill the state: per approach, numbers of AVs and HDVs and mean speed in each cell of the road, then
+    numbers and mean speeds of vehicles inside and beyond the junction; elapsed share of the episode, vehicles
+    waiting to enter."""
     state = account.state
     state[:] = 0.0
     width = 3 * CELLS + 4
@@ -218,13 +223,13 @@ def _describe(crossing: Record, traffic: Traffic, count: int, happened: StepEven
             state[place + 2] /= max(vehicles, 1.0) * SPEED_LIMIT
         for place in (base + 3 * CELLS, base + 3 * CELLS + 2):
             state[place + 1] /= max(10.0 * state[place], 1.0) * SPEED_LIMIT
-    state[4 * width] = happened.passed
-    state[4 * width + 1] = min(happened.pending / 50.0, 5.0)
+    state[4 * width] = events.progress
+    state[4 * width + 1] = min(events.pending / 50.0, 5.0)
 
 
 @compiled
-def _late(traffic: Traffic, row: int) -> float:
-    """Time headway under 1 s of an AV that drives behind somebody, as what is missing; at most 0."""
+def _headway_shortfall(traffic: Traffic, row: int) -> float:
+    """Return the time headway of an AV to its leader minus 1 s, at most 0; 0 without a leader."""
     speed = traffic.speed[row]
     if traffic.around[row, 0] < 0 or speed <= 0.0:
         return 0.0
@@ -233,25 +238,26 @@ def _late(traffic: Traffic, row: int) -> float:
 
 
 @compiled
-def _own(crossing: Record, traffic: Traffic, row: int) -> float:
-    """What one AV earns by how it drives: the weighted scaled terms of speed, standstill and headway
-    (`_late`), as if it were all that drives."""
+def _own_reward(crossing: Record, traffic: Traffic, row: int) -> float:
+    """Return one AV's own reward: the weighted scaled terms of speed, standstill and headway
+    (`_headway_shortfall`), computed for this vehicle alone."""
     weights, speed = crossing.weights, traffic.speed[row]
     nearness = max(1.0 - abs(speed - TARGET_SPEED) / TARGET_SPEED, 0.0)
     quickness = min(speed / SPEED_LIMIT, 1.0)
     standing = 1.0 if speed < 0.1 else 0.0
     paid: float = weights[0] * nearness - weights[1] * standing + (weights[2] + weights[3]) * quickness
-    paid += weights[6] * _late(traffic, row)
+    paid += weights[6] * _headway_shortfall(traffic, row)
     return paid
 
 
 @compiled
-def _judge(
-    crossing: Record, traffic: Traffic, count: int, happened: StepEvents, account: Record
+def _evaluate_rewards(
+    crossing: Record, traffic: Traffic, count: int, events: StepEvents, account: Record
 ) -> tuple[float, float]:
-    """Terms of the reward, and what they come to: (scaled, the paper's). The paper's terms are equations 7
-    to 12 of its appendix, with the gains it lists. By its equation 4 it pays 0.2 x the sum of the first six +
-    the velocity's + 0.5 x the headway's."""
+    """Fill the reward terms and return their sums: (scaled, paper).
+
+    The paper's terms are equations 7 to 12 of its appendix, with the gains it lists; by its equation 4 the
+    sum is 0.2 x the first six terms + the velocity term + 0.5 x the headway term."""
     automated, standing, stopped = 0, 0, 0
     squares, speeds, automated_speeds, headways = 0.0, 0.0, 0.0, 0.0
     for row in range(count):
@@ -263,19 +269,19 @@ def _judge(
         if traffic.slot[row] >= 0:
             automated += 1
             automated_speeds += speed
-            headways += _late(traffic, row)
+            headways += _headway_shortfall(traffic, row)
     aim = TARGET_SPEED * np.sqrt(count)
     nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
     fullest = STEP_S * count
     cost = STEP_S * (count - speeds / SPEED_LIMIT)
     quickness = max((fullest - cost) / (fullest + _EPSILON), 0.0)
     paper, scaled = account.paper, account.scaled
-    paper[0] = 0.0 if happened.crashes else nearness
+    paper[0] = 0.0 if events.crashes else nearness
     paper[1] = -stopped
     paper[2] = automated_speeds
     paper[3] = quickness
-    paper[4] = -happened.lane_changes
-    paper[5] = happened.outflow_vph
+    paper[4] = -events.lane_changes
+    paper[5] = events.outflow_vph
     paper[6] = headways
     paper[7] = 0.0
     for term in range(8):
@@ -284,10 +290,10 @@ def _judge(
     scaled[1] = -standing / max(count, 1)
     scaled[2] = min(automated_speeds / max(automated, 1) / SPEED_LIMIT, 1.0)
     scaled[3] = min(quickness, 1.0)
-    scaled[4] = -min(happened.lane_changes / max(automated, 1), 1.0)
-    scaled[5] = min(happened.arrived, 1)
+    scaled[4] = -min(events.lane_changes / max(automated, 1), 1.0)
+    scaled[5] = min(events.arrived, 1)
     scaled[6] = headways / max(automated, 1)
-    scaled[7] = -min(happened.crashes, 1)
+    scaled[7] = -min(events.crashes, 1)
     combined, total = 0.0, 0.0
     for term in range(8):
         total += crossing.weights[term] * scaled[term]
@@ -296,7 +302,7 @@ def _judge(
 
 
 @compiled
-def _pay(
+def _credit_rewards(
     crossing: Record,
     traffic: Traffic,
     count: int,
@@ -305,23 +311,23 @@ def _pay(
     scaled_reward: float,
     paper_reward: float,
 ) -> None:
-    """Pay for a step. The paper pays whoever was asked and still is on the road; so do own rewards, and the
-    team's all slots."""
+    """Add a step's rewards. The paper's and own rewards go to acting AVs that are still on the road, the
+    team's to all slots."""
     rewards, paid = slots.rewards, 0
     for row in range(count):
         slot = traffic.slot[row]
-        # Slots that were left since actions were asked for are empty still.
+        # Slots freed since the action was chosen are still empty.
         if slot < 0 or not slots.acting[slot]:
             continue
         paid += 1
-        if crossing.pays == PAY_PAPER:
+        if crossing.reward_kind == REWARD_PAPER:
             rewards[slot] += np.float32(paper_reward)
-        elif crossing.pays == PAY_OWN:
-            rewards[slot] += np.float32(_own(crossing, traffic, row))
-    if crossing.pays == PAY_TEAM:
+        elif crossing.reward_kind == REWARD_OWN:
+            rewards[slot] += np.float32(_own_reward(crossing, traffic, row))
+    if crossing.reward_kind == REWARD_TEAM:
         for slot in range(len(rewards)):
             rewards[slot] += np.float32(scaled_reward)
-    published = crossing.pays == PAY_PAPER
+    published = crossing.reward_kind == REWARD_PAPER
     account.paper_return += paper_reward * paid
     account.team_return += paper_reward if published else scaled_reward
     terms = account.paper if published else account.scaled
@@ -330,8 +336,8 @@ def _pay(
 
 
 @compiled
-def _add_up(traffic: Traffic, count: int, account: Record) -> None:
-    """Means over the vehicles of this step."""
+def _add_to_sums(traffic: Traffic, count: int, account: Record) -> None:
+    """Add this step's means over vehicles to the sums of the episode."""
     automated, standing, fuel = 0, 0, 0.0
     speed_av, speed_hdv, change_av, change_hdv = 0.0, 0.0, 0.0, 0.0
     for row in range(count):
@@ -367,14 +373,14 @@ def _add_up(traffic: Traffic, count: int, account: Record) -> None:
 
 
 @compiled
-def _look(crossing: Record, traffic: Traffic, count: int, scratch: Record, slots: Slots) -> None:
-    """Observations of all AVs among V vehicles."""
+def _observe_all(crossing: Record, traffic: Traffic, count: int, scratch: Record, slots: Slots) -> None:
+    """Fill the observations and the alive mask of all slots, from V vehicles."""
     for slot in range(len(slots.alive)):
         if slots.alive[slot]:
             slots.observations[slot] = 0.0
             slots.alive[slot] = False
     if crossing.extended:
-        _find_next(crossing, traffic, count, scratch)
+        _find_candidates(crossing, traffic, count, scratch)
     for row in range(count):
         slot = traffic.slot[row]
         if slot < 0:
@@ -386,87 +392,88 @@ def _look(crossing: Record, traffic: Traffic, count: int, scratch: Record, slots
 
 
 @compiled
-def _read_in(traffic: Traffic, count: int, answers: Floats) -> None:
-    """Fill the columns of `Traffic` with what SUMO answered."""
+def _store_readings(traffic: Traffic, count: int, readings: Floats) -> None:
+    """Copy SUMO's readings into the columns of `Traffic`."""
     place = 3 * count
     for row in range(count):
         traffic.before[row] = traffic.speed[row]
-        traffic.speed[row] = answers[row]
-        traffic.position[row] = answers[count + row] + traffic.offset[row]
-        traffic.fuel[row] = answers[2 * count + row]
+        traffic.speed[row] = readings[row]
+        traffic.position[row] = readings[count + row] + traffic.offset[row]
+        traffic.fuel[row] = readings[2 * count + row]
         if traffic.slot[row] >= 0:
             for column in range(4):
-                traffic.around[row, column] = answers[place + column]
+                traffic.around[row, column] = readings[place + column]
             place += 4
 
 
 @compiled_apart
-def take_in(
-    crossing_memory: NDArray[np.void],
-    traffic_memory: NDArray[np.void],
-    account_memory: NDArray[np.void],
-    scratch_memory: NDArray[np.void],
+def process_step(
+    crossing_records: NDArray[np.void],
+    traffic_records: NDArray[np.void],
+    account_records: NDArray[np.void],
+    scratch_records: NDArray[np.void],
     observations: NDArray[np.float32],
     alive: NDArray[np.bool_],
     acting: NDArray[np.bool_],
     rewards: NDArray[np.float32],
     count: int,
-    answers: Floats,
+    readings: Floats,
     arrived: int,
     crashes: int,
     lane_changes: int,
     outflow_vph: float,
     pending: int,
-    passed: float,
+    progress: float,
 ) -> None:
-    """All that follows from a step of V = `count` vehicles: from memory (1,) of CROSSING, TRAFFIC, ACCOUNT
-    and SCRATCH, the parts of `Slots` and, in the end, those of `StepEvents`, since handing tuples over takes
-    longer than all that is done with them.
+    """Update observations, state, rewards and sums after a step of V = `count` vehicles.
 
-    `answers` are SUMO's: of each vehicle its speed, then of each the distance it has been driven, then of
-    each its fuel; then of each AV its part of `Traffic.around`."""
-    crossing, traffic, account = crossing_memory[0], traffic_memory[0], account_memory[0]
+    Arguments are records (1,) of CROSSING, TRAFFIC, ACCOUNT and SCRATCH, the fields of `Slots` and, at the
+    end, those of `StepEvents`, because passing tuples costs more time than the computation. `readings`: speed
+    of each vehicle, then distance driven of each, then fuel rate of each, then `Traffic.around` of each
+    AV."""
+    crossing, traffic, account = crossing_records[0], traffic_records[0], account_records[0]
     slots = Slots(observations, alive, acting, rewards)
-    happened = StepEvents(arrived, crashes, lane_changes, outflow_vph, pending, passed)
-    _read_in(traffic, count, answers)
-    _look(crossing, traffic, count, scratch_memory[0], slots)
-    _describe(crossing, traffic, count, happened, account)
-    scaled_reward, paper_reward = _judge(crossing, traffic, count, happened, account)
-    _pay(crossing, traffic, count, account, slots, scaled_reward, paper_reward)
-    _add_up(traffic, count, account)
+    events = StepEvents(arrived, crashes, lane_changes, outflow_vph, pending, progress)
+    _store_readings(traffic, count, readings)
+    _observe_all(crossing, traffic, count, scratch_records[0], slots)
+    _fill_state(crossing, traffic, count, events, account)
+    scaled_reward, paper_reward = _evaluate_rewards(crossing, traffic, count, events, account)
+    _credit_rewards(crossing, traffic, count, account, slots, scaled_reward, paper_reward)
+    _add_to_sums(traffic, count, account)
 
 
 @compiled_apart
-def wish(
+def target_speeds(
     accelerations: NDArray[np.float32],
     acting: NDArray[np.bool_],
-    traffic_memory: NDArray[np.void],
+    traffic_records: NDArray[np.void],
     count: int,
-    wished: Floats,
+    targets: Floats,
 ) -> None:
-    """Speeds (M,) that accelerations (N,) ask for, cut at STRONGEST, of the AVs among V = `count` vehicles,
-    in their order. Who is not `acting` (N,) drives on as it does; backwards nobody."""
-    traffic, place = traffic_memory[0], 0
+    """Fill `targets` with the speeds that follow from accelerations (N,), clipped to `MAX_ACCELERATION`, for
+    the AVs among V = `count` vehicles in order of rows. AVs not `acting` (N,) keep their speed; speeds are at
+    least 0."""
+    traffic, place = traffic_records[0], 0
     for row in range(count):
         slot = traffic.slot[row]
         if slot < 0:
             continue
         acceleration = accelerations[slot] if acting[slot] else np.float32(0.0)
-        if acceleration > STRONGEST:
-            acceleration = np.float32(STRONGEST)
-        elif acceleration < -STRONGEST:
-            acceleration = np.float32(-STRONGEST)
-        wished[place] = traffic.speed[row] + acceleration * np.float32(STEP_S)
-        if wished[place] < 0.0:
-            wished[place] = 0.0
+        if acceleration > MAX_ACCELERATION:
+            acceleration = np.float32(MAX_ACCELERATION)
+        elif acceleration < -MAX_ACCELERATION:
+            acceleration = np.float32(-MAX_ACCELERATION)
+        targets[place] = traffic.speed[row] + acceleration * np.float32(STEP_S)
+        if targets[place] < 0.0:
+            targets[place] = 0.0
         place += 1
 
 
 def warm() -> None:
-    """Compile, or load from the cache, by a step of an empty crossing."""
+    """Compile every function, or load it from the cache, by a step of an empty road."""
     crossing, traffic, account, scratch = (
         np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT, SCRATCH)
     )
     slots, nothing = Slots.empty(1, True), np.zeros(0)
-    take_in(crossing, traffic, account, scratch, *slots, 0, nothing, 0, 0, 0, 0.0, 0, 0.0)
-    wish(np.zeros(1, np.float32), slots.acting, traffic, 0, nothing)
+    process_step(crossing, traffic, account, scratch, *slots, 0, nothing, 0, 0, 0, 0.0, 0, 0.0)
+    target_speeds(np.zeros(1, np.float32), slots.acting, traffic, 0, nothing)

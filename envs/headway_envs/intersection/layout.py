@@ -1,6 +1,6 @@
-"""What the kernel works on: a few blocks of memory, since each array that is handed over takes its time.
+"""Records of the kernel. They are few, because each array passed to compiled code costs time.
 
-Axes: V vehicles, N slots, L = 16 links (ways through the junction), D, S.
+Axes: V vehicles, N slots, L = 16 links (paths through the junction), D observation, S state.
 """
 
 from typing import Any, NamedTuple
@@ -13,122 +13,124 @@ from headway_envs.intersection.config import TERMS
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Record = Any
-"""The element of an array (1,) of one of the dtypes below; fields are attributes in compiled code."""
+"""The element of an array (1,) of one of the dtypes below. Compiled code reads fields as attributes."""
 
-WAYS = 16
-"""Through the junction: L, SUMO's links."""
-LANES = 8
-"""On which vehicles come; a link is of lane link // 2."""
-MOST_VEHICLES = 512
-"""More than have room on the crossing's roads: lanes of 16 x 200 m, 7.5 m a vehicle that stands."""
+NUM_LINKS = 16
+"""L: number of paths through the junction, SUMO's links."""
+NUM_LANES = 8
+"""Number of entry lanes; a link belongs to lane link // 2."""
+MAX_VEHICLES = 512
+"""Maximum number of vehicles; the roads have room for fewer: 16 lanes of 200 m, 7.5 m per standing
+vehicle."""
 PAPER_SIZE = 6
-WAY_SIZE = 8
+PATH_SIZE = 8
 NEAR_SIZE = 4
 NEIGHBOURS = 4
-"""Vehicles on crossing ways that an extended observation shows."""
+"""Number of vehicles on conflicting paths in an extended observation."""
 NEIGHBOUR_SIZE = 6
-EXTENDED_SIZE = PAPER_SIZE + WAY_SIZE + NEAR_SIZE + NEIGHBOURS * NEIGHBOUR_SIZE
+EXTENDED_SIZE = PAPER_SIZE + PATH_SIZE + NEAR_SIZE + NEIGHBOURS * NEIGHBOUR_SIZE
 CELLS = 4
-"""Of 50 m on each approach, in the state."""
+"""Number of cells of 50 m per approach in the state."""
 STATE_SIZE = 4 * (3 * CELLS + 2 + 2) + 2
-PAY_PAPER, PAY_TEAM, PAY_OWN = range(3)
-"""Which reward: the paper's, or the scaled one, the team's or each AV's own."""
+REWARD_PAPER, REWARD_TEAM, REWARD_OWN = range(3)
+"""Kinds of reward: the paper's, the scaled one of the team, or the scaled one of each AV."""
 
 CROSSING = np.dtype(
     [
-        ("link_length", np.float64, WAYS),  # m inside the junction
-        ("foes", np.int8, (WAYS, WAYS)),  # 1: these cross or merge
-        ("yields", np.int8, (WAYS, WAYS)),  # 1: the first must let the second go first
-        ("weights", np.float64, len(TERMS)),  # of the scaled terms
+        ("link_length", np.float64, NUM_LINKS),  # length inside the junction, m
+        ("foes", np.int8, (NUM_LINKS, NUM_LINKS)),  # 1: the two links cross or merge
+        ("yields", np.int8, (NUM_LINKS, NUM_LINKS)),  # 1: the first link yields to the second
+        ("weights", np.float64, len(TERMS)),  # weights of the scaled terms
         ("total_length", np.float64),
-        ("extended", np.int64),  # 1: observations are
-        ("pays", np.int64),
+        ("extended", np.int64),  # 1: extended observations
+        ("reward_kind", np.int64),
     ],
     align=True,
 )
-"""What does not change."""
+"""Constants of an environment."""
 
 SUMS = (
     "steps_all", "steps_av", "steps_hdv", "vehicles", "speed", "speed_av", "speed_hdv", "acceleration_av",
     "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel", "standing", "team_return",
     "paper_return",
 )  # fmt: skip
-"""What adds up to the metrics: steps with vehicles of a kind, means over these in a step (of `vehicles` their
-number), what was paid; but `hardest_braking` is the most of all steps."""
+"""Sums over steps for the metrics: steps with vehicles of a kind, means over these vehicles per step, number
+of vehicles, and rewards. `hardest_braking_*` are maxima instead."""
 
 ACCOUNT = np.dtype(
     [
         ("state", np.float32, STATE_SIZE),
         ("scaled", np.float64, len(TERMS)),  # terms in [-1, 1], in the order of TERMS
         ("paper", np.float64, len(TERMS)),  # the paper's terms with their gains
-        *((name, np.float64) for name in SUMS),  # of the episode, as the next two
-        ("terms", np.float64, len(TERMS)),  # of the reward that is paid
-        ("present", np.float64, 4),  # steps that AVs have spent here, by approach
+        *((name, np.float64) for name in SUMS),  # sums over the episode
+        ("terms", np.float64, len(TERMS)),  # sums of the terms of the reward in use
+        ("present", np.float64, 4),  # sum of AVs present, by approach
     ],
     align=True,
 )
-"""What follows for all together, and what has been added up in the episode."""
+"""State and reward terms of the step, and sums of the episode."""
 
 SCRATCH = np.dtype(
     [
-        ("first", np.int64, WAYS),  # the row of the first before the stop line; -1: none
-        ("inside", np.int64, MOST_VEHICLES + 1),  # rows of those inside the junction, then -1
-        ("soonest", np.float64, NEIGHBOURS),  # s until who comes next on crossing ways arrives
-        ("ranked", np.int64, NEIGHBOURS),  # their rows; -1: nobody
+        ("first", np.int64, NUM_LINKS),  # row of the first vehicle before the stop line; -1: none
+        ("inside", np.int64, MAX_VEHICLES + 1),  # rows of the vehicles inside the junction, then -1
+        ("arrival", np.float64, NEIGHBOURS),  # time until each ranked vehicle arrives, s
+        ("ranked", np.int64, NEIGHBOURS),  # rows of the next vehicles on conflicting paths; -1: none
     ],
     align=True,
 )
-"""Room for the kernel to find out who comes next."""
+"""Scratch space for the search for vehicles on conflicting paths."""
 
 
 class Traffic(NamedTuple):
-    """All vehicles, in rows 0 to V - 1 of arrays that are longer: the fields of TRAFFIC, in its memory.
-    Compiled code has its record, whose fields read alike."""
+    """All vehicles, in rows 0 to V - 1 of longer arrays: views of the fields of a TRAFFIC record.
+    Compiled code reads the record itself, by the same names."""
 
     position: Floats
-    """Front along the whole way: the stop line is at ROAD_M."""
+    """Position of the front along the path, m; the stop line is at ROAD_M."""
     speed: Floats
+    """m/s"""
     before: Floats
-    """Speed one step before."""
+    """Speed one step before, m/s."""
     fuel: Floats
-    """ml/s"""
+    """Fuel rate, ml/s."""
     offset: Floats
-    """Place at which a vehicle entered, m, less the distance it had been driven by then."""
+    """Position at entry minus the distance driven by then, m."""
     link: Whole
     slot: Whole
-    """-1: driven by SUMO."""
+    """Slot of an AV; -1: driven by SUMO."""
     around: Floats
-    """(V, 4): row of the vehicle ahead (-1: none) and its distance, the same of the one behind; valid where
-    there is a slot."""
+    """(V, 4) row of the leader (-1: none) and gap to it, row of the follower (-1: none) and gap to it, m;
+    valid for vehicles with a slot."""
 
     @classmethod
-    def of(cls, memory: NDArray[np.void]) -> "Traffic":
-        """In an array (1,) of TRAFFIC."""
-        return cls(*(memory[name][0] for name in cls._fields))
+    def of(cls, records: NDArray[np.void]) -> "Traffic":
+        """Return views of an array (1,) of TRAFFIC."""
+        return cls(*(records[name][0] for name in cls._fields))
 
 
 TRAFFIC = np.dtype(
-    [(name, np.float64, MOST_VEHICLES) for name in ("position", "speed", "before", "fuel", "offset")]
-    + [(name, np.int64, MOST_VEHICLES) for name in ("link", "slot")]
-    + [("around", np.float64, (MOST_VEHICLES, 4))]
+    [(name, np.float64, MAX_VEHICLES) for name in ("position", "speed", "before", "fuel", "offset")]
+    + [(name, np.int64, MAX_VEHICLES) for name in ("link", "slot")]
+    + [("around", np.float64, (MAX_VEHICLES, 4))]
 )
 
 
 class Slots(NamedTuple):
-    """What concerns each AV."""
+    """Arrays by slot."""
 
     observations: NDArray[np.float32]
-    """(N, D); rows of empty slots are 0."""
+    """(N, D) observations; rows of empty slots are 0."""
     alive: NDArray[np.bool_]
-    """(N,)"""
+    """(N,) whether an AV holds the slot now."""
     acting: NDArray[np.bool_]
-    """(N,): who was asked for the action that is carried out."""
+    """(N,) whether the slot's AV was present when the current action was chosen."""
     rewards: NDArray[np.float32]
-    """(N,): since then; a step's are added."""
+    """(N,) rewards summed over the steps of the current action."""
 
     @classmethod
     def empty(cls, slots: int, extended: bool) -> "Slots":
-        """Room for so many."""
+        """Return zeroed arrays for `slots` slots."""
         return cls(
             observations=np.zeros((slots, EXTENDED_SIZE if extended else PAPER_SIZE), np.float32),
             alive=np.zeros(slots, np.bool_),
@@ -138,16 +140,17 @@ class Slots(NamedTuple):
 
 
 class StepEvents(NamedTuple):
-    """What the step brought, beside places and speeds."""
+    """Events of a step that the kernel needs besides positions and speeds."""
 
     arrived: int = 0
+    """Vehicles that left at their exit."""
     crashes: int = 0
     """Pairs of vehicles."""
     lane_changes: int = 0
-    """Of AVs."""
+    """Lane changes of AVs."""
     outflow_vph: float = 0.0
-    """Since the episode's beginning."""
+    """Vehicles that left since the start of the episode, per hour."""
     pending: int = 0
-    """Vehicles that wait to enter."""
-    passed: float = 0.0
-    """Share of the episode."""
+    """Vehicles waiting to enter."""
+    progress: float = 0.0
+    """Elapsed share of the episode."""

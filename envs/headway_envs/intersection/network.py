@@ -1,4 +1,4 @@
-"""The crossing as SUMO's network file: how it was made, and what we read from it."""
+"""SUMO network file of the intersection: generation and reading."""
 
 import subprocess
 import xml.etree.ElementTree as ElementTree
@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 APPROACHES = ("north", "east", "south", "west")
-"""Clockwise."""
+"""Approaches, clockwise."""
 TURNS = ("right", "straight", "left")
 _EXIT_OF_TURN = {"right": 3, "straight": 2, "left": 1}
-"""Places clockwise from the approach to the exit."""
+"""Number of clockwise steps from the approach to the exit."""
 LINKS = (("right", 0), ("straight", 0), ("straight", 1), ("left", 1))
-"""Ways (turn, lane) through the junction from each approach, in SUMO's order: link = 4 x approach + place."""
+"""Paths (turn, lane) through the junction per approach, in SUMO's order: link = 4 x approach + position."""
 ROAD_M = 200.0
 """Length of every road up to the junction, m."""
 SPEED_LIMIT = 30.0
@@ -23,17 +23,17 @@ _FOLDER = Path(__file__).with_name("networks")
 
 
 def exit_of(approach: int, turn: str) -> str:
-    """Where a turn leads to."""
+    """Return the name of the exit of a turn."""
     return APPROACHES[(approach + _EXIT_OF_TURN[turn]) % 4]
 
 
 def network_file(junction: str) -> Path:
-    """The network with that right of way, as shipped."""
+    """Return the path of the packaged network with a type of right of way."""
     return _FOLDER / f"{junction}.net.xml"
 
 
 def nodes_xml(junction: str) -> str:
-    """Plain nodes for netconvert."""
+    """Return the plain nodes for netconvert."""
     ends = zip(APPROACHES, ((0, 200), (200, 0), (0, -200), (-200, 0)), strict=True)
     lines = [f'  <node id="{name}" x="{x}" y="{y}"/>' for name, (x, y) in ends]
     return "\n".join(
@@ -42,7 +42,8 @@ def nodes_xml(junction: str) -> str:
 
 
 def edges_xml() -> str:
-    """Plain edges for netconvert. The length is given, since the drawn one ends at the junction's rim."""
+    """Return the plain edges for netconvert. Their length is set, because the geometric one ends at the
+    junction's edge."""
     road = f'numLanes="2" speed="{SPEED_LIMIT:g}" length="{ROAD_M:g}"'
     lines = []
     for name in APPROACHES:
@@ -52,9 +53,9 @@ def edges_xml() -> str:
 
 
 def build(netconvert: str, junction: str, folder: Path) -> Path:
-    """Make the network anew in `folder` with the program netconvert (package eclipse-sumo).
+    """Generate the network in `folder` with the program netconvert (package eclipse-sumo); return its path.
 
-    Raises subprocess.CalledProcessError where that fails.
+    Raises subprocess.CalledProcessError if netconvert fails.
     """
     (folder / "plain.nod.xml").write_text(nodes_xml(junction), encoding="utf-8")
     (folder / "plain.edg.xml").write_text(edges_xml(), encoding="utf-8")
@@ -67,24 +68,25 @@ def build(netconvert: str, junction: str, folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Network:
-    """What the environment knows of a network file. Picklable."""
+    """Properties of a network file that the environment uses; picklable."""
 
     path: str
     link_length: NDArray[np.float64]
-    """(16,): m inside the junction, by link."""
+    """(16,) length of each link inside the junction, m."""
     link_speed: NDArray[np.float64]
-    """(16,): m/s that a way through the junction allows."""
+    """(16,) speed limit of each link inside the junction, m/s."""
     foes: NDArray[np.bool_]
-    """(16, 16): the ways of two links cross or merge."""
+    """(16, 16) whether two links cross or merge."""
     yields: NDArray[np.bool_]
-    """(16, 16): the first must let the second go first."""
+    """(16, 16) whether the first link yields to the second."""
     total_length: float
-    """Of all edges, those inside the junction too, m."""
+    """Total length of all edges, including those inside the junction, m."""
     ways: tuple[NDArray[np.float64], ...]
-    """By link, the line of the whole way: (K, 3) of m from its beginning, x and y in m from the centre."""
+    """Polyline of each link's path with its roads, (points, 3): distance from the start, x and y from the
+    centre, m."""
 
     def place(self, link: int, position: float) -> tuple[float, float]:
-        """(x, y) in m from the centre, so far along the way of a link."""
+        """Return (x, y) in m from the centre at a distance along the path of a link."""
         at, x, y = self.ways[link].T
         return float(np.interp(position, at, x)), float(np.interp(position, at, y))
 
@@ -119,12 +121,13 @@ class Network:
 
 
 def _internal_lane(way: ElementTree.Element) -> str:
-    """The lane that a connection begins with."""
+    """Return the id of the lane at the start of a connection."""
     return f"{way.attrib['from']}_{way.attrib['fromLane']}"
 
 
 def _line(lanes: list[ElementTree.Element]) -> NDArray[np.float64]:
-    """Lanes one after another, (K, 3). A road is longer than it is drawn: places are spread over it."""
+    """Return the polyline (points, 3) of consecutive lanes. Distances are scaled to each lane's set length,
+    which exceeds that of its geometry."""
     points, begin = [], 0.0
     for lane in lanes:
         shape = np.array([pair.split(",") for pair in lane.attrib["shape"].split()], np.float64) - ROAD_M
@@ -137,7 +140,7 @@ def _line(lanes: list[ElementTree.Element]) -> NDArray[np.float64]:
 
 
 def _link_of(way: ElementTree.Element) -> int | None:
-    """The link of a connection that begins at an approach."""
+    """Return the link of a connection; None unless it starts at an approach."""
     name = way.attrib["from"].removesuffix("_in")
     if name not in APPROACHES:
         return None

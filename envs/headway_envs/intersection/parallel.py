@@ -1,4 +1,4 @@
-"""The PettingZoo faces of the intersection: vehicles that each live once, or slots that stay."""
+"""PettingZoo ParallelEnvs of the intersection, with vehicles or with slots as agents."""
 
 from typing import Any
 
@@ -12,17 +12,17 @@ from headway_envs.intersection.prepared import Prepared, prepare
 from headway_envs.parallel_env import AgentObservations, Infos, ParallelEnvBase, Stepped
 
 BOUND = 5.0
-"""Of every component of an observation."""
+"""Declared bound on the components of an observation."""
 
 
-class _Face(ParallelEnvBase):
-    """What both faces share."""
+class _IntersectionParallelBase(ParallelEnvBase):
+    """Common base of both ParallelEnvs."""
 
     render_mode = "rgb_array"
     _env: IntersectionBatchedEnv
 
     def __init__(self, config: IntersectionConfig | Prepared | None, agents: int | None) -> None:
-        """`agents`: how many ids there are; None: as many as slots."""
+        """`agents`: number of agent ids; None: one per slot."""
         prepared = config if isinstance(config, Prepared) else prepare(config or IntersectionConfig())
         super().__init__(
             lambda copies: IntersectionBatchedEnv(prepared, copies),
@@ -32,52 +32,53 @@ class _Face(ParallelEnvBase):
         )
 
     def render(self) -> NDArray[np.uint8]:
-        """A picture of the crossing as it is now, (height, width, 3)."""
+        """Return an RGB picture of the current state, (height, width, 3)."""
         from headway_envs.intersection.renderer import frame_of, render
 
         return render(frame_of(self._env))
 
 
-class IntersectionParallelEnv(_Face):
-    """Vehicles as agents `av_0`, `av_1` ... in the order in which they enter; each lives once.
+class IntersectionParallelEnv(_IntersectionParallelBase):
+    """Vehicles as agents `av_0`, `av_1` ... in order of entry; ids are not reused within an episode.
 
-    Time in which nobody is there passes by itself, and nobody is paid for it (but by the team's reward until
-    the end of an action that lasts for several steps): `reset` ends with at least one agent, and so does
-    every `step` but the last. Whoever leaves is terminated or truncated, as `at_exit` says, with
-    `info["event"]` `arrived`, `collided` or `horizon`; who enters and leaves while one action lasts has no
-    turn. The same seed and actions give the same episode as `IntersectionBatchedEnv.reset([seed])`.
+    Periods without agents are skipped without reward (except the team's reward until the end of a repeated
+    action): `reset` returns at least one agent, and so does every `step` but the last. An agent that leaves
+    is terminated or truncated, as `at_exit` sets, with `info["event"]` `arrived`, `collided` or `horizon`. A
+    vehicle that enters and leaves within one repeated action never becomes an agent. The same seed and
+    actions give the same episode as `IntersectionBatchedEnv.reset([seed])`.
     """
 
     def __init__(self, config: IntersectionConfig | Prepared | None = None, vehicles: int = 128) -> None:
-        """`vehicles`: ids there are. `step` raises HeadwayError where more enter in one episode."""
+        """`vehicles`: number of agent ids. `step` raises HeadwayError if more AVs enter in one episode."""
         super().__init__(config, vehicles)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentObservations, Infos]:
-        """Begin episode 0 of `seed`, or of one derived from the last; it ends when the first AV is there."""
+        """Begin episode 0 of `seed` (None: derived from the last seed) and advance until the first AV enters.
+        Raises HeadwayError if none enters in the whole episode."""
         observed, ended = self._begin(seed), False
         while not (ended or observed.alive.any()):
             outcome, observed = self._advance()
             ended = bool(outcome.episode_ended[0])
         if ended:
             raise HeadwayError(
-                "no automated vehicle entered in a whole episode; let horizon or vph_per_lane_av be larger"
+                "no automated vehicle entered in a whole episode; set horizon or vph_per_lane_av higher"
             )
-        there = self._there(observed)
+        there = self._present_agents(observed)
         self.agents = list(there)
-        return self._of_slots(observed.observations, there), {name: {} for name in there}
+        return self._by_name(observed.observations, there), {name: {} for name in there}
 
     def step(self, actions: dict[str, Any]) -> Stepped:
-        """An action, and as long as nobody is there; accelerations within 3 m/s^2."""
-        before = self._there(self._env.observed())
+        """Apply an action per agent, accelerations within 3 m/s^2, and skip periods without agents."""
+        before = self._present_agents(self._env.observed())
         for name, slot in before.items():
             self._actions[0, slot] = actions[name]
         outcome, observed = self._advance()
         ended = bool(outcome.episode_ended[0])
         over = outcome.terminated[0] | outcome.truncated[0]
         leaving = {name: slot for name, slot in before.items() if over[slot]}
-        observations = self._of_slots(outcome.final_observations, leaving)
+        observations = self._by_name(outcome.final_observations, leaving)
         rewards = {name: float(outcome.rewards[0, slot]) for name, slot in before.items()}
         terminated = {name: bool(outcome.terminated[0, slot]) for name, slot in before.items()}
         truncated = {name: bool(outcome.truncated[0, slot]) for name, slot in before.items()}
@@ -92,33 +93,35 @@ class IntersectionParallelEnv(_Face):
             for info in infos.values():
                 info["episode_metrics"] = self._metrics(outcome)
             return observations, rewards, terminated, truncated, infos
-        there = self._there(observed)
+        there = self._present_agents(observed)
         self.agents = list(there)
-        observations |= self._of_slots(observed.observations, there)
+        observations |= self._by_name(observed.observations, there)
         for name in there.keys() - before.keys():
             rewards[name], terminated[name], truncated[name], infos[name] = 0.0, False, False, {}
         return observations, rewards, terminated, truncated, infos
 
-    def _there(self, observed: Observations) -> dict[str, int]:
-        """Slot of each agent that is there, in the order in which they entered."""
-        serial = self._env.street.roster.serial
+    def _present_agents(self, observed: Observations) -> dict[str, int]:
+        """Return the slot of each present agent, by name in order of entry."""
+        serial = self._env.bridge.roster.serial
         slots = sorted(np.flatnonzero(observed.alive[0]).tolist(), key=lambda slot: int(serial[slot]))
         if slots and serial[slots[-1]] >= len(self.possible_agents):
             raise HeadwayError(
-                f"more than {len(self.possible_agents)} automated vehicles entered in one episode; give the "
-                "IntersectionParallelEnv a larger number of `vehicles`"
+                f"more than {len(self.possible_agents)} automated vehicles entered in one episode; set "
+                "`vehicles` of IntersectionParallelEnv higher"
             )
         return {f"av_{serial[slot]}": slot for slot in slots}
 
-    def _of_slots(self, observations: NDArray[np.float32], slots: dict[str, int]) -> AgentObservations:
+    def _by_name(self, observations: NDArray[np.float32], slots: dict[str, int]) -> AgentObservations:
         return {name: observations[0, slot].copy() for name, slot in slots.items()}
 
 
-class IntersectionSlotsParallelEnv(_Face):
-    """Slots as agents that stay until the episode ends, for libraries that want a fixed number, and for
-    Headway's wrappers. `info` of each carries `alive` and `acting`; `slot_ended` (`terminated` or
-    `truncated`) in the step in which its vehicle left, with what that observed last; and at the episode's end
-    `episode_metrics`. An empty slot observes zeros, and its action is ignored."""
+class IntersectionSlotsParallelEnv(_IntersectionParallelBase):
+    """Slots as agents that stay until the episode ends, for libraries with a fixed number of agents and for
+    Headway's wrappers.
+
+    Each info holds `alive` and `acting`, `slot_ended` (`terminated` or `truncated`) in the step in which the
+    slot's vehicle left, together with its last observation, and `episode_metrics` at the end of the episode.
+    An empty slot observes zeros, and its action is ignored."""
 
     def __init__(self, config: IntersectionConfig | Prepared | None = None) -> None:
         super().__init__(config, None)
@@ -126,7 +129,7 @@ class IntersectionSlotsParallelEnv(_Face):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentObservations, Infos]:
-        """Begin episode 0 of `seed`, or of one derived from the last."""
+        """Begin episode 0 of `seed`; None: of a seed derived from the last one."""
         observed = self._begin(seed)
         self.agents = list(self.possible_agents)
         alive = observed.alive[0].tolist()
@@ -135,7 +138,7 @@ class IntersectionSlotsParallelEnv(_Face):
         }
 
     def step(self, actions: dict[str, Any]) -> Stepped:
-        """An action; accelerations within 3 m/s^2."""
+        """Apply an action per slot, accelerations within 3 m/s^2."""
         names = self.possible_agents
         self._actions[0] = [actions[name] for name in names]
         outcome, observed = self._advance()

@@ -1,4 +1,4 @@
-"""What all copies of an intersection share."""
+"""Data that all copies of an intersection share."""
 
 from dataclasses import dataclass
 
@@ -10,15 +10,15 @@ from headway_envs.intersection.sumo.simulation import require_sumo
 
 @dataclass(frozen=True)
 class Prepared:
-    """Picklable; SUMO itself is loaded by whoever begins an episode."""
+    """Configuration, network and demand; picklable. SUMO itself is loaded at the first reset."""
 
     config: IntersectionConfig
     network: Network
     routes: str
-    """Content of SUMO's route file."""
+    """Content of the SUMO route file."""
 
 
 def prepare(config: IntersectionConfig) -> Prepared:
-    """Read the network and write the demand. Raises HeadwayError where SUMO is not installed."""
+    """Read the network and generate the demand. Raises HeadwayError if SUMO is not installed."""
     require_sumo()
     return Prepared(config, Network.read(network_file(config.junction)), routes_xml(config))

@@ -1,4 +1,4 @@
-"""Pictures of the crossing, drawn by us: no window, no screen."""
+"""Pictures of the intersection, drawn without a window or screen."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,89 +17,89 @@ _LANES_M = 6.4
 """Width of the lanes of one direction."""
 _LENGTH_M, _WIDTH_M = 5.0, 1.8
 _SCALE = 4
-"""Pictures are drawn so many times as large and shrunk, which smooths their edges."""
+"""Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 GRASS, ROAD, LINE, TEXT = (226, 232, 222), (88, 92, 98), (214, 214, 214), (30, 30, 30)
 HUMAN, CRASH = (236, 236, 236), (224, 40, 40)
 SLOW, FAST = np.array((196, 64, 196)), np.array((32, 170, 255))
-_FASTEST = 20.0
-"""Speed from which the colour of an AV is that of FAST, m/s."""
-_MARKED_S = 2.0
-"""How long a film shows where a crash was."""
+_MAX_SPEED = 20.0
+"""Speed from which an AV has the colour FAST, m/s."""
+_CRASH_SHOWN_S = 2.0
+"""Time for which a film marks a crash, s."""
 _EDGE_M = 10.4
-"""Where the junction begins, from the centre."""
+"""Distance of the stop lines from the centre, m."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a picture shows: V vehicles."""
+    """Content of a picture with V vehicles."""
 
     time_s: float
     nose: NDArray[np.float64]
-    """(V, 2): front of each vehicle, m from the centre."""
+    """(V, 2) front of each vehicle, m from the centre."""
     tail: NDArray[np.float64]
-    """(V, 2)"""
+    """(V, 2) rear of each vehicle, m from the centre."""
     speed: NDArray[np.float64]
-    """(V,), m/s"""
+    """(V,) speed, m/s."""
     automated: NDArray[np.bool_]
-    """(V,)"""
+    """(V,) whether the vehicle is automated."""
     crashes: tuple[Point, ...] = ()
-    """Where vehicles crashed lately."""
+    """Positions of recent crashes, m from the centre."""
     collisions: int = 0
-    """Pairs in this episode, so far."""
+    """Number of collisions in this episode so far."""
     left: int = 0
-    """Vehicles that have left in this episode."""
+    """Number of vehicles that have left in this episode."""
 
 
 def frame_of(env: IntersectionBatchedEnv) -> Frame:
-    """The crossing as it is now, with the crashes of the last step."""
-    street, ledger = env.street, env.ledger
-    roster, network = street.roster, street.network
+    """Return the current state, with the crashes of the last step."""
+    bridge, counters = env.bridge, env.counters
+    roster, network = bridge.roster, bridge.network
     traffic, count = roster.traffic, len(roster)
     ways = list(zip(traffic.link[:count].tolist(), traffic.position[:count].tolist(), strict=True))
     nose = [network.place(link, at) for link, at in ways]
     tail = [network.place(link, max(at - _LENGTH_M, 0.0)) for link, at in ways]
     return Frame(
-        time_s=ledger.steps * STEP_S,
+        time_s=counters.steps * STEP_S,
         nose=np.array(nose).reshape(count, 2),
         tail=np.array(tail).reshape(count, 2),
         speed=traffic.speed[:count].copy(),
         automated=traffic.slot[:count] >= 0,
         crashes=tuple(env.crash_places),
-        collisions=ledger.crashes,
-        left=ledger.arrived,
+        collisions=counters.crashes,
+        left=counters.arrived,
     )
 
 
 class Camera:
-    """Takes a frame of an environment after every step; a crash stays marked for two seconds."""
+    """Takes a frame of an environment after every step; crashes stay marked for two seconds."""
 
     def __init__(self, env: IntersectionBatchedEnv) -> None:
         self._env = env
         self._marks: list[tuple[float, Point]] = []
 
     def frame(self) -> Frame:
-        """The crossing as it is now."""
+        """Return the current state, with the crashes of the last two seconds."""
         now = frame_of(self._env)
-        self._marks = [mark for mark in self._marks if now.time_s - _MARKED_S <= mark[0] < now.time_s]
+        self._marks = [mark for mark in self._marks if now.time_s - _CRASH_SHOWN_S <= mark[0] < now.time_s]
         self._marks += [(now.time_s, place) for place in now.crashes]
         return replace(now, crashes=tuple(place for _, place in self._marks))
 
 
 class IntersectionRenderer:
-    """Paints the crossing for `headway render`."""
+    """Renderer of the intersection; implements `headway.contracts.Renderer`."""
 
     def __init__(self) -> None:
         self._camera: Camera | None = None
         self._last: NDArray[np.uint8] | None = None
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """See `headway.contracts.Renderer`. Raises TypeError for any other environment.
+        """Return an RGB picture (height, width, 3). Raises TypeError for any other environment.
 
-        SUMO drops an episode when the next one begins, so the end is shown as the step before it.
+        With `at_end`, show the step before the last, because SUMO has already discarded the episode.
         """
         if not isinstance(env, IntersectionBatchedEnv):
             raise TypeError(
-                f"the picture of a crossing needs an IntersectionBatchedEnv, not {type(env).__name__}"
+                f"the picture of an intersection needs an IntersectionBatchedEnv, not {type(env).__name__}"
             )
         if at_end and self._last is not None:
             return self._last
@@ -110,8 +110,8 @@ class IntersectionRenderer:
 
 
 def render(frame: Frame, size: int = 640, reach_m: float = 80.0) -> NDArray[np.uint8]:
-    """A picture (size, size, 3) of what lies within `reach_m` of the centre: human drivers white, automated
-    vehicles from violet (standing) to blue (20 m/s), crashes as red rings."""
+    """Return an RGB picture (size, size, 3) of the area within `reach_m` of the centre: human drivers white,
+    automated vehicles from violet (standing) to blue (20 m/s), crashes as red rings."""
     pixels = size * _SCALE
     canvas = Image.new("RGB", (pixels, pixels), GRASS)
     pen = ImageDraw.Draw(canvas)
@@ -151,7 +151,7 @@ def _draw_roads(pen: ImageDraw.ImageDraw, at: Callable[[float, float], Point], p
 
 
 def _outline(nose: NDArray[np.float64], tail: NDArray[np.float64]) -> list[Point]:
-    """Four corners of a vehicle."""
+    """Return the four corners of a vehicle."""
     along = nose - tail
     length = float(np.hypot(*along)) or 1.0
     across = np.array((-along[1], along[0])) / length * _WIDTH_M / 2
@@ -160,7 +160,7 @@ def _outline(nose: NDArray[np.float64], tail: NDArray[np.float64]) -> list[Point
 
 
 def _colour(speed: float) -> tuple[int, int, int]:
-    share = min(speed / _FASTEST, 1.0)
+    share = min(speed / _MAX_SPEED, 1.0)
     red, green, blue = (SLOW + share * (FAST - SLOW)).astype(int).tolist()
     return red, green, blue
 

@@ -1,4 +1,4 @@
-"""Controllers to compare with: human drivers, constant actions, first come, first served, and a signal."""
+"""Controllers for comparison: human drivers, constant actions, first come first served, and a signal."""
 
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, Observations
 from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.env import IntersectionBatchedEnv
-from headway_envs.intersection.kernel import STRONGEST
+from headway_envs.intersection.kernel import MAX_ACCELERATION
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.sumo.roster import Roster
 
@@ -18,97 +18,97 @@ if TYPE_CHECKING:
     from headway_envs.intersection.prepared import Prepared
 
 ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
-"""SUMO's speed modes: every check, right of way among them; no more than a safe gap to the leader."""
+"""SUMO's speed modes: all checks, including right of way; only a safe gap to the leader."""
 CRUISE = 15.0
-"""Of AVs that keep a rule, m/s."""
+"""Cruising speed of AVs under the rules, m/s."""
 BRAKING = 2.0
-"""With which they begin to slow down, m/s^2."""
+"""Deceleration for which braking distances are planned, m/s^2."""
 
 
-def _of(env: BatchedEnv) -> IntersectionBatchedEnv:
+def _require_intersection(env: BatchedEnv) -> IntersectionBatchedEnv:
     if not isinstance(env, IntersectionBatchedEnv):
         raise TypeError(f"the intersection's rules need an IntersectionBatchedEnv, not {type(env).__name__}")
     return env
 
 
-def _actions(observed: Observations, value: float = 0.0) -> NDArray[np.float32]:
+def _constant_actions(observed: Observations, value: float = 0.0) -> NDArray[np.float32]:
     return np.full((*observed.alive.shape, 1), value, np.float32)
 
 
 @dataclass(frozen=True)
 class Humans:
-    """SUMO drives all vehicles as humans, those that would be automated, too."""
+    """SUMO drives all vehicles as humans, including the automated ones."""
 
     prepared: "Prepared"
     right_of_way: bool
-    """Whether drivers check everything, right of way included, or keep a safe gap to the leader alone."""
+    """True: drivers apply all checks, including right of way. False: only a safe gap to the leader."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
-        """(1, N, 1): zeros, which nobody heeds."""
-        _of(env).hand_over(ALL_CHECKS if self.right_of_way else SAFE_GAP_ONLY)
-        return _actions(observed)
+        """Return zeros (1, N, 1), which the environment ignores."""
+        _require_intersection(env).hand_over(ALL_CHECKS if self.right_of_way else SAFE_GAP_ONLY)
+        return _constant_actions(observed)
 
 
 @dataclass(frozen=True)
 class Constant:
-    """Ask for the same acceleration at every step."""
+    """Command the same acceleration at every step."""
 
     prepared: "Prepared"
     share: float
-    """Share of the strongest acceleration that is asked for."""
+    """Commanded acceleration as a share of the maximum."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
-        """(1, N, 1)"""
-        return _actions(observed, self.share * STRONGEST)
+        """Return accelerations (1, N, 1), m/s^2."""
+        return _constant_actions(observed, self.share * MAX_ACCELERATION)
 
 
 class Reservation:
-    """First come, first served (after Dresner and Stone 2008, arXiv:1401.3466): who comes within `ZONE_M` of
-    the stop line asks for its way through the junction, and has it while no vehicle whose way crosses and who
-    asked before has not passed. Human drivers cannot be told: they hold their place in the order, unless they
-    stand, since then they are the ones who wait."""
+    """First come, first served (after Dresner and Stone 2008, arXiv:1401.3466).
+
+    A vehicle that comes within `ZONE_M` of the stop line joins a queue, and may enter the junction once all
+    vehicles on conflicting paths ahead of it in the queue have passed. Human drivers do not know the queue:
+    they block others while they move, but not while they stand, because then they are waiting themselves."""
 
     ZONE_M = 100.0
     STOP_M = 3.0
-    """From the stop line."""
+    """Stopping distance before the stop line, m."""
     STANDING = 0.5
-    """m/s"""
+    """Speed below which a human driver counts as standing, m/s."""
 
     def __init__(self, prepared: "Prepared") -> None:
-        self._asked: dict[str, int] = {}
-        self._next = 0
+        self._tickets: dict[str, int] = {}
+        self._next_ticket = 0
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
-        """(1, N, 1)"""
-        native = _of(env)
+        """Return accelerations (1, N, 1), m/s^2."""
+        native = _require_intersection(env)
         if native.steps_taken == 0:
-            self._asked, self._next = {}, 0
-        street = native.street
-        roster, network = street.roster, street.network
-        traffic, actions = roster.traffic, _actions(observed)
-        waiting = self._in_order(roster, network.link_length)
+            self._tickets, self._next_ticket = {}, 0
+        bridge = native.bridge
+        roster, network = bridge.roster, bridge.network
+        traffic, actions = roster.traffic, _constant_actions(observed)
+        waiting = self._queue(roster, network.link_length)
         for row, slot, vehicle in roster.automated:
             left, link = ROAD_M - float(traffic.position[row]), int(traffic.link[row])
-            wished = _unhindered(native, row)
+            target = _free_speed(native, row)
             if 0 < left < self.ZONE_M:
-                earlier = waiting[: waiting.index(row)] if vehicle in self._asked else waiting
+                earlier = waiting[: waiting.index(row)] if vehicle in self._tickets else waiting
                 if self._blocked(roster, link, earlier, network.foes):
-                    wished = min(wished, _slowing_to(0.0, left - self.STOP_M))
-            actions[0, slot, 0] = _towards(native, row, wished)
+                    target = min(target, _braking_speed(0.0, left - self.STOP_M))
+            actions[0, slot, 0] = _acceleration_to(native, row, target)
         return actions
 
-    def _in_order(self, roster: Roster, link_length: NDArray[np.float64]) -> list[int]:
-        """Rows of those who have asked and not passed, in the order in which they asked; who comes anew at
-        the same moment, the nearest first."""
+    def _queue(self, roster: Roster, link_length: NDArray[np.float64]) -> list[int]:
+        """Return the rows of the queued vehicles in order of arrival; ties: the nearest first."""
         traffic, count = roster.traffic, len(roster)
         position = traffic.position[:count]
         there = (position > ROAD_M - self.ZONE_M) & (position < ROAD_M + link_length[traffic.link[:count]])
         rows = np.flatnonzero(there)
         for row in sorted(rows.tolist(), key=lambda row: -position[row]):
-            if roster.ids[row] not in self._asked:
-                self._asked[roster.ids[row]] = self._next
-                self._next += 1
-        return sorted(rows.tolist(), key=lambda row: self._asked[roster.ids[row]])
+            if roster.ids[row] not in self._tickets:
+                self._tickets[roster.ids[row]] = self._next_ticket
+                self._next_ticket += 1
+        return sorted(rows.tolist(), key=lambda row: self._tickets[roster.ids[row]])
 
     def _blocked(self, roster: Roster, link: int, earlier: list[int], foes: NDArray[np.bool_]) -> bool:
         traffic = roster.traffic
@@ -123,67 +123,68 @@ class Reservation:
 
 @dataclass(frozen=True)
 class VirtualSignal:
-    """A signal that AVs alone know and keep, and by that impose on the humans behind them (virtual traffic
-    lights: Ferreira et al. 2010, "Self-organized traffic control"; that a few vehicles that hold can part
-    mixed traffic: Wang et al. 2023, arXiv:2301.05294). Those from north and south have `GREEN_S`, then those
-    from east and west. Who comes to red holds far before the stop line: of a vehicle that stands nearer,
-    SUMO's drivers take it that it is about to enter, and wait. Who is nearer already drives on. Among those
-    with green, SUMO's checks (`av_speed_mode`) say who goes first. Below a `share` of 1 the other AVs drive
-    as if there were no signal, which tells what it gains as long as not all keep it."""
+    """Traffic signal that only AVs observe, and thereby impose on the humans behind them.
+
+    Sources: virtual traffic lights (Ferreira et al. 2010, "Self-organized traffic control"); control of mixed
+    traffic by a few holding vehicles (Wang et al. 2023, arXiv:2301.05294). North and south have green for
+    `GREEN_S`, then east and west. At red an AV holds far before the stop line, because SUMO's drivers wait
+    for a vehicle that stands closer, as if it were about to enter; an AV that is too close to hold drives on.
+    SUMO's checks (`av_speed_mode`) order the vehicles with green. With a `share` below 1 the other AVs drive
+    as without a signal, which measures its benefit at partial compliance."""
 
     prepared: "Prepared"
     share: float = 1.0
-    """Of AVs, those that keep the signal."""
+    """Share of AVs that observe the signal."""
 
     GREEN_S: ClassVar[float] = 30.0
     CLEAR_S: ClassVar[float] = 4.0
-    """Between two greens, for those too near to hold."""
+    """Clearance time between two greens, for AVs too close to hold, s."""
     HOLD_M: ClassVar[float] = 60.0
-    """From the stop line."""
+    """Holding distance before the stop line, m."""
     MARGIN_M: ClassVar[float] = 10.0
-    """By which one may come to a stop beyond it."""
+    """Maximum overshoot of the holding position, m."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
-        """(1, N, 1)"""
-        native = _of(env)
-        traffic, actions = native.street.roster.traffic, _actions(observed)
+        """Return accelerations (1, N, 1), m/s^2."""
+        native = _require_intersection(env)
+        traffic, actions = native.bridge.roster.traffic, _constant_actions(observed)
         turn, since = divmod(native.steps_taken * STEP_S, self.GREEN_S + self.CLEAR_S)
         green = int(turn) % 2 if since < self.GREEN_S else None
-        for row, slot, vehicle in native.street.roster.automated:
+        for row, slot, vehicle in native.bridge.roster.automated:
             speed, to_hold = float(traffic.speed[row]), ROAD_M - self.HOLD_M - float(traffic.position[row])
-            wished = _unhindered(native, row)
-            red = int(traffic.link[row]) // 4 % 2 != green and self._keeps(vehicle, native.episode)
-            if red and self._can_hold(speed, to_hold):
-                wished = min(wished, _slowing_to(0.0, to_hold))
-            actions[0, slot, 0] = _towards(native, row, wished)
+            target = _free_speed(native, row)
+            red = int(traffic.link[row]) // 4 % 2 != green and self._complies(vehicle, native.episode)
+            if red and self._can_stop(speed, to_hold):
+                target = min(target, _braking_speed(0.0, to_hold))
+            actions[0, slot, 0] = _acceleration_to(native, row, target)
         return actions
 
-    def _keeps(self, vehicle: str, episode: tuple[int, int]) -> bool:
-        """Whether a vehicle is among the share that does, drawn for each in each episode."""
+    def _complies(self, vehicle: str, episode: tuple[int, int]) -> bool:
+        """Return whether a vehicle observes the signal; drawn per vehicle and episode."""
         draw = blake2b(f"{vehicle} {episode}".encode(), digest_size=4).digest()
         return int.from_bytes(draw) < self.share * 2**32
 
-    def _can_hold(self, speed: float, distance: float) -> bool:
-        """Whether a vehicle comes to a stop within a distance, m, and `MARGIN_M`."""
-        return distance > -self.MARGIN_M and speed**2 <= 2 * STRONGEST * (distance + self.MARGIN_M)
+    def _can_stop(self, speed: float, distance: float) -> bool:
+        """Return whether a vehicle can stop within `distance` + `MARGIN_M`, m."""
+        return distance > -self.MARGIN_M and speed**2 <= 2 * MAX_ACCELERATION * (distance + self.MARGIN_M)
 
 
-def _unhindered(env: IntersectionBatchedEnv, row: int) -> float:
-    """The speed at which an AV would drive if it were alone, m/s: it brakes for its turn."""
-    traffic, network = env.street.roster.traffic, env.street.network
+def _free_speed(env: IntersectionBatchedEnv, row: int) -> float:
+    """Return the speed of an AV on an empty road, m/s: the cruising speed, or less before its turn."""
+    traffic, network = env.bridge.roster.traffic, env.bridge.network
     left, turn_speed = ROAD_M - float(traffic.position[row]), float(network.link_speed[traffic.link[row]])
     if left > 0:
-        return min(CRUISE, _slowing_to(turn_speed, left))
+        return min(CRUISE, _braking_speed(turn_speed, left))
     straight = int(traffic.link[row]) % 4 in (1, 2)
     return max(CRUISE, turn_speed) if straight else CRUISE
 
 
-def _slowing_to(speed: float, distance: float) -> float:
-    """The speed from which `speed` is reached within a distance."""
+def _braking_speed(speed: float, distance: float) -> float:
+    """Return the speed from which braking reaches `speed` within `distance`, m/s."""
     return float(np.sqrt(speed**2 + 2 * BRAKING * max(distance, 0.0)))
 
 
-def _towards(env: IntersectionBatchedEnv, row: int, speed: float) -> float:
-    """The acceleration that comes nearest to a speed until actions are asked for again."""
-    change = speed - float(env.street.roster.traffic.speed[row])
-    return float(np.clip(change / (STEP_S * env.config.action_repeat), -STRONGEST, STRONGEST))
+def _acceleration_to(env: IntersectionBatchedEnv, row: int, speed: float) -> float:
+    """Return the acceleration that brings the speed closest to `speed` by the next action, m/s^2."""
+    change = speed - float(env.bridge.roster.traffic.speed[row])
+    return float(np.clip(change / (STEP_S * env.config.action_repeat), -MAX_ACCELERATION, MAX_ACCELERATION))

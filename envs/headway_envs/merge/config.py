@@ -1,4 +1,4 @@
-"""The merging environments' arguments. Every default stands here and nowhere else."""
+"""Configuration of the merging environments, with all its defaults."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,32 +7,34 @@ from typing import Literal
 from headway.contracts.checks import require
 
 CAVS: Mapping[int, tuple[int, int]] = {1: (1, 3), 2: (2, 4), 3: (4, 6)}
-"""Fewest and most CAVs of an episode, by density."""
+"""Minimum and maximum number of CAVs per episode, by density."""
 HDVS: Mapping[int, tuple[int, int]] = {1: (1, 3), 2: (2, 4), 3: (3, 5)}
-"""Fewest and most vehicles driven by humans."""
-MOST_CAVS = 6
+"""Minimum and maximum number of human-driven vehicles (HDVs) per episode, by density."""
+MAX_CAVS = 6
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """r = -collision x crashed + speed x (v - 10) / 20, within 0 to 1, + ramp_end x M + spacing x min(0, H).
+    """Weights of r = -collision x crashed + speed x S + ramp_end x M + spacing x min(0, H) for each CAV.
 
-    M falls to -1 as the ramp ends, H = ln(d / (headway_s x v)) with d the gap to the vehicle ahead."""
+    S = (v - 10) / 20, clipped to 0 to 1; M falls to -1 towards the end of the ramp; H = ln(d / (headway_s x
+    v)), with d the gap to the vehicle ahead."""
 
     collision: float = 200.0
-    """Weight of having crashed."""
+    """Weight of a crash."""
     speed: float = 1.0
     """Weight of the speed."""
     ramp_end: float = 4.0
-    """Weight of being near the end of the ramp."""
+    """Weight of the penalty for being near the end of the ramp."""
     spacing: float = 4.0
-    """Weight of following too closely."""
+    """Weight of the penalty for following too closely."""
     headway_s: float = 1.2
-    """Time gap from which on following costs nothing, s."""
+    """Time gap from which following costs nothing, s."""
     scope: Literal["global", "regional", "own"] = "global"
-    """Whose r a CAV is paid: `global`, the mean of all CAVs; `regional`, the mean of its own and those of
-    the CAVs next to it, ahead and behind, on its lane and the lane beside it; `own`. Without `global`, empty
-    slots are paid 0 and count in the return; the metric `reward` is the mean of all CAVs always."""
+    """Reward of a CAV. `global`: mean r of all CAVs; `regional`: mean of its own r and those of the CAVs
+    directly ahead and behind, on its lane and the lane beside it; `own`: its own r. Empty slots receive 0
+    with `regional` and `own`, which counts in the return. The metric `reward` is always the mean of all
+    CAVs."""
 
     def __post_init__(self) -> None:
         for name in ("collision", "speed", "ramp_end", "spacing"):
@@ -46,60 +48,61 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A preset: how vehicles steer, change lanes and collide, and how an episode ends."""
+    """Steering, lane changes, collisions and episode ends of a preset."""
 
     steering_from_slip: bool
-    """The steering angle is the one whose slip is asked for; else the slip angle is taken for it."""
+    """True: convert the desired slip angle to a steering angle. False: use it as the steering angle."""
     follow_both_lanes: bool
-    """While changing lanes a human minds who is ahead on both; else on the lane the vehicle is in."""
-    least_change_speed: float
-    """A human changes lanes only at this speed or more, m/s."""
-    least_gain: float
-    """MOBIL: acceleration to be gained by a change, m/s2."""
-    most_braking: float
-    """MOBIL: braking that a change may impose on the new follower, m/s2."""
-    gain_where_equal: float
-    """MOBIL, with two ramp lanes: added to the gain where both lanes are equal. Both end at the same place:
-    without it nobody would ever leave the outer one."""
-    whole_outlines: bool
-    """Vehicles crash where their outlines meet, and those about to meet push each other apart; else where one
-    of nine points of one, shrunk to 0.9, lies in the other, and both go on at the lower speed."""
+    """True: a human driver changing lanes follows the leaders on both lanes. False: on its lane only."""
+    min_change_speed: float
+    """Minimum speed at which human drivers change lanes, m/s."""
+    min_gain: float
+    """MOBIL: minimum gain in acceleration for a lane change, m/s2."""
+    max_braking: float
+    """MOBIL: maximum braking that a change may impose on the new follower, m/s2."""
+    tie_gain: float
+    """MOBIL, with two ramp lanes: added to the gain if both lanes are equally good. Without it no vehicle
+    would leave the outer lane, because both end at the same place."""
+    exact_outlines: bool
+    """True: vehicles crash when their outlines intersect, and vehicles about to intersect push each other
+    apart. False: they crash when one of nine points of one, shrunk to 0.9, lies in the other, and both
+    continue at the lower speed."""
     ends_within_step: bool
-    """An episode ends at the sub-step in which a CAV crashes, and its last step has one sub-step only."""
+    """True: an episode ends at the sub-step in which a CAV crashes, and its last step has only one."""
     time_is_terminal: bool
-    """The time limit terminates; else it truncates."""
+    """True: the time limit terminates the episode. False: it truncates it."""
     masks: bool
-    """Agents are told which actions are allowed."""
-    one_action_ahead: bool
-    """The supervisor foresees an action taken once; else one taken again in every sub-step."""
+    """True: agents receive action masks."""
+    single_action_ahead: bool
+    """True: the supervisor predicts an action applied once. False: one applied again in every sub-step."""
 
 
 PRESETS: Mapping[str, Dynamics] = {
     "clean": Dynamics(
         steering_from_slip=True,
         follow_both_lanes=True,
-        least_change_speed=1.0,
-        least_gain=0.2,
-        most_braking=2.0,
-        gain_where_equal=0.21,
-        whole_outlines=True,
+        min_change_speed=1.0,
+        min_gain=0.2,
+        max_braking=2.0,
+        tie_gain=0.21,
+        exact_outlines=True,
         ends_within_step=False,
         time_is_terminal=False,
         masks=True,
-        one_action_ahead=True,
+        single_action_ahead=True,
     ),
     "paper": Dynamics(
         steering_from_slip=False,
         follow_both_lanes=False,
-        least_change_speed=0.0,
-        least_gain=0.1,
-        most_braking=9.0,
-        gain_where_equal=0.11,
-        whole_outlines=False,
+        min_change_speed=0.0,
+        min_gain=0.1,
+        max_braking=9.0,
+        tie_gain=0.11,
+        exact_outlines=False,
         ends_within_step=True,
         time_is_terminal=True,
         masks=False,
-        one_action_ahead=False,
+        single_action_ahead=False,
     ),
 }
 
@@ -111,39 +114,40 @@ class MergeConfig:
     density: int = 2
     """1: 1 to 3 CAVs and 1 to 3 human drivers; 2: 2 to 4 of each; 3: 4 to 6 CAVs, 3 to 5 human drivers."""
     cavs: int | None = None
-    """So many CAVs in every episode; null: drawn by density."""
+    """Number of CAVs in every episode; null: drawn, by density."""
     preset: Literal["clean", "paper"] = "clean"
-    """`clean`: the dynamics of highway-env 1.12.1, proven against it, truncation at the time limit, action
-    masks; `paper`: the older dynamics and ends of the study, of which there is no oracle."""
+    """`clean`: the dynamics of highway-env 1.12.1, tested against it, with truncation at the time limit and
+    action masks; `paper`: the older dynamics and episode ends of the study, for which no reference
+    implementation can be run."""
     supervisor: bool = False
-    """True: actions that are foreseen to end in a collision are replaced before they are taken."""
+    """True: actions predicted to cause a collision are replaced before they are applied."""
     steps: int = 100
-    """Longest episode, in steps of 0.2 s."""
+    """Maximum length of an episode, in steps of 0.2 s."""
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
         require(self.density in CAVS, f"density must be 1, 2 or 3, not {self.density}")
         require(self.preset in PRESETS, f"preset must be clean or paper, not '{self.preset}'")
         require(
-            self.cavs is None or 1 <= self.cavs <= MOST_CAVS,
-            f"cavs must be null or between 1 and {MOST_CAVS}, not {self.cavs}",
+            self.cavs is None or 1 <= self.cavs <= MAX_CAVS,
+            f"cavs must be null or between 1 and {MAX_CAVS}, not {self.cavs}",
         )
         require(self.steps >= 1, f"steps must be at least 1, not {self.steps}")
 
     @property
     def cav_range(self) -> tuple[int, int]:
-        """Fewest and most CAVs of an episode."""
+        """Minimum and maximum number of CAVs per episode."""
         return CAVS[self.density] if self.cavs is None else (self.cavs, self.cavs)
 
     @property
     def hdv_range(self) -> tuple[int, int]:
-        """Fewest and most vehicles driven by humans."""
+        """Minimum and maximum number of HDVs per episode."""
         return HDVS[self.density]
 
     @property
-    def manners(self) -> Dynamics:
-        """The preset's."""
+    def dynamics(self) -> Dynamics:
+        """Dynamics of the preset."""
         return PRESETS[self.preset]
 
 
-__all__ = ["CAVS", "HDVS", "MOST_CAVS", "PRESETS", "Dynamics", "MergeConfig", "RewardConfig"]
+__all__ = ["CAVS", "HDVS", "MAX_CAVS", "PRESETS", "Dynamics", "MergeConfig", "RewardConfig"]

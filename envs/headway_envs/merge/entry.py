@@ -4,19 +4,19 @@ from functools import partial
 
 from headway.contracts import RANDOM, EnvEntry, Lazy, RuleEntry
 from headway_envs.merge.config import MergeConfig
-from headway_envs.merge.metrics import MEANINGS
+from headway_envs.merge.metrics import METRIC_DESCRIPTIONS
 
 RULES: dict[str, RuleEntry] = {
     "idle": RuleEntry(
-        "keeps the lane and the speed: whoever is on a ramp hits its end",
+        "keeps lane and speed: CAVs on a ramp lane hit its end",
         Lazy("headway_envs.merge.rules:Idle"),
     ),
     "always_left": RuleEntry(
-        "changes to the left as soon as that is allowed, whoever is there, and keeps the speed",
+        "changes to the left as soon as the mask allows it, and keeps the speed",
         Lazy("headway_envs.merge.rules:AlwaysLeft"),
     ),
     "idm_mobil": RuleEntry(
-        "drives every CAV as a human driver: IDM, MOBIL, and its first speed as the desired one",
+        "drives every CAV as a human driver: IDM, MOBIL, and its initial speed as the desired speed",
         Lazy("headway_envs.merge.rules:IdmMobil"),
     ),
     "random": RANDOM,
@@ -31,7 +31,7 @@ def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
         prepare=partial(Lazy("headway_envs.merge.prepared:prepare"), ramp_lanes=ramp_lanes),
         parallel_env=partial(Lazy("headway_envs.merge.parallel:parallel_env"), ramp_lanes=ramp_lanes),
         rules=RULES,
-        metrics=MEANINGS,
+        metrics=METRIC_DESCRIPTIONS,
         renderer=Lazy("headway_envs.merge.renderer:MergeRenderer"),
         preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),
     )
@@ -39,5 +39,7 @@ def _entry(summary: str, ramp_lanes: int) -> EnvEntry:
 
 ENTRIES: dict[str, EnvEntry] = {
     "merge": _entry("CAVs among human drivers merge from a ramp lane into a highway", 1),
-    "merge_two_lane": _entry("the same with two ramp lanes, of which the outer must change twice", 2),
+    "merge_two_lane": _entry(
+        "CAVs among human drivers merge from two ramp lanes, the outer by two changes", 2
+    ),
 }

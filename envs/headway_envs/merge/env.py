@@ -1,4 +1,4 @@
-"""The batched face of the merging environments."""
+"""Batched merging environments."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from headway_envs.merge.kernel.layout import (
     CAR,
     CAR_STATE,
     EPISODE,
-    FORESEEN,
     METRICS,
     OBSERVATION_SIZE,
+    PREDICTED_STEPS,
     Outputs,
     Workspace,
     World,
@@ -26,16 +26,16 @@ from headway_envs.merge.prepared import Prepared
 class MergeBatchedEnv(ArrayEnv[World, Outputs]):
     """C merges stepped together; implements `headway.contracts.BatchedEnv`.
 
-    Agents are slots of CAVs, of which an episode fills the first few (`alive`), all of it. Actions are 0
-    change to the left, 1 idle, 2 change to the right, 3 faster, 4 slower, for 0.2 s. The episode ends for all
-    when a CAV crashes (terminated) or the time is over (truncated; terminated with the preset `paper`).
-    Vehicles that come to the end of the road drive on.
+    Agents are slots of CAVs; an episode fills the first of them for its whole length (`alive`). Actions last
+    0.2 s: 0 change to the left, 1 idle, 2 change to the right, 3 faster, 4 slower. The episode ends for all
+    agents when a CAV crashes (terminated) or the time is over (truncated; terminated with the preset
+    `paper`). Vehicles drive on beyond the end of the road.
     """
 
     _KIND = "merge"
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
-        """Raises HeadwayError if there is not at least one copy."""
+        """Allocate `copies` copies. Raises HeadwayError for fewer than one copy."""
         if copies < 1:
             raise HeadwayError(f"copies must be at least 1, not {copies}")
         config, self.prepared, self.network = prepared.config, prepared, prepared.network
@@ -64,7 +64,7 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
         )
         self._work = Workspace(
             ghosts=np.zeros(2, CAR),
-            ways=np.zeros((4, FORESEEN, 4)),
+            predicted=np.zeros((4, PREDICTED_STEPS, 4)),
             priorities=np.zeros(slots),
             allowed=np.zeros(ACTIONS, np.bool_),
             own=np.zeros(slots, np.float32),
@@ -76,15 +76,16 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
             action_space=Discrete(ACTIONS),
             state_size=state,
             shared_reward=config.reward.scope == "global",
-            has_action_mask=config.manners.masks,
+            has_action_mask=config.dynamics.masks,
             agents_come_and_go=True,
             metrics=tuple(METRICS),
             snapshots=True,
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """0.2 s; actions (C, N) int64 of 0 to 4, or 5 from the rule that lets CAVs drive as humans do. A
-        change to where there is no lane, or none that may be changed to, is ignored."""
+        """Advance by 0.2 s; actions (C, N) int64 of 0 to 4, or 5 to drive as a human (rule `idm_mobil`). A
+        change to a lane that does not exist or is closed is ignored. Raises ValueError for any other shape
+        of actions."""
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, self._work, outputs, self._checked(actions))
         outcome = StepResult(
@@ -100,7 +101,7 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
         return outcome, self.observed()
 
     def observed(self) -> Observations:
-        """What the agents face now; views of the environment's arrays."""
+        """Return the current observations: views of the environment's arrays."""
         outputs = self.outputs
         masks = outputs.masks if self._spec.has_action_mask else None
         return Observations(outputs.observations, outputs.states, outputs.alive, masks)

@@ -1,15 +1,15 @@
-"""What the metrics of an episode are."""
+"""Descriptions and units of the metrics of an episode."""
 
-MEANINGS = {
+METRIC_DESCRIPTIONS = {
     "reward": "mean reward of the CAVs, summed over steps",
-    "crash_rate": "1 where a CAV crashed: the share of such episodes, in a mean",
-    "merge_rate": "share of the CAVs that came past the ramp's end on the highway",
-    "ramp_merge_rate": "the same of those CAVs that came by the ramp",
-    "hdv_merge_rate": "the same of human drivers",
+    "crash_rate": "1 if any CAV crashed, else 0; its mean is the share of such episodes",
+    "merge_rate": "share of CAVs that passed the end of the ramp on the highway",
+    "ramp_merge_rate": "merge_rate over the CAVs that started on a ramp lane",
+    "hdv_merge_rate": "merge_rate over human-driven vehicles",
     "mean_speed_ms": "mean over steps of the CAVs' mean speed, m/s",
     "min_speed_ms": "lowest speed of any CAV, m/s",
-    "min_gap_m": "least distance from any CAV to the next vehicle ahead, centre to centre, 60 at most, m",
-    "min_headway_s": "least such distance over speed of any CAV, s; 0 where none ever moved",
-    "steps": "steps of the episode",
-    "interventions": "actions that the safety supervisor changed",
+    "min_gap_m": "minimum distance from any CAV to the vehicle ahead, centre to centre, at most 60, m",
+    "min_headway_s": "minimum of that distance over the CAV's speed, s; 0 if no CAV moved",
+    "steps": "number of steps of the episode",
+    "interventions": "number of actions changed by the safety supervisor",
 }

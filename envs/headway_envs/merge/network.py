@@ -1,8 +1,9 @@
-"""The road with one or two ramp lanes.
+"""Road with one or two ramp lanes.
 
-The highway (y = 0) is cut into ab, bc and cd at x = 320 and 420. A ramp lane is jk (mn for the outer one), a
-sine kb (nb) from x = 220 on, and a lane of bc, which ends at an obstacle. Source: the merging environment of
-Chen et al. 2022 (arXiv:2105.05701); where the outer ramp lane lies is inferred: parallel, one lane out.
+The highway (y = 0) consists of the roads ab, bc and cd, divided at x = 320 and 420 m. A ramp lane consists of
+the road jk (outer lane: mn), the sine-shaped kb (nb) from x = 220 m, and a lane of bc, which ends at an
+obstacle. Source: the merging environment of Chen et al. 2022 (arXiv:2105.05701). The position of the outer
+ramp lane is an assumption: parallel to the inner one, one lane width further out.
 """
 
 import math
@@ -18,7 +19,7 @@ Row = dict[str, float]
 
 
 def build(ramp_lanes: int) -> Network:
-    """The network with one or two ramp lanes."""
+    """Return the network with one or two ramp lanes."""
     names = ["ab", "bc0", *(f"bc{r}" for r in range(1, ramp_lanes + 1)), "cd", "jk", "kb"]
     names += ["mn", "nb"] if ramp_lanes == 2 else []
     at = {name: index for index, name in enumerate(names)}
@@ -45,7 +46,7 @@ def build(ramp_lanes: int) -> Network:
         )
         length = PARALLEL - CONVERGES
         rows[sine].update(amplitude=AMPLITUDE, pulsation=math.pi / length, phase=math.pi / 2)
-        # With two ramp lanes the inner one must be open to those on the outer one.
+        # With two ramp lanes the inner one must be open to vehicles on the outer one.
         rows[end] = _lane(PARALLEL, RAMP_END, outer, left=at["bc0"] + ramp - 1, right=at[end], merging=1)
         rows[end].update(closed=int(ramp == ramp_lanes), successor=at["cd"])
         near.update({begin: [begin, sine], sine: [begin, sine, end], end: [sine, end]})

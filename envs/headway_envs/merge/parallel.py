@@ -7,6 +7,6 @@ from headway_envs.parallel_env import ParallelEnvBase
 
 
 def parallel_env(config: MergeConfig | Prepared, ramp_lanes: int) -> ParallelEnvBase:
-    """Return one copy as a ParallelEnv, made from a configuration or from what `prepare` returned for it."""
+    """Return one copy as a ParallelEnv, made from a configuration or from the result of `prepare`."""
     prepared = prepare(config, ramp_lanes) if isinstance(config, MergeConfig) else config
     return ParallelEnvBase(lambda copies: MergeBatchedEnv(prepared, copies))

@@ -1,4 +1,4 @@
-"""What all copies of one merging environment share. Light: numpy and the kernel's records only."""
+"""Data that all copies of a merging environment share. Imports numpy and the kernel's records only."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from headway_envs.merge.network import build
 
 @dataclass(frozen=True)
 class Prepared:
-    """A road and the configuration of what happens there; picklable."""
+    """Road network and configuration; picklable."""
 
     config: MergeConfig
     ramp_lanes: int
@@ -21,24 +21,24 @@ class Prepared:
 
     @property
     def name(self) -> str:
-        """The environment's."""
+        """Registry name of the environment."""
         return "merge" if self.ramp_lanes == 1 else "merge_two_lane"
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """One name a slot (N)."""
+        """Names of the N slots."""
         return tuple(f"cav_{n}" for n in range(self.config.cav_range[1]))
 
     @property
     def vehicles(self) -> int:
-        """CAVs and HDVs of the fullest episode."""
+        """Maximum number of CAVs and HDVs in an episode."""
         return self.config.cav_range[1] + self.config.hdv_range[1]
 
     @property
     def settings(self) -> NDArray[Any]:
         """The configuration as one SETTINGS record, shape (1,)."""
         config, reward = self.config, self.config.reward
-        values = asdict(config.manners)
+        values = asdict(config.dynamics)
         del values["masks"]
         values |= {
             "weight_collision": reward.collision,
@@ -47,10 +47,10 @@ class Prepared:
             "weight_spacing": reward.spacing,
             "headway_s": reward.headway_s,
             "scope": ("global", "regional", "own").index(reward.scope),
-            "fewest_cavs": config.cav_range[0],
-            "most_cavs": config.cav_range[1],
-            "fewest_hdvs": config.hdv_range[0],
-            "most_hdvs": config.hdv_range[1],
+            "min_cavs": config.cav_range[0],
+            "max_cavs": config.cav_range[1],
+            "min_hdvs": config.hdv_range[0],
+            "max_hdvs": config.hdv_range[1],
             "steps": config.steps,
             "ramp_lanes": self.ramp_lanes,
             "supervisor": config.supervisor,
@@ -62,5 +62,5 @@ class Prepared:
 
 
 def prepare(config: MergeConfig, ramp_lanes: int) -> Prepared:
-    """The road with one or two ramp lanes, for a configuration."""
+    """Return the road with one or two ramp lanes and its configuration."""
     return Prepared(config, ramp_lanes, build(ramp_lanes))

@@ -1,4 +1,4 @@
-"""A picture of a merge: the road in two rows, the ramp lanes, and every vehicle with its speed."""
+"""Pictures of a merge: the road in two rows, its ramp lanes, and every vehicle with its speed."""
 
 from collections.abc import Iterator
 
@@ -22,11 +22,11 @@ from headway_envs.merge.prepared import Prepared
 Pixels = list[tuple[float, float]]
 
 ROW_M = 270.0
-"""Length of road in a row; two rows show it all."""
+"""Length of road per row, m; two rows show all of it."""
 SCALE = 5.0
-"""Pixels a metre."""
+"""Pixels per metre."""
 FINER = 2
-"""Drawn so many times as large and then reduced, for smooth edges."""
+"""Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 ABOVE_M, MARGIN_M, HEADER = 6.0, 4.0, 34
 
 GROUND, ROAD, MARKING, EDGE, TEXT = "#eef1ea", "#8d949b", "#ffffff", "#54595e", "#20242a"
@@ -34,7 +34,7 @@ CAV, HUMAN, CRASHED, OBSTACLE = "#1565c0", "#2e9d4f", "#d32f2f", "#f2b705"
 
 
 class MergeRenderer:
-    """Implements `headway.contracts.Renderer` for both merges."""
+    """Renderer of both merging environments; implements `headway.contracts.Renderer`."""
 
     def __init__(self, prepared: Prepared) -> None:
         lanes = prepared.network.lanes
@@ -47,7 +47,7 @@ class MergeRenderer:
         self._background = self._draw_road()
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """(height, width, 3). Raises TypeError for any other environment."""
+        """Return an RGB picture (height, width, 3). Raises TypeError for any other environment."""
         if not isinstance(env, MergeBatchedEnv):
             raise TypeError(f"the picture of a merge needs a MergeBatchedEnv, not {type(env).__name__}")
         outputs, world = env.outputs, env.world
@@ -67,7 +67,7 @@ class MergeRenderer:
         return np.asarray(small, np.uint8)
 
     def _at(self, x: float, y: float) -> tuple[float, float]:
-        """Pixels of a place on the road."""
+        """Return the pixel coordinates of a position on the road."""
         row = min(int(x // ROW_M), 1) if x >= 0.0 else 0
         across = HEADER + (row * self._row_m + ABOVE_M + y) * SCALE
         return (x - row * ROW_M) * SCALE * FINER, across * FINER
@@ -83,7 +83,7 @@ class MergeRenderer:
                 for x in np.arange(lane["x"], lane["x"] + lane["length"], 8.0):
                     y = lane["y"] - LANE_WIDTH / 2.0
                     draw.line([self._at(x, y), self._at(x + 4.0, y)], MARKING, FINER)
-        if self._ramp_lanes == 2:  # nobody changes between the ramp lanes before the highway is beside them
+        if self._ramp_lanes == 2:  # no changes between the ramp lanes before they run beside the highway
             for lane in self._lanes[-2:]:
                 for upper, _ in self._edges(lane, LANE_WIDTH / 2.0):
                     draw.line(upper, MARKING, FINER)
@@ -98,7 +98,7 @@ class MergeRenderer:
             draw.polygon([*upper, *reversed(lower)], colour)
 
     def _edges(self, lane: np.void, half: float) -> Iterator[tuple[Pixels, Pixels]]:
-        """What runs `half` m to the left and to the right of a lane's centre, in each row that it is in."""
+        """Yield the lines `half` m to the left and right of a lane's centre, for each row the lane is in."""
         end = lane["x"] + lane["length"]
         if end == END:  # vehicles drive on
             end = 2.0 * ROW_M
@@ -109,7 +109,7 @@ class MergeRenderer:
             x = np.linspace(begin, stop, 60)
             bend = np.sin(lane["pulsation"] * (x - lane["x"]) + lane["phase"])
             centre = lane["y"] + lane["amplitude"] * bend
-            # A place at the end of a row belongs to the next: step back a hair.
+            # A position at the end of a row would be drawn in the next row.
             x = np.minimum(x, (row + 1) * ROW_M - 1e-6)
             yield (
                 [self._at(a, b - half) for a, b in zip(x, centre, strict=True)],

@@ -1,4 +1,4 @@
-"""Fixed ways to drive the CAVs, to compare with. `random` is `headway.contracts.RandomRule`."""
+"""Classical controllers of the CAVs, for comparison. `random` is `headway.contracts.RandomRule`."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Idle:
-    """Keep the lane and the speed: whoever is on a ramp hits its end."""
+    """Keep lane and speed. CAVs on a ramp lane hit its end."""
 
     prepared: "Prepared"
 
@@ -26,7 +26,7 @@ class Idle:
 
 @dataclass(frozen=True)
 class AlwaysLeft:
-    """Change to the left as soon as it is allowed, whoever is there."""
+    """Change to the left as soon as the mask allows it, without regard to other vehicles."""
 
     prepared: "Prepared"
 
@@ -38,12 +38,13 @@ class AlwaysLeft:
 
 @dataclass(frozen=True)
 class IdmMobil:
-    """Every CAV drives as a human driver: IDM, MOBIL, and its first speed as the desired one."""
+    """Drive every CAV as a human driver: IDM, MOBIL, and its initial speed as the desired speed."""
 
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """Not an action of the action space, which has no accelerations: only this environment knows it."""
+        """Return `AS_HUMAN` for every slot, which is outside the action space and known to this environment
+        only: the actions include no accelerations."""
         if not isinstance(env, MergeBatchedEnv):
             raise TypeError(f"idm_mobil needs a MergeBatchedEnv, not {type(env).__name__}")
         return np.full(observed.alive.shape, AS_HUMAN, np.int64)

@@ -1,1 +1,1 @@
-"""Small environments whose best return is known: for tests, benchmarks and first steps."""
+"""Small environments with known best return, for tests, benchmarks and first steps."""

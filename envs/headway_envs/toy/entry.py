@@ -1,4 +1,4 @@
-"""The toy environments by name."""
+"""Registry entries of the toy environments."""
 
 from functools import partial
 
@@ -14,7 +14,7 @@ FROM_BATCHED = Lazy("headway_envs.parallel_env:from_batched")
 
 ENTRIES: dict[str, EnvEntry] = {
     "trivial": EnvEntry(
-        summary="toy: ten agents name the largest of three numbers; measures everything around it",
+        summary="toy: ten agents name the largest of three numbers; measures the cost of everything else",
         config=TrivialConfig,
         make=Trivial,
         parallel_env=Lazy("headway_envs.toy.trivial_parallel:TrivialParallel"),
@@ -33,7 +33,7 @@ ENTRIES: dict[str, EnvEntry] = {
             "random": RANDOM,
             "optimal": RuleEntry("both agents play their part of the largest payoff", OptimalMatrix),
         },
-        metrics={"optimal": "1 where the largest payoff was played, else 0"},
+        metrics={"optimal": "1 if the largest payoff was played, else 0"},
     ),
     "tracking": EnvEntry(
         summary="toy: agents with continuous actions follow a target; the optimum is in closed form",
@@ -43,31 +43,31 @@ ENTRIES: dict[str, EnvEntry] = {
         rules={
             "random": RANDOM,
             "optimal": RuleEntry(
-                "the linear-quadratic regulator of the steps that are left (Bertsekas, vol. 1, section 3.1)",
+                "finite-horizon linear-quadratic regulator (Bertsekas, vol. 1, section 3.1)",
                 OptimalTracking,
             ),
         },
         metrics={
             "distance": "squared distance to the target, mean over steps and agents",
-            "effort": "squared length of the actions as cut to their bounds, likewise",
+            "effort": "squared length of the clipped actions, mean over steps and agents",
         },
     ),
     "recall": EnvEntry(
-        summary="toy: a cue seen at the first step is to be named at the last, which needs memory",
+        summary="toy: agents must name at the last step a cue shown at the first, which needs memory",
         config=RecallConfig,
         make=Recall,
         parallel_env=partial(FROM_BATCHED, Recall),
         rules={
             "random": RANDOM,
             "optimal": RuleEntry(
-                "names the cue at every step, as the environment has it: returns 1",
+                "names the cue at every step, read from the environment: returns 1",
                 OptimalRecall,
             ),
         },
         metrics={"recalled": "share of agents that named their cue"},
     ),
     "visitors": EnvEntry(
-        summary="toy: agents come, go and retire, with action masks and NaN in every absent row",
+        summary="toy: agents come, go and retire; action masks; NaN in rows of absent agents",
         config=VisitorsConfig,
         make=Visitors,
         parallel_env=partial(FROM_BATCHED, Visitors),
@@ -76,9 +76,9 @@ ENTRIES: dict[str, EnvEntry] = {
             "optimal": RuleEntry("takes the best allowed option: regret 0", OptimalVisitors),
         },
         metrics={
-            "regret": "worth of the best allowed options less what was paid, summed over all choices",
-            "disallowed": "choices of an option that was not allowed",
-            "choices": "choices of agents that were there and ready",
+            "regret": "value of the best allowed option minus the reward, summed over all choices",
+            "disallowed": "number of choices of an option that was not allowed",
+            "choices": "number of choices, made by agents present and ready",
         },
     ),
 }

@@ -1,7 +1,8 @@
-"""A one-step cooperative matrix game: two agents, one shared payoff, and a trap on the way to the best.
+"""One-step cooperative matrix game: two agents, a shared payoff, and a trap beside the best payoff.
 
 The default is the climbing game of Claus and Boutilier, "The Dynamics of Reinforcement Learning in
-Cooperative Multiagent Systems" (AAAI 1998): 11 is next to -30, so learners who explore drift to 5 or 7.
+Cooperative Multiagent Systems" (AAAI 1998): the payoff 11 is next to -30, so exploring learners drift to 5 or
+7.
 """
 
 from dataclasses import dataclass
@@ -18,10 +19,10 @@ NUM_AGENTS = 2
 
 @dataclass(frozen=True)
 class MatrixConfig:
-    """The game. The best return of an episode is the largest payoff."""
+    """Payoffs of the game. The best return of an episode is the largest payoff."""
 
     payoff: tuple[tuple[float, ...], ...] = CLIMBING
-    """Payoff of the row agent's (first) and the column agent's choice; as many rows as columns."""
+    """Square payoff matrix: rows are the first agent's choices, columns the second's."""
 
     def __post_init__(self) -> None:
         size = len(self.payoff)
@@ -34,7 +35,7 @@ class MatrixConfig:
 
 
 class Matrix:
-    """C copies. Each agent observes which one it is (one-hot, D = 2); every step ends the episode."""
+    """C copies. Each agent observes its index (one-hot, D = 2); every step ends the episode."""
 
     def __init__(self, config: MatrixConfig, copies: int) -> None:
         self._payoff = np.array(config.payoff, dtype=np.float64)
@@ -73,12 +74,12 @@ class Matrix:
 
     @property
     def best(self) -> tuple[int, int]:
-        """The row and the column of the largest payoff."""
+        """Row and column of the largest payoff."""
         row, column = np.unravel_index(int(np.argmax(self._payoff)), self._payoff.shape)
         return int(row), int(column)
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        """Nothing is drawn at random, so `seeds` change nothing."""
+        """Begin an episode; `seeds` have no effect, because nothing is random."""
         return self._observed
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
@@ -88,7 +89,7 @@ class Matrix:
         return self._outcome, self._observed
 
     def snapshot(self) -> None:
-        """There is nothing to remember between episodes of one step."""
+        """Return None: one-step episodes have no state."""
 
     def restore(self, snapshot: None) -> Observations:
         return self._observed
@@ -99,12 +100,12 @@ class Matrix:
 
 @dataclass(frozen=True)
 class OptimalMatrix:
-    """Both agents play their part of the largest payoff."""
+    """Plays the joint action with the largest payoff."""
 
     config: MatrixConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """(C, 2)"""
+        """Return the actions (C, 2). Raises TypeError for any other environment."""
         if not isinstance(env, Matrix):
             raise TypeError("the optimal rule of 'matrix' reads the payoff of a Matrix")
         return np.tile(np.array(env.best, dtype=np.int64), (env.num_copies, 1))

@@ -1,7 +1,6 @@
-"""A task of nothing but memory: a cue shown at the first step must be named at the last.
+"""Memory task: a cue shown at the first step must be named at the last.
 
-Whoever acts on the present observation alone is right by chance: when the answer is due, all observe the
-same.
+A policy without memory is right by chance only, because all observations are equal when the answer is due.
 """
 
 from dataclasses import dataclass
@@ -16,14 +15,14 @@ from headway.contracts.checks import require_at_least
 
 @dataclass(frozen=True)
 class RecallConfig:
-    """Its size. The best return is 1 for every agent; without memory it is 1 / `cues`."""
+    """Size of the task. The best return is 1 for every agent; without memory it is 1 / `cues`."""
 
     agents: int = 3
-    """N."""
+    """Number of agents."""
     steps: int = 6
-    """Steps of an episode: the cue is seen at the first, and the answer counts at the last."""
+    """Length of an episode: the cue is shown at the first step, and the answer counts at the last."""
     cues: int = 2
-    """Cues, each as likely, and as many answers."""
+    """Number of equally likely cues, and of answers."""
 
     def __post_init__(self) -> None:
         require_at_least(1, agents=self.agents)
@@ -31,8 +30,11 @@ class RecallConfig:
 
 
 class Recall:
-    """C copies, all at the same step. Each agent observes its own cue (one-hot, at the first step only) and
-    whether the answer is due (D = cues + 1), and is paid 1 for naming its cue then."""
+    """C copies, all at the same step.
+
+    Each agent observes its own cue (one-hot, at the first step only) and whether the answer is due (D = cues
+    + 1), and receives 1 for naming its cue then.
+    """
 
     def __init__(self, config: RecallConfig, copies: int) -> None:
         self._config, n = config, config.agents
@@ -74,7 +76,7 @@ class Recall:
 
     @property
     def cues(self) -> NDArray[np.int64]:
-        """(C, N): what is to be named at the end of this episode."""
+        """(C, N) cues of the current episode."""
         return self._cues
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
@@ -130,7 +132,7 @@ class OptimalRecall:
     config: RecallConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """(C, N)"""
+        """Return the actions (C, N). Raises TypeError for any other environment."""
         if not isinstance(env, Recall):
             raise TypeError("the optimal rule of 'recall' reads the cues of a Recall")
         return env.cues.copy()

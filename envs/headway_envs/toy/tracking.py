@@ -1,9 +1,9 @@
-"""Agents follow a moving target in the plane: linear dynamics, quadratic cost, an optimum in closed form.
+"""Agents follow a moving target in the plane: linear dynamics, quadratic cost, optimum in closed form.
 
-The target moves at a constant velocity v, drawn for each episode. Agent i stands off by e_i = target -
-position and moves by its action: e' = e + v - a + w. It is charged |e'|^2 + effort |a|^2 at each step,
-so the best policy is that of a linear-quadratic regulator (Bertsekas, "Dynamic Programming and Optimal
-Control", vol. 1, section 3.1), whose actions stay within the bounds of the action space.
+The target moves at a constant velocity v, drawn per episode. Agent i has offset e_i = target - position and
+moves by its action a: e' = e + v - a + w, with noise w. Its cost per step is |e'|^2 + effort |a|^2, so the
+best policy is that of a linear-quadratic regulator (Bertsekas, "Dynamic Programming and Optimal Control",
+vol. 1, section 3.1), whose actions stay within the bounds of the action space.
 """
 
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from headway.contracts.checks import require, require_at_least
 
 DIMENSIONS = 2
 SPEED = 0.1
-"""Bound on each component of the target's velocity."""
+"""Bound on each component of the target's velocity, per step."""
 
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """Size and costs. Rewards are each agent's own."""
+    """Size and costs. Each agent receives its own reward."""
 
     agents: int = 3
-    """N."""
+    """Number of agents."""
     steps: int = 50
-    """Steps of an episode, which is then truncated."""
+    """Number of steps after which an episode is truncated."""
     effort: float = 0.1
-    """Cost of a squared unit of action, beside 1 for a squared unit of distance."""
+    """Weight of the squared length of the action in the cost; that of the squared distance is 1."""
     noise: float = 0.02
-    """Each component of w is uniform within this bound."""
+    """Bound on the noise w; each component is uniform within it."""
 
     def __post_init__(self) -> None:
         require_at_least(1, agents=self.agents, steps=self.steps)
@@ -40,17 +40,17 @@ class TrackingConfig:
 
 
 def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The optimal policy and its cost by the Riccati recursion, one component of the plane at a time.
+    """Return the optimal policy and its cost per component of the plane, by the Riccati recursion.
 
-    Returns gains (T, 2) and values (T + 1, 3): with t steps taken, the best action is gains[t] @ (e, v), and
-    the expected cost still to come is p e^2 + 2 q e v + s v^2 (p, q, s = values[t]), besides what noise adds:
-    (1 + p) noise^2 / 3 for every step, p being that of the step after.
+    Gains (T, 2) and values (T + 1, 3): after t steps the best action is gains[t] @ (e, v), and the expected
+    cost-to-go is p e^2 + 2 q e v + s v^2 with p, q, s = values[t], plus the cost of noise, (1 + p) noise^2 /
+    3 per step with p of the next step.
     """
     gains = np.zeros((config.steps, 2))
     values = np.zeros((config.steps + 1, 3))
     for t in reversed(range(config.steps)):
         p, q, s = values[t + 1]
-        # With u = e + v - a the next distance, the cost is (1 + p) u^2 + 2 q u v + s v^2 + effort a^2.
+        # With the next offset u = e + v - a, the cost is (1 + p) u^2 + 2 q u v + s v^2 + effort a^2.
         weight = 1 + p + config.effort
         gains[t] = (1 + p) / weight, (1 + p + q) / weight
         # e + v - a and a are linear in (e, v): their coefficients give the new quadratic form.
@@ -67,7 +67,7 @@ def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 class Tracking:
-    """C copies. Agents observe (e, v), D = 4, and act within [-2, 2]; the state holds every e, then v."""
+    """C copies. Agents observe (e, v), D = 4, and act within [-2, 2]; the state holds all e, then v."""
 
     def __init__(self, config: TrackingConfig, copies: int) -> None:
         self._config, n = config, config.agents
@@ -114,7 +114,7 @@ class Tracking:
 
     @property
     def steps_taken(self) -> int:
-        """In the running episode; the same for all copies."""
+        """Number of steps taken in the current episode, the same for all copies."""
         return self._step
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
@@ -182,15 +182,15 @@ class Tracking:
 
 
 class OptimalTracking:
-    """The linear-quadratic regulator of the steps that are left."""
+    """Finite-horizon linear-quadratic regulator."""
 
     def __init__(self, config: TrackingConfig) -> None:
         self._gains, _ = regulator(config)
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
-        """(C, N, 2)"""
+        """Return the actions (C, N, 2). Raises TypeError for any other environment."""
         if not isinstance(env, Tracking):
-            raise TypeError("the optimal rule of 'tracking' reads the time of a Tracking")
+            raise TypeError("the optimal rule of 'tracking' reads the step of a Tracking")
         on_offset, on_velocity = self._gains[env.steps_taken]
         offset, velocity = np.split(observed.observations, 2, axis=-1)
         actions: NDArray[np.float32] = (on_offset * offset + on_velocity * velocity).astype(np.float32)

@@ -1,7 +1,7 @@
-"""The cheapest environment that can still be learnt: it measures what everything around it costs.
+"""Cheapest environment that can still be learnt, to measure the cost of everything around it.
 
-Every step shows each agent four fresh numbers; the right action is the index of the largest of the
-first three. All agents get the share of agents that were right.
+Each agent observes four new random numbers per step; the right action is the index of the largest of the
+first three. All agents receive the share of agents that were right.
 """
 
 from dataclasses import dataclass
@@ -19,29 +19,29 @@ NUM_ACTIONS = 3
 
 @dataclass(frozen=True)
 class TrivialConfig:
-    """Its size. A perfect episode returns `steps` to every agent, random play a third of that."""
+    """Size of the task. A perfect episode returns `steps` to every agent, random play a third of that."""
 
     agents: int = 10
-    """N."""
+    """Number of agents."""
     steps: int = 200
-    """Steps of an episode, which is then truncated."""
+    """Number of steps after which an episode is truncated."""
 
     def __post_init__(self) -> None:
         require_at_least(1, agents=self.agents, steps=self.steps)
 
 
 def episode_generator(seed: int, episode: int) -> np.random.Generator:
-    """The generator of all draws of one episode, shared by the batched and the dictionary form."""
+    """Return the generator of an episode's draws, for the batched and the dictionary form."""
     return generator(seed, "trivial", episode)
 
 
 def agent_names(count: int) -> tuple[str, ...]:
-    """agent_0, agent_1, ..."""
+    """Return the names agent_0, agent_1, ..."""
     return tuple(f"agent_{index}" for index in range(count))
 
 
 class Trivial:
-    """C copies. All have the same length, so they stand at the same step and one index serves them all."""
+    """C copies, all at the same step, because all episodes have the same length."""
 
     def __init__(self, config: TrivialConfig, copies: int) -> None:
         self._steps, agents = config.steps, config.agents
@@ -128,7 +128,7 @@ class Trivial:
         self._table *= 2
         self._table -= 1
         first, second, third = (self._table[..., index] for index in range(NUM_ACTIONS))
-        # As argmax, ties to the lower index, several times faster over so short an axis.
+        # Equal to argmax, ties to the lower index, and several times faster on so short an axis.
         np.copyto(self._right, second > first)
         self._right[third > np.maximum(first, second)] = 2
 
@@ -148,11 +148,11 @@ class Trivial:
 
 @dataclass(frozen=True)
 class OptimalTrivial:
-    """Always right: returns `steps`."""
+    """Takes the right action at every step: returns `steps`."""
 
     config: TrivialConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """(C, N)"""
+        """Return the actions (C, N)."""
         actions: NDArray[np.int64] = np.argmax(observed.observations[..., :NUM_ACTIONS], axis=-1)
         return actions

@@ -1,4 +1,4 @@
-"""The trivial environment as most PettingZoo environments are written: one dictionary after another."""
+"""The trivial environment in the usual PettingZoo style, with dictionaries per step."""
 
 from typing import Any, ClassVar
 
@@ -17,7 +17,7 @@ from headway_envs.toy.trivial import (
 
 
 class TrivialParallel(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types are skipped: see pyproject.toml
-    """Equal to `Trivial`: `reset(seed=s)` begins episode 0 of seed s, `reset()` the next one."""
+    """Same episodes as `Trivial`: `reset(seed=s)` begins episode 0 of seed s, `reset()` the next one."""
 
     metadata: ClassVar[dict[str, Any]] = {
         "name": "trivial",
@@ -85,7 +85,7 @@ class TrivialParallel(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types 
         return np.concatenate(list(self._shown.values()))
 
     def render(self) -> None:
-        """There is nothing to see."""
+        """Return None: there is no picture."""
 
     def _observe(self) -> dict[str, NDArray[np.float32]]:
         self._shown = {

@@ -1,8 +1,8 @@
-"""Agents that come and go, to try every mask: whoever reads a row it should not reads NaN.
+"""Agents that come and go, to test the use of all masks: rows that must not be read hold NaN.
 
-A visitor that is present is shown the worth of some options and, when it is ready, takes one of those
-allowed to it and is paid its worth. Visitors leave and return; some retire early, for good; episodes
-differ in length and end by termination or by truncation.
+A present visitor observes the values of some options; when it is ready, it takes an allowed option and
+receives its value. Visitors leave and return; some retire early, for good. Episodes differ in length and end
+by termination or truncation.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ from headway.contracts.checks import require_at_least
 
 OPTIONS = 3
 LEAVE, RETURN, READY, RETIRE = 0.15, 0.3, 0.7, 0.3
-"""Chances: of leaving and of returning at a step, of being ready at a step, of retiring in an episode."""
+"""Probabilities: of leaving, of returning and of being ready per step, and of retiring per episode."""
 
 
 @dataclass(frozen=True)
 class VisitorsConfig:
-    """Size. The best return is the sum of the best allowed options: metric `regret` is 0."""
+    """Size of the task. The best return is the sum of the best allowed options: metric `regret` is then 0."""
 
     agents: int = 6
-    """N: slots for visitors."""
+    """Number of slots for visitors."""
     steps: int = 60
-    """Longest episode; each draws its own length, at least half of it."""
+    """Maximum length of an episode; each length is drawn, from half of it."""
 
     def __post_init__(self) -> None:
         require_at_least(1, agents=self.agents)
@@ -35,32 +35,32 @@ class VisitorsConfig:
 
 @dataclass(frozen=True, slots=True)
 class _Episode:
-    """All that happens in one episode but for the choices; arrays of steps + 1 rows."""
+    """Random events of one episode, with T = steps."""
 
     length: int
-    natural: bool
-    """It ends by termination, not by truncation."""
-    worth: NDArray[np.float32]
-    """(steps + 1, N, OPTIONS), between 0 and 1."""
+    terminates: bool
+    """True: ends by termination; False: by truncation."""
+    values: NDArray[np.float32]
+    """(T + 1, N, OPTIONS) values of the options, between 0 and 1."""
     allowed: NDArray[np.bool_]
-    """(steps + 1, N, OPTIONS), at least one in a row."""
+    """(T + 1, N, OPTIONS) action mask, at least one option per agent."""
     ready: NDArray[np.bool_]
-    """(steps + 1, N)"""
+    """(T + 1, N) whether the agent acts if present."""
     alive: NDArray[np.bool_]
-    """(steps + 1, N)"""
+    """(T + 1, N) whether the agent is present."""
     retired: NDArray[np.bool_]
-    """(steps + 1, N): the agent has retired, at this step or before."""
+    """(T + 1, N) whether the agent has retired, at this step or before."""
 
 
 def _draw(config: VisitorsConfig, seed: int, episode: int) -> _Episode:
     draw = generator(seed, "visitors", episode)
     shape = (config.steps + 1, config.agents)
     length = int(draw.integers((config.steps + 1) // 2, config.steps + 1))
-    natural = bool(draw.random() < 0.5)
-    worth = draw.random((*shape, OPTIONS), dtype=np.float32)
+    terminates = bool(draw.random() < 0.5)
+    values = draw.random((*shape, OPTIONS), dtype=np.float32)
     allowed = draw.random((*shape, OPTIONS)) < 0.6
-    sure = draw.integers(0, OPTIONS, shape)
-    allowed |= sure[..., None] == np.arange(OPTIONS)
+    guaranteed = draw.integers(0, OPTIONS, shape)
+    allowed |= guaranteed[..., None] == np.arange(OPTIONS)
     ready = draw.random(shape) < READY
     chance = draw.random(shape)
     alive = np.zeros(shape, dtype=np.bool_)
@@ -68,16 +68,19 @@ def _draw(config: VisitorsConfig, seed: int, episode: int) -> _Episode:
     for step in range(1, len(alive)):
         alive[step] = np.where(alive[step - 1], chance[step] >= LEAVE, chance[step] < RETURN)
     retired = np.zeros(shape, dtype=np.bool_)
-    when = draw.integers(1, config.steps + 1, config.agents)
+    retirement = draw.integers(1, config.steps + 1, config.agents)
     for agent in np.flatnonzero(draw.random(config.agents) < RETIRE):
-        if alive[when[agent] - 1, agent]:
-            retired[when[agent] :, agent] = True
-    return _Episode(length, natural, worth, allowed, ready, alive & ~retired, retired)
+        if alive[retirement[agent] - 1, agent]:
+            retired[retirement[agent] :, agent] = True
+    return _Episode(length, terminates, values, allowed, ready, alive & ~retired, retired)
 
 
 class Visitors:
-    """C copies. Observation: the options' worth, then 1 if ready (D = 4); state: who is there, and the
-    share of the longest episode that has passed (S = N + 1). Rows of absent agents are NaN, masks False."""
+    """C copies.
+
+    Observation: values of the options, then 1 if ready (D = 4). State: alive mask, and elapsed share of the
+    maximum length (S = N + 1). Rows of absent agents are NaN, their masks False.
+    """
 
     def __init__(self, config: VisitorsConfig, copies: int) -> None:
         self._config, n = config, config.agents
@@ -160,15 +163,15 @@ class Visitors:
         return self._observed
 
     def _pay(self, copy: int, actions: NDArray[Any]) -> None:
-        """A choice that is not allowed costs 1."""
+        """Fill the rewards of a copy; a choice that is not allowed receives -1."""
         episode, step = self._episodes[copy], int(self._steps[copy])
-        worth, allowed = episode.worth[step], episode.allowed[step]
+        values, allowed = episode.values[step], episode.allowed[step]
         acting = episode.alive[step] & episode.ready[step]
         agents = np.arange(self._config.agents)
         chosen = np.where(acting, actions, 0)
         legal = allowed[agents, chosen]
-        rewards = np.where(acting, np.where(legal, worth[agents, chosen], -1.0), 0.0)
-        best = np.where(allowed, worth, 0).max(axis=-1)
+        rewards = np.where(acting, np.where(legal, values[agents, chosen], -1.0), 0.0)
+        best = np.where(allowed, values, 0).max(axis=-1)
         self._outcome.acting[copy] = acting
         self._outcome.rewards[copy] = rewards
         self._sums[copy] += (best - rewards)[acting].sum(), (acting & ~legal).sum(), acting.sum()
@@ -179,12 +182,12 @@ class Visitors:
         step = int(self._steps[copy])
         ended = step == episode.length
         retiring = episode.retired[step] & ~episode.retired[step - 1]
-        over = episode.retired[step] | episode.natural if ended else retiring
+        over = episode.retired[step] | episode.terminates if ended else retiring
         outcome.terminated[copy] = over
         outcome.truncated[copy] = ~over if ended else False
         outcome.episode_ended[copy] = ended
         leaving = over | ended
-        outcome.final_observations[copy, leaving, :OPTIONS] = episode.worth[step, leaving]
+        outcome.final_observations[copy, leaving, :OPTIONS] = episode.values[step, leaving]
         outcome.final_observations[copy, leaving, OPTIONS] = episode.ready[step, leaving]
         if ended:
             outcome.final_states[copy] = self._state(episode, step)
@@ -198,7 +201,7 @@ class Visitors:
         observed, episode, step = self._observed, self._episodes[copy], int(self._steps[copy])
         alive = episode.alive[step]
         observed.alive[copy] = alive
-        observed.observations[copy, :, :OPTIONS] = episode.worth[step]
+        observed.observations[copy, :, :OPTIONS] = episode.values[step]
         observed.observations[copy, :, OPTIONS] = episode.ready[step]
         observed.observations[copy, ~alive] = np.nan
         observed.states[copy] = self._state(episode, step)
@@ -210,15 +213,15 @@ class Visitors:
 
 @dataclass(frozen=True)
 class OptimalVisitors:
-    """The best allowed option: regret 0."""
+    """Takes the best allowed option: regret 0."""
 
     config: VisitorsConfig
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """(C, N); 0 for absent agents."""
-        worth = observed.observations[..., :OPTIONS]
+        """Return the actions (C, N); 0 for absent agents."""
+        values = observed.observations[..., :OPTIONS]
         allowed = (
-            observed.action_masks if observed.action_masks is not None else np.ones_like(worth, np.bool_)
+            observed.action_masks if observed.action_masks is not None else np.ones_like(values, np.bool_)
         )
-        actions: NDArray[np.int64] = np.where(allowed, worth, -1).argmax(axis=-1)
+        actions: NDArray[np.int64] = np.where(allowed, values, -1).argmax(axis=-1)
         return actions

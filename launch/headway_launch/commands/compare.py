@@ -63,11 +63,11 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.tables import print_table
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
     from headway_launch.runner.comparison import (
-        DAYS_FOR_A_CLAIM,
+        EPISODES_FOR_A_CLAIM,
         SEEDS_FOR_A_CLAIM,
         counting,
         difference,
-        few_days,
+        few_episodes,
         few_seeds,
         rule_episodes,
         rules_to_play,
@@ -130,8 +130,8 @@ def execute(arguments: argparse.Namespace) -> int:
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(fewest))
-    if episodes < DAYS_FOR_A_CLAIM and len(rules) + len(played) > 1:
-        print_line(few_days(episodes))
+    if episodes < EPISODES_FOR_A_CLAIM and len(rules) + len(played) > 1:
+        print_line(few_episodes(episodes))
     return 0
 
 
@@ -193,7 +193,7 @@ def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
         label: [StoredRun.read(root, Path(row.directory)) for row in members]
         for label, members in labelled_cells(finished_runs(root, study)).items()
     }
-    first, *others = [members[0].experiment.reported_on for members in cells.values()]
+    first, *others = [members[0].experiment.evaluated_env for members in cells.values()]
     if any(other != first for other in others):
         raise HeadwayError(f"study {study!r} holds several environments; compare a study that holds one")
     return cells

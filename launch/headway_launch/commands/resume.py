@@ -94,7 +94,7 @@ def _cells_of_study(
     from headway.store.index import RunIndex
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.plan import StudyProgress, cell_labels, kept_plans, plan_cells
-    from headway_launch.studies.session import held_elsewhere, tell_standing
+    from headway_launch.studies.session import held_elsewhere, print_progress
 
     everything = RunIndex(root).rows()
     rows = [row for row in everything if row.study == study]
@@ -103,7 +103,7 @@ def _cells_of_study(
         studies = {row.study for row in everything}
         raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
     standings = [StudyProgress.of(root, experiment, rows) for experiment in planned]
-    tell_standing(study, standings)
+    print_progress(study, standings)
     covered = {run_id for standing in standings for run_id in standing.run_ids}
     others = {
         run.directory: run

@@ -50,4 +50,4 @@ def execute(arguments: argparse.Namespace) -> int:
         return print_estimate([StudyProgress.untouched(experiment)], cells)
     from headway_launch.runner.runner import Runner
 
-    return Runner(cells, arguments.debug).conduct()
+    return Runner(cells, arguments.debug).run()

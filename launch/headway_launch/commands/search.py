@@ -53,14 +53,14 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 
-        return print_estimate(session.standings, session.cells)
-    conductor = session.conductor(arguments.debug)
-    code = conductor.conduct()
+        return print_estimate(session.progress, session.cells)
+    runner = session.open_runner(arguments.debug)
+    code = runner.run()
     if code != EXIT_DONE:
         return code
     session.require_all_ended()
     results = {}
-    for (point, experiment), rewards in zip(points.items(), conductor.final_rewards(), strict=True):
+    for (point, experiment), rewards in zip(points.items(), runner.final_rewards(), strict=True):
         if len(rewards) < len(experiment.config.seed):
             raise HeadwayError(
                 f"{': '.join(point)} has {len(rewards)} of {len(experiment.config.seed)} seeds, as another "

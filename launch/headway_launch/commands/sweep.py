@@ -72,8 +72,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 
-        return print_estimate(session.standings, session.cells)
-    code = session.conductor(arguments.debug).conduct()
+        return print_estimate(session.progress, session.cells)
+    code = session.open_runner(arguments.debug).run()
     if code != EXIT_STOPPED:
         session.require_all_ended()
     return code

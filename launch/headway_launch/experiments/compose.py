@@ -1,4 +1,4 @@
-"""From names and `key=value` overrides to one validated experiment, by Hydra's composition."""
+"""Composition of one validated experiment from names and `key=value` overrides, with Hydra."""
 
 import json
 import re
@@ -21,43 +21,43 @@ from headway_launch.console.output import print_line
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
 _DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
-_SEVERAL = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
+_SEVERAL_VALUES = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
 _DEFAULT = "default_"
-"""Begins the names of presets that stand where none is chosen: `default_bus` with `env=bus`."""
+"""Prefix of the presets that apply unless another is chosen: `default_bus` with `env=bus`."""
 _NO_ENV = "none"
-"""The option of the group `env` that stands where none is chosen."""
+"""The option of the group `env` that applies if none is chosen."""
 _SENTENCE = re.compile(r".*?\.(?=\s|$)")
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
 @dataclass(frozen=True)
 class PreparedEnv:
-    """An experiment's environment, ready to be made."""
+    """The prepared environment of an experiment."""
 
     entry: EnvEntry
-    """What makes it; its rules."""
+    """Constructor and rules of the evaluation environment."""
     prepared: Any
-    """What all copies share of the one that is reported on."""
+    """Data that all copies of the evaluation environment share: the result of `EnvEntry.prepare`."""
     training: Any
-    """The same of the one that is learned from."""
+    """The shared data of the training environment."""
     spec: EnvSpec
-    """What is learned from."""
+    """Spec of the training environment."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A valid configuration with the objects that its names stand for."""
+    """A validated configuration with the registry entries and config records that it names."""
 
     config: ExperimentConfig
     env: EnvEntry
-    """What is reported on, with its wrappers."""
+    """Evaluation environment, with its wrappers."""
     training_env: EnvEntry
-    """What is learned from, with wrappers that change rewards, too."""
+    """Training environment, which includes the wrappers that only change rewards."""
     env_config: Any
     training_env_config: Any
-    """With `env.training_args` over `env.args`."""
+    """Config of the training environment: `env.training_args` merged over `env.args`."""
     env_mapping: Mapping[str, Any]
-    """What `env.*` has beside `id` and `args`, spelt out."""
+    """Keys of `env` other than `id` and `args`, with defaults written out."""
     algo: AlgoEntry
     algo_config: Any
 
@@ -67,9 +67,9 @@ class Experiment:
         return str(self.config.algo["name"])
 
     @property
-    def reported_on(self) -> Mapping[str, Any]:
-        """What evaluation, rules and every figure are of: the environment, its arguments, what its adapter is
-        told and the wrappers that do more than change rewards."""
+    def evaluated_env(self) -> Mapping[str, Any]:
+        """Identity of the evaluation environment: id, arguments, adapter options, and the wrappers that do
+        more than change rewards."""
         wrappers = [
             wrapper
             for wrapper in self.env_mapping.get("wrappers", ())
@@ -80,28 +80,28 @@ class Experiment:
 
     @property
     def rules(self) -> tuple[str, ...]:
-        """Rules of the environment that are evaluated beside the learner."""
+        """Names of the rules that are evaluated for comparison; by default all of the environment."""
         chosen = self.config.evaluation.rules
         return tuple(self.env.rules) if chosen is None else chosen
 
     def prepare(self, known: "dict[str, PreparedEnv] | None" = None) -> PreparedEnv:
-        """What all environment copies share, and what the environment is. Tells the user what its wrappers
-        cost. `known` keeps what has been prepared, for experiments that differ in their algorithm only.
+        """Return the prepared environment and print its notices. `known`: cache of prepared environments for
+        experiments that differ in their algorithm only.
 
-        Raises HeadwayError for data that cannot be used, a rule that is unknown or cannot be played, training
-        arguments that change what agents observe or do, and an algorithm that cannot run on this environment.
+        Raises HeadwayError for unusable data, a rule that is unknown or cannot play, training arguments that
+        change observations or actions, and an algorithm that cannot run on the environment.
         """
-        kept = {} if known is None else known
+        cache = {} if known is None else known
         key = self._environment_key
-        if key not in kept:
-            kept[key] = self._prepare_environment()
-        if reason := self.algo.refuses(self.algo_config, kept[key].spec):
+        if key not in cache:
+            cache[key] = self._prepare_environment()
+        if reason := self.algo.refuses(self.algo_config, cache[key].spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
-        return kept[key]
+        return cache[key]
 
     @property
     def _environment_key(self) -> str:
-        """The same for experiments of the same environment, arguments, wrappers and rules."""
+        """Key that is equal for experiments with the same environment, arguments, wrappers and rules."""
         args = [plain(self.env_config), plain(self.training_env_config)]
         return json.dumps(
             [self.config.env.id, self.env_mapping, args, self.rules], sort_keys=True, default=str
@@ -111,35 +111,35 @@ class Experiment:
         for rule in self.rules:
             if rule not in self.env.rules:
                 raise HeadwayError(
-                    f"evaluation.rules: {rule!r} is no rule of {self.config.env.id}; "
+                    f"evaluation.rules: {rule!r} is not a rule of {self.config.env.id}; "
                     f"{suggestion(rule, self.env.rules)}"
                 )
         prepared = training = self.env.prepare(self.env_config)
         spec = self._spec(prepared)
         if self.training_env is not self.env or self.training_env_config != self.env_config:
-            beside = self.training_env.prepare_variant
-            if beside is None:
+            prepare_variant = self.training_env.prepare_variant
+            if prepare_variant is None:
                 training = self.training_env.prepare(self.training_env_config)
             else:
-                training = beside(self.training_env_config, prepared)
-            reported, spec = spec, self._spec(training)
-            alike = replace(
-                reported,
+                training = prepare_variant(self.training_env_config, prepared)
+            evaluated, spec = spec, self._spec(training)
+            allowed = replace(
+                evaluated,
                 shared_reward=spec.shared_reward,
                 shared_in_groups=spec.shared_in_groups,
                 snapshots=spec.snapshots,
             )
-            if alike != spec:
+            if allowed != spec:
                 raise HeadwayError(
-                    "env.training_args may change rewards and dynamics, not what agents observe, do or are "
-                    "measured by; set such arguments by env.args"
+                    "env.training_args may change rewards and dynamics, not observations, actions or "
+                    "metrics; set such arguments in env.args"
                 )
         for rule in self.rules:
             try:
                 self.env.rules[rule].make(prepared)
-            except HeadwayError as error:  # its wrappers hide what it looks at
+            except HeadwayError as error:  # wrappers hide its inputs
                 raise HeadwayError(f"evaluation.rules: {error}") from error
-        give_back_memory()  # before it is all there again in each training process
+        give_back_memory()  # each training process is about to load the same data
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
             print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, training, spec)
@@ -150,13 +150,12 @@ class Experiment:
 
 
 def compose(overrides: Sequence[str]) -> Experiment:
-    """The experiment that `overrides` describe (`experiment=bus_mappo algo.lr=3e-4 seed=0..4`).
+    """Return the experiment that `overrides` describe (`experiment=bus_mappo algo.lr=3e-4 seed=0..4`).
 
-    Overrides follow Hydra's grammar; `key=value` may set any key, whether or not a YAML file has it.
-    A preset's values stand below everything else but the defaults. Raises HeadwayError for whatever
-    cannot be used.
+    Overrides follow Hydra's grammar; `key=value` may set any key, also one that no YAML file sets. The values
+    of a preset take precedence over the defaults only. Raises HeadwayError for an invalid override.
     """
-    mapping, choices = _compose_mapping([_prepared(override, overrides) for override in overrides])
+    mapping, choices = _compose_mapping([_hydra_override(override, overrides) for override in overrides])
     presets = mapping.pop("preset", None) or {}
     preset = choices.get("preset") or NO_PRESET
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
@@ -164,30 +163,30 @@ def compose(overrides: Sequence[str]) -> Experiment:
         return resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
     except HeadwayError as error:
         key = str(error).partition(" is not a key of ")[0]
-        if _has(values, key) and not _has(mapping, key):
-            raise HeadwayError(f"preset={preset} is not for this: {error}") from error
+        if _has_key(values, key) and not _has_key(mapping, key):
+            raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
         raise
 
 
 def _preset_values(
     presets: Mapping[str, Any], mapping: Mapping[str, Any], by_default: bool
 ) -> Mapping[str, Any]:
-    """The values that a preset has for the algorithm of an experiment. None where that is not among them and
-    the preset was taken by default, with the environment; raises HeadwayError where it was chosen."""
+    """Return a preset's values for the experiment's algorithm. If it has none, return nothing for a preset
+    that applies by default and raise HeadwayError for any other."""
     name = str((mapping.get("algo") or {}).get("name"))
     if not presets or (by_default and name not in presets):
         return {}
     if name not in presets:
         raise HeadwayError(
-            f"the preset has no values for algo={name}; it has them for {', '.join(sorted(presets))} "
-            f"(preset={NO_PRESET} leaves the defaults)"
+            f"the preset has no values for algo={name}; it has values for {', '.join(sorted(presets))} "
+            f"(preset={NO_PRESET} keeps the defaults)"
         )
     values: Mapping[str, Any] = presets[name] or {}
     return values
 
 
-def _has(mapping: object, key: str) -> bool:
-    """Whether nested mappings have a dotted key."""
+def _has_key(mapping: object, key: str) -> bool:
+    """Return whether nested mappings contain a dotted key."""
     for part in key.split("."):
         if not isinstance(mapping, Mapping) or part not in mapping:
             return False
@@ -196,14 +195,15 @@ def _has(mapping: object, key: str) -> bool:
 
 
 def resolve(mapping: Mapping[str, Any]) -> Experiment:
-    """Validate a whole experiment, given as nested mappings (a composed or a stored configuration)."""
+    """Return the experiment of a composed or stored configuration, given as nested mappings. Raises
+    HeadwayError if it is not valid."""
     refuse_targets(mapping)
     values = dict(mapping)
     if "seed" in values:
         values["seed"] = parse_seeds(values["seed"])
     config = build(ExperimentConfig, values)
     if not _DEVICE.fullmatch(config.device):
-        raise HeadwayError(f"device={config.device} is none; write auto, cpu, cuda or cuda:NUMBER")
+        raise HeadwayError(f"device={config.device} is not a device; write auto, cpu, cuda or cuda:NUMBER")
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
     env = chosen_env(config.env)
@@ -230,7 +230,8 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
 
 
 def configs_folder() -> Path:
-    """The project's `configs`, or the copy packaged with an installed Headway."""
+    """Return the folder `configs` of the project, or its copy in an installed package. Raises HeadwayError if
+    there is neither."""
     in_project = Path(__file__).resolve().parents[3] / "configs"
     packaged = Path(__file__).resolve().parents[1] / "packaged_configs"
     for folder in (in_project, packaged):
@@ -240,7 +241,7 @@ def configs_folder() -> Path:
 
 
 def groups() -> dict[str, tuple[str, ...]]:
-    """The groups of configuration files, each with its options."""
+    """Return the groups of configuration files, each with its options."""
     folders = sorted(folder for folder in configs_folder().iterdir() if folder.is_dir())
     return {
         folder.name: tuple(
@@ -256,26 +257,27 @@ def groups() -> dict[str, tuple[str, ...]]:
 
 
 def summary_of(group: str, option: str) -> str:
-    """The first sentence of a configuration file's first comment that is not an instruction to Hydra."""
+    """Return the first sentence of a configuration file's first comment, Hydra directives aside."""
     lines = (configs_folder() / group / f"{option}.yaml").read_text(encoding="utf-8").splitlines()
-    words = (line for line in lines if not line.startswith("# @"))
+    text_lines = (line for line in lines if not line.startswith("# @"))
     comment = takewhile(
-        lambda line: line.startswith("#"), dropwhile(lambda line: not line.strip("# "), words)
+        lambda line: line.startswith("#"), dropwhile(lambda line: not line.strip("# "), text_lines)
     )
     text = " ".join(line.removeprefix("#").strip() for line in comment)
     sentence = _SENTENCE.match(text)
     return sentence[0] if sentence else text
 
 
-def _prepared(override: str, overrides: Sequence[str]) -> str:
-    """One of the overrides as Hydra must see it: seeds spelt out, values added where no file has them."""
+def _hydra_override(override: str, overrides: Sequence[str]) -> str:
+    """Return an override in the form for Hydra: seeds written out, `++` before a key that no file may set.
+    Raises HeadwayError for an invalid one."""
     if deletion := _DELETION.fullmatch(override):
         if deletion["key"] in groups():
-            raise HeadwayError(f"{override}: {deletion['key']} cannot be taken away; choose another option")
+            raise HeadwayError(f"{override}: {deletion['key']} cannot be removed; choose another option")
         return override
     parts = _OVERRIDE.fullmatch(override)
     if parts is None:
-        raise HeadwayError(f"{override!r} is not an override; write key=value{_meant_experiment(override)}")
+        raise HeadwayError(f"{override!r} is not an override; write key=value{_experiment_hint(override)}")
     prefix, key, value = parts["prefix"], parts["key"].strip(), parts["value"]
     if key == "seed":
         return f"++seed=[{','.join(str(seed) for seed in parse_seeds(value))}]"
@@ -283,24 +285,24 @@ def _prepared(override: str, overrides: Sequence[str]) -> str:
         return override
     known = groups()
     if key not in known:
-        _require_a_key(key, value, overrides)
+        _require_known_key(key, value, overrides)
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
-        raise HeadwayError(f"{override}: one option at a time; `headway sweep` takes several")
+        raise HeadwayError(f"{override}: choose one option; `headway sweep` takes several")
     if value not in known[key]:
         return _option_without_file(key, value, known[key])
     return override
 
 
-def _require_a_key(key: str, value: str, overrides: Sequence[str]) -> None:
-    """Refuse a key of nothing here, where the files that are chosen by name are known too."""
+def _require_known_key(key: str, value: str, overrides: Sequence[str]) -> None:
+    """Raise HeadwayError, with a suggestion, if a key is neither a key nor a group of the experiment."""
     head, _, rest = key.partition(".")
     names = {field.name for field in fields(ExperimentConfig)} | {"experiment", "preset"}
     if head in names or head == "hydra":
         return
-    if whole := _keys_that_end_in(key, [other for other in overrides if _head_of(other) in names]):
+    if full_keys := _keys_ending_in(key, [other for other in overrides if _first_part(other) in names]):
         raise HeadwayError(
-            f"{key} is not a key of the experiment; did you mean {' or '.join(whole)}={value}?"
+            f"{key} is not a key of the experiment; did you mean {' or '.join(full_keys)}={value}?"
         )
     if not rest and nearest(head, names) in ("experiment", "preset"):
         near = f"did you mean {nearest(head, names)}={value}? Available: {', '.join(sorted(names))}"
@@ -308,12 +310,12 @@ def _require_a_key(key: str, value: str, overrides: Sequence[str]) -> None:
     raise HeadwayError(f"{head} is not a key of the experiment; {suggestion(head, names)}")
 
 
-def _head_of(override: str) -> str:
+def _first_part(override: str) -> str:
     return re.split(r"[.=]", override.lstrip("+~"), maxsplit=1)[0]
 
 
-def _keys_that_end_in(key: str, overrides: Sequence[str]) -> list[str]:
-    """Keys of the experiment that `overrides` describe, in which the first parts are missing from `key`."""
+def _keys_ending_in(key: str, overrides: Sequence[str]) -> list[str]:
+    """Return the keys of the experiment that `overrides` describe which end in `key`."""
     try:
         found = compose(overrides if _names_env(overrides) else [*overrides, "env=trivial"])
     except HeadwayError:
@@ -327,11 +329,12 @@ def _keys_that_end_in(key: str, overrides: Sequence[str]) -> list[str]:
 
 
 def _names_env(overrides: Sequence[str]) -> bool:
-    return any(_head_of(override) in ("env", "experiment") for override in overrides)
+    return any(_first_part(override) in ("env", "experiment") for override in overrides)
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
-    """A registered environment or algorithm, and a module path, need no file of their own."""
+    """Return the override for a registered name or a module path, which need no YAML file. Raises
+    HeadwayError for an unknown option."""
     if group == "env" and (option in env_entries() or is_module_path(option)):
         return f"++env={{id:{option}}}"
     if group == "algo" and option in algo_entries():
@@ -341,13 +344,14 @@ def _option_without_file(group: str, option: str, options: Sequence[str]) -> str
     )
 
 
-def _meant_experiment(word: str) -> str:
+def _experiment_hint(word: str) -> str:
     near = nearest(word, groups().get("experiment", ()))
     return f"; did you mean experiment={near}?" if near else " (such as experiment=bus_mappo)"
 
 
 def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[str, str]]:
-    """What the files and overrides come to, and the option chosen of each group."""
+    """Return the composed configuration and the option chosen in each group. Raises HeadwayError if Hydra
+    refuses an override."""
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
     from hydra.errors import HydraException
@@ -355,7 +359,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
     from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
     from yaml import YAMLError
 
-    # Data beside the project is found from whatever folder the command is given in.
+    # Paths of data in the project do not depend on the working directory.
     OmegaConf.register_new_resolver(
         "project", lambda path: str((configs_folder().parent / path).resolve()), replace=True
     )
@@ -371,7 +375,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
         if key == "env.id" and chosen.get("env") == _NO_ENV:
             raise HeadwayError(
                 "no experiment is named; write experiment=NAME (`headway list experiments`), such as "
-                "experiment=bus_mappo, or env=NAME and algo=NAME of your own choice"
+                "experiment=bus_mappo, or env=NAME and algo=NAME"
             ) from error
         raise HeadwayError(f"{key} is missing and has no default; write {key}=VALUE") from error
     except (HydraException, OmegaConfBaseException, YAMLError, ValueError) as error:
@@ -385,28 +389,29 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
 
 
 def _require_set(deleted: Sequence[str], mapping: Mapping[str, Any]) -> None:
-    """Raise HeadwayError for the first of the deletions whose key nothing sets."""
+    """Raise HeadwayError for the first deletion of a key that is not set."""
     for override in deleted:
         key = override[1:].partition("=")[0]
-        if not _has(mapping, key):
-            raise HeadwayError(f"{override}: nothing sets {key}, so its default holds already")
+        if not _has_key(mapping, key):
+            raise HeadwayError(f"{override}: {key} is not set, so its default already applies")
 
 
 def _one_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     kept = [line for line in lines if not line.lower().startswith(("see https", "set the environment"))]
-    if kept and (several := _SEVERAL.match(kept[0])):
+    if kept and (several := _SEVERAL_VALUES.match(kept[0])):
         key = several["key"].lstrip("+")
         values = several["value"]
-        return f"{key}={values} is several values; `headway sweep` takes them, a list is {key}=[{values}]"
+        return f"{key}={values} is several values; use `headway sweep`, or {key}=[{values}] for one list"
     return "the configuration cannot be composed: " + "; ".join(kept[:3])
 
 
 def _merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `lower` with the values of `upper` merged over it, nested mappings key by key."""
     merged = dict(lower)
     for key, value in upper.items():
-        below = merged.get(key)
-        if isinstance(below, Mapping) and isinstance(value, Mapping):
-            value = _merged(below, value)
+        replaced = merged.get(key)
+        if isinstance(replaced, Mapping) and isinstance(value, Mapping):
+            value = _merged(replaced, value)
         merged[key] = value
     return merged

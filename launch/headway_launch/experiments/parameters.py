@@ -1,4 +1,4 @@
-"""An experiment as nested mappings and flat parameters: what is stored, and what tells cells apart."""
+"""An experiment as nested mappings and flat parameters, as stored, and the keys that identify runs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,11 +8,12 @@ from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
 from headway_launch.experiments.compose import Experiment
 
-_DECIDES = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
+_IDENTITY_KEYS = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
 
 
-def one_of_a_session(config: ExperimentConfig) -> dict[str, object]:
-    """What a session has one of, by its key: experiments that differ here take a session each."""
+def session_settings(config: ExperimentConfig) -> dict[str, object]:
+    """Return the settings, by key, of which a session has one value: experiments that differ in one need
+    separate sessions."""
     return {
         "study": config.study,
         "store": config.store,
@@ -24,7 +25,8 @@ def one_of_a_session(config: ExperimentConfig) -> dict[str, object]:
 
 
 def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:
-    """The whole configuration with every default spelt out, so that a changed default changes no old run."""
+    """Return the whole configuration with every default written out, so that a changed default changes no
+    stored run."""
     config: ExperimentConfig = experiment.config
     evaluation = {**plain(config.evaluation), "rules": list(experiment.rules)}
     return {
@@ -42,14 +44,14 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
 
 
 def cell_parameters(experiment: Experiment) -> dict[str, Any]:
-    """What makes runs the same but for the seed: flat, dotted names."""
+    """Return the parameters that all runs of a cell share, by dotted name."""
     whole = full_mapping(experiment, ())
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
     return dict(flat(kept))
 
 
 def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:
-    """Nested mappings as (dotted name, value); `with_empty`, empty mappings are values, too."""
+    """Return nested mappings as (dotted name, value) pairs; `with_empty`: keep empty mappings as values."""
     items: list[tuple[str, Any]] = []
     for key, value in mapping.items():
         if isinstance(value, Mapping) and (value or not with_empty):
@@ -60,11 +62,12 @@ def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -
 
 
 def identity(mapping: Mapping[str, Any]) -> str:
-    """What makes two runs of a seed the same run: the study and everything that decides their curves. How
-    many processes train them, where they are kept, which rules play beside them and whether energy is
-    measured decides nothing."""
-    decides = {name: mapping.get(name) for name in _DECIDES}
+    """Return a key that is equal for two runs of a seed if they have the same study and learning curve.
+
+    The number of processes, the store, the rules evaluated and energy measurement are left out.
+    """
+    kept = {name: mapping.get(name) for name in _IDENTITY_KEYS}
     evaluation = mapping.get("evaluation") or {}
-    decides["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
+    kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)
-    return json.dumps([decides, stack], sort_keys=True, default=str)
+    return json.dumps([kept, stack], sort_keys=True, default=str)

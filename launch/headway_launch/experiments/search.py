@@ -1,4 +1,4 @@
-"""Searches for hyper-parameters: the files of configs/search, and the experiments that they describe."""
+"""Hyper-parameter searches: the files of configs/search and the experiments that they describe."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,32 +12,32 @@ from headway_launch.experiments.parameters import full_mapping, identity
 from headway_launch.experiments.sweep import require_one_session
 
 Point = tuple[str, str]
-"""The names of a cell and of a candidate in it."""
+"""Names of a cell and of a candidate."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """The contents of a file in configs/search."""
+    """A hyper-parameter search: the contents of a file in configs/search."""
 
     base: tuple[str, ...]
-    """Overrides of every run, `experiment=...` and `seed=...` among them."""
+    """Overrides of every run, including `experiment=...` and `seed=...`."""
     cells: Mapping[str, tuple[str, ...]]
-    """Name -> its overrides."""
+    """Cell name -> its overrides."""
     candidates: Mapping[str, tuple[str, ...]]
-    """Name -> its overrides."""
+    """Candidate name -> its overrides."""
 
     def __post_init__(self) -> None:
         for name, values in (("cells", self.cells), ("candidates", self.candidates)):
             if not values:
-                raise ValueError(f"{name} must have one entry or more: a name and a list of overrides")
+                raise ValueError(f"{name} must have one entry or more, each a name with a list of overrides")
 
     def points(self, overrides: Sequence[str] = ()) -> dict[Point, Experiment]:
-        """Every candidate in every cell, with `overrides` of all.
+        """Return the experiment of every candidate in every cell; `overrides` apply to all.
 
-        Raises HeadwayError for what cannot be used, and where two would train the same.
+        Raises HeadwayError for an invalid override, and if two experiments are equal.
         """
         points = {
-            (cell, candidate): _called(candidate, compose([*self.base, *in_cell, *tried, *overrides]))
+            (cell, candidate): _with_candidate(candidate, compose([*self.base, *in_cell, *tried, *overrides]))
             for cell, in_cell in self.cells.items()
             for candidate, tried in self.candidates.items()
         }
@@ -48,17 +48,17 @@ class Search:
             if other != point:
                 raise HeadwayError(
                     f"{': '.join(other)} and {': '.join(point)} are the same experiment; give each candidate "
-                    "its own values, and override none of them"
+                    "its own values and do not override them"
                 )
         return points
 
 
-def _called(candidate: str, experiment: Experiment) -> Experiment:
+def _with_candidate(candidate: str, experiment: Experiment) -> Experiment:
     return replace(experiment, config=replace(experiment.config, candidate=candidate))
 
 
 def read_search(name: str) -> Search:
-    """A search of configs/search. Raises HeadwayError if there is none of that name, or it cannot be read."""
+    """Read a search of configs/search. Raises HeadwayError if it does not exist or is not valid."""
     folder = configs_folder() / "search"
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:

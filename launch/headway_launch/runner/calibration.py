@@ -1,4 +1,4 @@
-"""A short calibration: train each cell for a few iterations, measure it and keep nothing else.
+"""A short calibration: train each cell for a few iterations and keep only the measured durations and energy.
 
 As many processes run at once as in the real session. Each measures several cells in turn, because starting a
 process (torch, the kernels, a server of workers) takes longer than the measurement of one cell.
@@ -19,7 +19,7 @@ from headway.energy import EnergyMeter, JobUsage
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.runner.jobs import CellPlan, CoreShares, PlannedJob, uses_gpu, workers_of
-from headway_launch.runner.training_process import Report, ShouldStop, TrainingProcess, train_and_tell
+from headway_launch.runner.training_process import Report, ShouldStop, TrainingProcess, train_and_report
 from headway_launch.runner.warm_up import compile_kernels_of
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ class Pace:
     kg_co2: float | None = None
     """kg CO2eq per CPU second; None if energy is not measured."""
 
-    def of_job(self, config: ExperimentConfig, done: int) -> "Expectation":
-        """Return the expected cost of a job that continues after iteration `done`."""
+    def estimate(self, config: ExperimentConfig, done: int) -> "Expectation":
+        """Return the expected cost of a job that resumes after iteration `done`; 0 for a new job."""
         evaluations = evaluations_left(config, done)
         evaluating = evaluations * self.evaluation_s
         left = config.iterations - done
@@ -86,21 +86,21 @@ class Expectation:
 
 
 def evaluations_left(config: ExperimentConfig, done: int) -> float:
-    """Return how many evaluations follow iteration `done`, the last one weighted by its number of episodes
-    relative to the others. The evaluation before training is not counted: it belongs to the start."""
-    a_step, every = config.rollout.copies * config.rollout.steps, config.evaluation.every
+    """Return the number of evaluations after iteration `done`, the last one weighted by its episodes
+    relative to the others. The evaluation before training is part of the start-up and not counted."""
+    steps, every = config.rollout.copies * config.rollout.steps, config.evaluation.every
     reached = sum(
-        iteration * a_step // every > (iteration - 1) * a_step // every
+        iteration * steps // every > (iteration - 1) * steps // every
         for iteration in range(done + 1, config.iterations)
     )
     return reached + config.evaluation.last_episodes / config.evaluation.episodes
 
 
 def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
-    """Return the pace of each cell, keyed by its `id()`, and a text on how its power is measured or
+    """Return the pace of each cell, keyed by its `id()`, and a description of how power is measured or
     estimated.
 
-    Where the cells do not fill the last round of processes, the first ones are trained again to keep the load
+    If the cells do not fill the last round of processes, the first ones are trained again to keep the load
     realistic. Raises HeadwayError if a cell cannot be trained.
     """
     compile_kernels_of([cell.experiment for cell in cells])
@@ -112,15 +112,15 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
     lanes: list[_Lane] = []
     with (
         tempfile.TemporaryDirectory(prefix="headway-") as folder,
-        CountedProgress("cells measured", len(cells)) as told,
+        CountedProgress("cells measured", len(cells)) as progress,
     ):
         try:
             lanes.extend(
-                _Lane(turns[first :: shares.parallel], shares, Path(folder, str(first)), told)
+                _Lane(turns[first :: shares.parallel], shares, Path(folder, str(first)), progress)
                 for first in range(shares.parallel)
             )
             while running := [lane for lane in lanes if lane.waiting]:
-                for lane in _heard(running):
+                for lane in _lanes_at_end(running):
                     cell, trial = lane.next()
                     others = {other.trial.name: other.trial.usage for other in running if other is not lane}
                     energy = meter.finish(trial.name, others, trial.usage)
@@ -129,7 +129,7 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
                         kwh = None if energy.kwh is None else energy.kwh / spent
                         kg = None if energy.kg_co2 is None else energy.kg_co2 / spent
                         paces[id(cell)] = trial.pace(kwh, kg)
-                        told.add()
+                        progress.add()
         finally:
             for lane in lanes:
                 lane.end()
@@ -141,9 +141,8 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
 
 
 @dataclass
-class _Little:
-    """A shortened training of one cell, run in the training process: it stops once enough has been
-    measured."""
+class _ShortTraining:
+    """A shortened training of one cell in the training process; stops once enough has been measured."""
 
     report: Report
     asked_to_stop: ShouldStop
@@ -152,11 +151,11 @@ class _Little:
     cpu_before_s: float
     """CPU seconds that the process had used before this cell."""
     _counted: int = -1
-    """Iterations finished, without the first; -1 before any."""
+    """Finished iterations after the first, which is not measured; -1 before it ends."""
     _evaluated: float = 0.0
 
     def take(self, event: Event) -> None:
-        """Report an event, its CPU seconds reduced to those of this cell."""
+        """Report an event with the CPU seconds of this cell only."""
         if isinstance(event, IterationFinished | EvaluationFinished):
             spent = event.usage.cpu_seconds - self.cpu_before_s
             event = replace(event, usage=replace(event.usage, cpu_seconds=spent))
@@ -169,22 +168,22 @@ class _Little:
     def should_stop(self) -> bool:
         """Return whether enough has been measured or the session is ending."""
         late = time.monotonic() - self._evaluated > _SECONDS
-        all_there_are = self._counted >= min(_ITERATIONS, self.iterations - 1)
-        return all_there_are or (self._counted >= _FEWEST and late) or self.asked_to_stop()
+        complete = self._counted >= min(_ITERATIONS, self.iterations - 1)
+        return complete or (self._counted >= _FEWEST and late) or self.asked_to_stop()
 
 
-def _train_a_little(jobs: Sequence["TrainingJob"], report: Report, should_stop: ShouldStop) -> None:
-    """Train the jobs one after another in this process, each until its last event."""
+def _train_briefly(jobs: Sequence["TrainingJob"], report: Report, should_stop: ShouldStop) -> None:
+    """Train the jobs one after another in this process, each until its final event."""
     before = 0.0
     for job in jobs:
-        little = _Little(report, should_stop, job.config.iterations, before)
-        train_and_tell(job, little.take, little.should_stop)
+        short = _ShortTraining(report, should_stop, job.config.iterations, before)
+        train_and_report(job, short.take, short.should_stop)
         before = time.process_time()
 
 
 @dataclass
 class Trial:
-    """The measurement of one cell, seen from the session."""
+    """The measurement of one cell, recorded in the session's process."""
 
     name: str
     """Unique among all trials."""
@@ -195,7 +194,7 @@ class Trial:
     cpu_start_s: float = 0.0
     """CPU seconds until the end of the first evaluation, for a process that begins with this cell."""
     marks: list[tuple[float, float]] = field(default_factory=list)
-    """(seconds, CPU seconds) of each iteration, without the evaluation that may precede it."""
+    """(seconds, CPU seconds) per iteration, without the evaluation that may precede it."""
     used: Usage = field(default_factory=Usage)
     process_ids: tuple[int, ...] = ()
 
@@ -234,22 +233,22 @@ class Trial:
 
 
 class _Lane:
-    """One process and the cells that it measures in turn; `trial` belongs to the first cell in `waiting`. The
-    user is told as each cell begins."""
+    """One process and the cells that it measures in turn; `trial` belongs to the first cell in `waiting`.
+    `progress` shows each cell as it begins."""
 
     def __init__(
-        self, cells: Sequence[CellPlan], shares: CoreShares, folder: Path, told: CountedProgress
+        self, cells: Sequence[CellPlan], shares: CoreShares, folder: Path, progress: CountedProgress
     ) -> None:
-        self.waiting, self._told = list(cells), told
-        jobs = [_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
-        self.trial = self._begun()
+        self.waiting, self._progress = list(cells), progress
+        jobs = [_training_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
+        self.trial = self._new_trial()
         self._start: tuple[float, float] | None = None
-        """Start-up of the first cell, s and CPU s: a lower bound for the other cells, which would each need a
-        process of their own in the real session."""
-        self.process = TrainingProcess(jobs[0], partial(_train_a_little, jobs))
+        """Start-up of the first cell, s and CPU s: a lower bound for the other cells, each of which starts a
+        process in the real session."""
+        self.process = TrainingProcess(jobs[0], partial(_train_briefly, jobs))
 
-    def hear(self) -> bool:
-        """Take the events that have arrived, up to the end of a cell; return whether that end was reached.
+    def receive_events(self) -> bool:
+        """Process the events that have arrived, up to the end of a cell; return whether the cell ended.
 
         Raises HeadwayError if training fails or takes too long.
         """
@@ -265,7 +264,8 @@ class _Lane:
             self.trial.take(event)
         if time.monotonic() - self.trial.launched > _PATIENCE_S:
             raise HeadwayError(
-                f"the calibration of {self._name} takes longer than {_PATIENCE_S:g} s: give it up"
+                f"the calibration of {self._name} takes longer than {_PATIENCE_S:g} s and is stopped; "
+                "train without a dry run"
             )
         return False
 
@@ -278,7 +278,7 @@ class _Lane:
         trial.cpu_start_s = max(trial.cpu_start_s, self._start[1])
         cell = self.waiting.pop(0)
         if self.waiting:
-            self.trial = self._begun()
+            self.trial = self._new_trial()
         return cell, trial
 
     def end(self) -> None:
@@ -291,21 +291,22 @@ class _Lane:
         cell = self.waiting[0]
         return cell.label or cell.experiment.algo_name
 
-    def _begun(self) -> Trial:
-        self._told.note(f"measuring {self._name}")
+    def _new_trial(self) -> Trial:
+        self._progress.note(f"measuring {self._name}")
         return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
 
 
-def _heard(lanes: Sequence[_Lane]) -> list[_Lane]:
+def _lanes_at_end(lanes: Sequence[_Lane]) -> list[_Lane]:
     """Return the lanes that have reached the end of a cell, after waiting up to `_POLL_S` for events."""
     wait([lane.process.connection for lane in lanes], _POLL_S)
-    return [lane for lane in lanes if lane.hear()]
+    return [lane for lane in lanes if lane.receive_events()]
 
 
-def _job(job: PlannedJob, shares: CoreShares, folder: Path) -> "TrainingJob":
-    never = replace(job.config.store, checkpoint_every=job.config.iterations)
+def _training_job(job: PlannedJob, shares: CoreShares, folder: Path) -> "TrainingJob":
+    # Checkpoints would be measured as part of the iterations.
+    store = replace(job.config.store, checkpoint_every=job.config.iterations)
     directories = [folder / str(seed) for seed in job.seeds]
     for directory in directories:
         directory.mkdir(parents=True)
-    config = replace(job.config, store=never)
+    config = replace(job.config, store=store)
     return job.training_job(config, workers_of(job, shares), directories)

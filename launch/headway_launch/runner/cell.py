@@ -1,4 +1,4 @@
-"""One cell in a session: its runs in the store, the jobs of its training processes, its rules."""
+"""One cell of a session: its stored runs, the work of its training processes, its rule episodes."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,8 @@ from headway_launch.runner.jobs import CellPlan, CoreShares, PlannedJob, workers
 from headway_launch.runner.results import SeedResult, stored_result
 
 Rules = Mapping[str, list[Row]]
-_WHICH_DAYS = "evaluation_seed"
-"""Column of the evaluation seed in the rules' rows; `episode_seed` alone counts from 0 for every evaluation
-seed."""
+_EVALUATION_SEED = "evaluation_seed"
+"""Column of the evaluation seed in the rules' rows: `episode_seed` counts from 0 for each of them."""
 
 
 class SessionCell:
@@ -70,7 +69,7 @@ class SessionCell:
         ]
 
     def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: CoreShares) -> TrainingJob:
-        """Return what the training process of a job is given."""
+        """Return the work of a job's training process."""
         directories = [run.directory for run in runs]
         resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
         gates = [run.gate for run in runs]
@@ -84,52 +83,52 @@ class SessionCell:
         """
         if not any(result.status == "FINISHED" for result in self.results):
             return
-        kept = self._kept_rules()
+        kept = self._stored_rules()
         if not self.plan.jobs and kept is not None:
             self.rules = kept
             return
         evaluation = self.config.evaluation
-        days = evaluation.last_episodes
+        episodes = evaluation.last_episodes
         key = json.dumps(
-            [self.experiment.reported_on, evaluation.seed, days, self.experiment.rules], default=str
+            [self.experiment.evaluated_env, evaluation.seed, episodes, self.experiment.rules], default=str
         )
         if key not in played:
-            played[key] = self._played(days) if self.experiment.rules else {}
+            played[key] = self._rule_rows(episodes) if self.experiment.rules else {}
         self.rules, self.touched = played[key], True
         self._cell.keep_rules(self.rules)
 
-    def _played(self, days: int) -> Rules:
-        """Play all rules for `days` evaluation episodes each and return their rows."""
+    def _rule_rows(self, episodes: int) -> Rules:
+        """Play all rules for `episodes` evaluation episodes each and return their rows."""
         from headway.stats.plots import counted
 
         jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
-        print_line(f"{counted(len(rules), 'rule')} to play, {counted(days, 'episode')} each")
+        print_line(f"{counted(len(rules), 'rule')} to play, {counted(episodes, 'episode')} each")
         prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
-        with CountedProgress("episodes played", len(rules) * days) as played_so_far:
-            episodes = rule_episodes(self.experiment, prepared, rules, seed, days, played_so_far)
-        return {rule: [{**row, _WHICH_DAYS: seed} for row in rows] for rule, rows in episodes.items()}
+        with CountedProgress("episodes played", len(rules) * episodes) as progress:
+            played = rule_episodes(self.experiment, prepared, rules, seed, episodes, progress)
+        return {rule: [{**row, _EVALUATION_SEED: seed} for row in rows] for rule, rows in played.items()}
 
-    def finish(self, statuses: Sequence[Status], figures: Mapping[str, float]) -> None:
-        """End the cell in MLflow with the session's `figures`; `statuses` are those of its jobs."""
+    def finish(self, statuses: Sequence[Status], metrics: Mapping[str, float]) -> None:
+        """End the cell in MLflow with the session's `metrics`; `statuses`: one per job of the cell."""
         rules = {
             f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
             for rule, rows in self.rules.items()
         }
-        self._cell.finish(status_of_all(statuses), {**figures, **rules})
+        self._cell.finish(status_of_all(statuses), {**metrics, **rules})
 
     def in_order(self) -> list[SeedResult]:
         """Return the results in the order of the experiment's seeds."""
         order = {seed: place for place, seed in enumerate(self.config.seed)}
         return sorted(self.results, key=lambda result: order.get(result.seed, 0))
 
-    def _kept_rules(self) -> Rules | None:
+    def _stored_rules(self) -> Rules | None:
         """Return the stored results of all rules on all evaluation episodes; None if any are missing."""
         path = rules_file(Path(self.config.store.root), self.config.study, self._cell.name)
         kept = read_json(path) if path.exists() else {}
         evaluation = self.config.evaluation
-        days = [evaluation.seed] * evaluation.last_episodes
+        seeds = [evaluation.seed] * evaluation.last_episodes
         rules: Rules = {rule: kept.get(rule, []) for rule in self.experiment.rules}
-        if any([row.get(_WHICH_DAYS) for row in rows] != days for rows in rules.values()):
+        if any([row.get(_EVALUATION_SEED) for row in rows] != seeds for rows in rules.values()):
             return None
         return rules
 

@@ -1,4 +1,4 @@
-"""Policies from checkpoints, and the days that they play."""
+"""Trained policies loaded from checkpoints, and the episodes that they play."""
 
 import sys
 from collections.abc import Mapping
@@ -20,19 +20,19 @@ from headway_launch.runner.stored_run import StoredRun
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """The policies of one seed, and how they are played."""
+    """The trained policies of one seed, with the plan for playing them."""
 
     plan: RolloutPlan
-    """Of this seed alone."""
+    """Rollout plan of this seed only."""
     parameters: Mapping[str, NDArray[Any]]
-    """Leading axis K: the policies of one replica."""
+    """Actor parameters by name; leading axis: the K policies of one replica."""
     iteration: int
 
 
 def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
-    """The policies in the newest whole checkpoint of a run, to be played in an environment: its own, or one
-    that is reported on alike. Raises HeadwayError if it has none, or was made where agents observed
-    otherwise."""
+    """Return the policies in the newest complete checkpoint of a run, for playing in `environment`: the run's
+    own, or one with the same `Experiment.evaluated_env`. Raises HeadwayError if there is no checkpoint, or if
+    it does not fit the environment's observations and actions."""
     iteration, state, notices = load_latest(run.directory / CHECKPOINTS)
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)
@@ -55,7 +55,7 @@ def policy_episodes(
     greedy: bool,
     told: Told = nobody_told,
 ) -> list[Row]:
-    """One row an episode on the evaluation seeds that follow from `root`."""
+    """Play `episodes` episodes on the evaluation seeds derived from `root`; return one row per episode."""
     rows: list[Row] = []
     for request in EvaluationRequest.split(root, episodes, greedy, evaluation_block(policy.plan.spec)):
         rows += evaluate_policy(policy.plan, policy.parameters, request, told)[0]

@@ -1,4 +1,4 @@
-"""Trained policies beside the classical rules, on the same days."""
+"""Comparison of trained policies with the classical rules on the same evaluation episodes."""
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,35 +18,36 @@ if TYPE_CHECKING:
 
 _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
-"""Training seeds from which a difference with an interval over them that excludes 0 is worth a claim."""
-DAYS_FOR_A_CLAIM = 20
-"""Days from which a difference with an interval over days that excludes 0 is worth a claim."""
-_COLUMNS = ("controller", "days", "return", "learner minus it", "95% from", "95% to", "interval")
+"""Fewest training seeds for which an interval over seeds that excludes 0 supports a claim."""
+EPISODES_FOR_A_CLAIM = 20
+"""Fewest episodes for which an interval over episodes that excludes 0 supports a claim."""
+_COLUMNS = ("controller", "episodes", "return", "learner minus rule", "95% from", "95% to", "interval")
 
 
 def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
-    """Rules of an environment by name, each once: those that `option` gives, `a,b`, or else all that can play
-    it. Those that cannot, because wrappers hide what they look at, are told in a line.
+    """Return the names of the rules to play: those listed in `names` (`a,b`), each once, or by default all
+    that can play the environment. Prints which rules are left out because wrappers hide their inputs.
 
-    Raises HeadwayError for a name that is no rule, and for a rule that is named and cannot play.
+    Raises HeadwayError, naming `option`, for an unknown rule or a listed rule that cannot play.
     """
     known = environment.entry.rules
     if names is not None:
         wanted = tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
         for name in wanted:
             if name not in known:
-                raise HeadwayError(f"{option}: {name!r} is no rule here; {suggestion(name, known)}")
-            if problem := _why_not(environment, name):
+                raise HeadwayError(f"{option}: there is no rule {name!r}; {suggestion(name, known)}")
+            if problem := _refusal(environment, name):
                 raise HeadwayError(f"{option}: {problem}")
         return wanted
-    problems = {name: problem for name in known if (problem := _why_not(environment, name))}
+    problems = {name: problem for name in known if (problem := _refusal(environment, name))}
     if problems:
-        others = f" (and so {', '.join(list(problems)[1:])})" if len(problems) > 1 else ""
+        others = f" (likewise {', '.join(list(problems)[1:])})" if len(problems) > 1 else ""
         print_line(f"headway: left out: {next(iter(problems.values()))}{others}")
     return tuple(name for name in known if name not in problems)
 
 
-def _why_not(environment: "PreparedEnv", rule: str) -> str | None:
+def _refusal(environment: "PreparedEnv", rule: str) -> str | None:
+    """Return why a rule cannot play an environment; None if it can."""
     try:
         environment.entry.rules[rule].make(environment.prepared)
     except HeadwayError as error:
@@ -62,7 +63,7 @@ def rule_episodes(
     episodes: int,
     counted: "CountedProgress",
 ) -> dict[str, list[Row]]:
-    """Episodes of rules of the environment on the evaluation seeds that follow from `root`, counted."""
+    """Return the episodes of each rule, one row per episode, on the evaluation seeds derived from `root`."""
     from headway.rollout.episodes import evaluate_rule
 
     make, known = experiment.env.make, experiment.env.rules
@@ -75,32 +76,32 @@ def rule_episodes(
 
 
 def counting(counted: "CountedProgress", name: str) -> "Told":
-    """Adds the episodes that end, of the controller named, to those that are counted."""
+    """Return a callback that adds the finished episodes of the controller `name` to the counter."""
     return lambda step, ended: counted.add(ended, f"{name}, step {step:,}")
 
 
 def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping[str, Sequence[Row]]) -> None:
-    """Mean return and metrics of `learned` (seeds x days) and of the rules (days each) on the same days, and
+    """Print the mean return and metrics of `learned` (seeds x episodes) and of the rules (episodes each), and
     the learner's return minus each rule's with the 95% interval of `difference`.
     """
     label = name if len(learned) == 1 else f"{name}, {len(learned)} seeds"
-    everything = [(label, [row for rows in learned for row in rows])] if learned else []
-    everything += [(f"rule {rule}", list(rows)) for rule, rows in rules.items()]
+    controllers = [(label, [row for rows in learned for row in rows])] if learned else []
+    controllers += [(f"rule {rule}", list(rows)) for rule, rows in rules.items()]
     metrics = list(
-        dict.fromkeys(name for _, rows in everything for name in rows[0] if name not in _NOT_METRICS)
+        dict.fromkeys(name for _, rows in controllers for name in rows[0] if name not in _NOT_METRICS)
     )
     table: list[tuple[Cell, ...]] = []
     methods: set[str] = set()
-    for controller, rows in everything:
-        against = _of_returns(learned, rows) if controller != label else None
+    for controller, rows in controllers:
+        against = _return_difference(learned, rows) if controller != label else None
         interval = (against.estimate, against.low, against.high, against.method) if against else (None,) * 4
         methods |= {against.method} if against else set()
-        days = len(rows) // len(learned) if controller == label else len(rows)
+        episodes = len(rows) // len(learned) if controller == label else len(rows)
         means = [_mean(rows, metric) for metric in metrics]
-        table.append((controller, days, _mean(rows, "return"), *interval, *means))
+        table.append((controller, episodes, _mean(rows, "return"), *interval, *means))
     columns = (*_COLUMNS, *metrics)
     if sys.stdout.isatty():
-        _print_upright(columns, table, methods)
+        _print_by_column(columns, table, methods)
     else:
         print_table(columns, table)
     if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
@@ -108,8 +109,11 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
 
 
 def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "Interval":
-    """A figure of a learner (seeds x days) minus a rule's (days) on the same days, with its 95% interval: by
-    Student's t over days for one seed, over seeds and days for more. Raises ValueError below two days."""
+    """Return the paired difference of a metric between a learner (seeds x episodes) and a rule (episodes).
+
+    The 95% interval is Student's t over episodes for one seed, over seeds and episodes for more. Raises
+    ValueError for fewer than two episodes.
+    """
     from headway.stats import paired_difference, paired_difference_over_seeds
 
     if len(learned) == 1:
@@ -118,25 +122,25 @@ def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "In
 
 
 def few_seeds(seeds: int) -> str:
-    """What so few training seeds cannot tell."""
+    """Return a warning about a comparison over few training seeds."""
     if seeds == 1:
-        known = "1 seed: the interval is over days for this one policy; how seeds differ cannot be known"
+        limit = "1 seed: the interval is over episodes of one policy and ignores the variation between seeds"
     else:
-        known = f"{seeds} seeds: the interval takes them to differ by a normal law and may miss rare failures"
-    return f"{known}; train at least {SEEDS_FOR_A_CLAIM} before saying which is better"
+        limit = f"{seeds} seeds: the interval assumes a normal distribution and may miss rare failures"
+    return f"{limit}; train at least {SEEDS_FOR_A_CLAIM} before claiming that one is better"
 
 
-def few_days(days: int) -> str:
-    """What so few days cannot tell."""
+def few_episodes(episodes: int) -> str:
+    """Return a warning about a comparison over few episodes."""
     return (
-        f"{days} days: the intervals take days to differ by a normal law and may miss rare ones; "
-        f"play at least {DAYS_FOR_A_CLAIM} before saying which is better"
+        f"{episodes} episodes: the intervals assume a normal distribution and may miss rare episodes; "
+        f"play at least {EPISODES_FOR_A_CLAIM} before claiming that one is better"
     )
 
 
-def _print_upright(columns: Sequence[str], table: Sequence[Sequence[Cell]], methods: Iterable[str]) -> None:
-    """A column a controller: with few of them and many metrics easier to read, and narrower. On a narrow
-    terminal the worst rules go first."""
+def _print_by_column(columns: Sequence[str], table: Sequence[Sequence[Cell]], methods: Iterable[str]) -> None:
+    """Print the table with one column per controller, which is narrower for few controllers and many metrics.
+    On a narrow terminal the columns of the rules with the lowest return are left out first."""
     method = columns.index("interval")
     rows = [
         (name, *(row[place] for row in table))
@@ -150,12 +154,12 @@ def _print_upright(columns: Sequence[str], table: Sequence[Sequence[Cell]], meth
     print_table(("", *names), rows, title, spare=spare)
 
 
-def _of_returns(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":
-    """None where the days do not pair."""
-    days = [int(row["episode_seed"]) for row in rule]
-    if len(days) < 2 or not learned:
+def _return_difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":
+    """Return the difference of the returns; None if the episodes do not pair by seed."""
+    seeds = [int(row["episode_seed"]) for row in rule]
+    if len(seeds) < 2 or not learned:
         return None
-    if any([int(row["episode_seed"]) for row in rows] != days for rows in learned):
+    if any([int(row["episode_seed"]) for row in rows] != seeds for rows in learned):
         return None
     return difference([_returns(rows) for rows in learned], _returns(rule))
 

@@ -18,7 +18,7 @@ from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment, PreparedEnv
 
 _FREE_BYTES = 200 * 2**20
-_FREE_BYTES_A_SEED = 10 * 2**20
+_FREE_BYTES_PER_SEED = 10 * 2**20
 _CHECKPOINTS_AT_ONCE = 3
 """Two checkpoints are kept, and a third is written before the oldest is deleted."""
 
@@ -53,8 +53,8 @@ class PlannedJob:
         gates: Sequence[Path] = (),
         resume: bool = False,
     ) -> TrainingJob:
-        """Return what the training process is given: `config` as it trains here and now, and one folder per
-        seed, with its gate if it has one."""
+        """Return the work of the training process: `config` as it trains on this machine, and per seed a run
+        folder and, for stored runs, a gate file."""
         experiment = self.experiment
         return TrainingJob(
             make_env=experiment.env.make,
@@ -106,30 +106,31 @@ def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
 def new_jobs(
     experiment: Experiment, seeds: Sequence[int], known: dict[str, PreparedEnv] | None = None
 ) -> tuple[PlannedJob, ...]:
-    """Return the jobs that train `seeds` of an experiment. `known`: as in `Experiment.prepare`.
+    """Return the jobs that train `seeds` of an experiment. `known`: environments prepared before,
+    as in `Experiment.prepare`.
 
     Raises HeadwayError as `Experiment.prepare` does, and for a budget that the algorithm refuses.
     """
-    found = experiment.prepare(known)
-    asked, rollout = experiment.config, experiment.config.rollout
-    if reason := experiment.algo.refuses_budget(experiment.algo_config, asked.iterations):
+    environment = experiment.prepare(known)
+    requested, rollout = experiment.config, experiment.config.rollout
+    if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):
         raise HeadwayError(
-            f"in {asked.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
+            f"in {requested.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
             f"rollout.copies x rollout.steps) {reason}"
         )
     if experiment.algo.contributor is None:
-        config = within_processes(asked, found.spec)
+        config = within_processes(requested, environment.spec)
     else:
-        config = _with_a_worker_a_block(asked, found.spec, experiment.algo_name)
-        _tell_workers(config.rollout, experiment.algo_name)
+        config = _one_worker_per_block(requested, environment.spec, experiment.algo_name)
+        _print_workers(config.rollout, experiment.algo_name)
     stack = config.backend.stack
     return tuple(
         PlannedJob(
             experiment,
             config,
-            found.prepared,
-            found.training,
-            found.spec,
+            environment.prepared,
+            environment.training,
+            environment.spec,
             tuple(seeds[first : first + stack]),
         )
         for first in range(0, len(seeds), stack)
@@ -145,7 +146,7 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
     stack = min(backend.stack, len(config.seed))
     if backend.name == "serial":
         if stack * rollout.copies > limit:
-            ways = f"{_serially(limit, stack, rollout)}, or {_by_processes(limit, stack, config)}"
+            ways = f"{_serial_settings(limit, stack, rollout)}, or {_process_settings(limit, stack, config)}"
             raise HeadwayError(f"{process_holds(spec, limit)}; set {ways}")
         return config
     block, workers = within_limit(limit, stack, rollout.copies, rollout.block)
@@ -158,7 +159,7 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
     )
 
 
-def _serially(limit: int, stack: int, rollout: RolloutConfig) -> str:
+def _serial_settings(limit: int, stack: int, rollout: RolloutConfig) -> str:
     """Return settings with which a single process holds at most `limit` copies."""
     if rollout.copies <= limit < stack:
         return f"backend.stack={limit // rollout.copies}"
@@ -170,44 +171,44 @@ def _serially(limit: int, stack: int, rollout: RolloutConfig) -> str:
     return " and ".join(settings)
 
 
-def _by_processes(limit: int, stack: int, config: ExperimentConfig) -> str:
+def _process_settings(limit: int, stack: int, config: ExperimentConfig) -> str:
     """Return settings with which each of several processes holds at most `limit` copies."""
     _, workers = within_limit(limit, stack, config.rollout.copies, config.rollout.block)
     few = config.backend.workers is not None and config.backend.workers < workers
     return f"backend=process and backend.workers={workers}" if few else "backend=process"
 
 
-def _with_a_worker_a_block(asked: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
+def _one_worker_per_block(requested: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
     """Return the configuration for an asynchronous algorithm: as `within_processes`, but with one worker per
     block. Raises HeadwayError if the settings ask for anything else."""
-    if min(asked.backend.stack, len(asked.seed)) > 1:
+    if min(requested.backend.stack, len(requested.seed)) > 1:
         raise HeadwayError(
-            f"{algorithm} trains one seed a process: its gradients are found in workers, on CPUs, where a "
-            "stack gains nothing; set backend.stack=1"
+            f"{algorithm} trains one seed per process, because its workers compute the gradients on CPUs and "
+            "stacking gains nothing; set backend.stack=1"
         )
-    config = within_processes(replace(asked, backend=replace(asked.backend, workers=None)), spec)
+    config = within_processes(replace(requested, backend=replace(requested.backend, workers=None)), spec)
     if config.backend.name == "serial":
-        return replace(config, backend=asked.backend)
+        return replace(config, backend=requested.backend)
     workers = config.rollout.copies // config.rollout.block
-    if asked.backend.workers not in (None, workers):
+    if requested.backend.workers not in (None, workers):
         raise HeadwayError(
-            f"{algorithm} has a worker for each block of copies, {workers} here, as their number changes "
-            "what is learned; leave backend.workers out, and set rollout.block"
+            f"{algorithm} has one worker per block of copies, {workers} here, because the number of workers "
+            "changes the results; leave out backend.workers and set rollout.block"
         )
     return replace(config, backend=replace(config.backend, workers=workers))
 
 
-def _tell_workers(rollout: RolloutConfig, algorithm: str) -> None:
-    """Tell the user how many workers an asynchronous algorithm has and how long its rollouts are, because its
-    number of gradients follows from them."""
+def _print_workers(rollout: RolloutConfig, algorithm: str) -> None:
+    """Print how many workers an asynchronous algorithm has and how long its rollouts are: they determine the
+    number of gradients."""
     number = rollout.copies // rollout.block
     workers = "1 worker" if number == 1 else f"{number} workers"
     line = (
-        f"headway: {algorithm} has {workers} (rollout.copies / rollout.block), and a gradient of each "
+        f"headway: {algorithm} has {workers} (rollout.copies / rollout.block) and computes one gradient per "
         f"rollout of {rollout.block} x {rollout.steps} steps"
     )
     print_line(
-        f"{line}; rollout=asynchronous has more and shorter ones" if rollout == RolloutConfig() else line
+        f"{line}; rollout=asynchronous sets more and shorter ones" if rollout == RolloutConfig() else line
     )
 
 
@@ -276,17 +277,17 @@ def _fixed_workers(job: PlannedJob) -> int | None:
 def _most_workers(job: PlannedJob) -> int:
     """Return the number of workers that have something to do: one per block of copies and worker group."""
     rollout = job.config.rollout
-    return len(_groups(job)) * (rollout.copies // rollout.block)
+    return len(_worker_groups(job)) * (rollout.copies // rollout.block)
 
 
-def _groups(job: PlannedJob) -> list[tuple[int, int]]:
+def _worker_groups(job: PlannedJob) -> list[tuple[int, int]]:
     return replica_groups(job.spec.max_copies_per_process, len(job.seeds), job.config.rollout.block)
 
 
-def gpus_of(device: str, there: float) -> float:
-    """Return the GPUs that a training process asks of a cluster with `there` GPUs: one for `cuda`, one for
-    `auto` if the cluster has any, else none."""
-    return 1.0 if device.startswith("cuda") or (device == "auto" and there >= 1.0) else 0.0
+def gpus_of(device: str, available: float) -> float:
+    """Return the GPUs that a training process requests from a cluster with `available` GPUs: one for `cuda`,
+    one for `auto` if the cluster has any, else none."""
+    return 1.0 if device.startswith("cuda") or (device == "auto" and available >= 1.0) else 0.0
 
 
 def uses_gpu(job: PlannedJob) -> bool:
@@ -297,15 +298,15 @@ def uses_gpu(job: PlannedJob) -> bool:
 
 def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> None:
     """Raise HeadwayError if the store's folder cannot be created or written, or has too little free space for
-    `jobs`, of which `parallel` run at once. Experience is counted for these only: it is deleted when its job
-    ends."""
+    `jobs`, of which `parallel` run at once."""
     make_folder(root)
     if not os.access(root, os.W_OK | os.X_OK):
-        raise HeadwayError(f"store.root: {root} cannot be written; give it another folder")
+        raise HeadwayError(f"store.root: {root} cannot be written; set store.root to another folder")
     seeds = sum(len(job.seeds) for job in jobs)
+    # Experience is deleted when its job ends, so only parallel jobs count.
     experience = sum(sorted((_experience_bytes(job) for job in jobs), reverse=True)[:parallel])
     free = shutil.disk_usage(root).free
-    needed = _FREE_BYTES + seeds * _FREE_BYTES_A_SEED + experience
+    needed = _FREE_BYTES + seeds * _FREE_BYTES_PER_SEED + experience
     if free < needed:
         raise HeadwayError(
             f"only {free / 2**20:,.0f} MiB are free for the store in {root}, and {seeds} seeds need about "

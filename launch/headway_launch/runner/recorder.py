@@ -1,4 +1,4 @@
-"""What one job reports goes into the runs of its seeds."""
+"""Recording of a job's events in the stored runs of its seeds."""
 
 import time
 from collections.abc import Sequence
@@ -28,28 +28,28 @@ if TYPE_CHECKING:
     from headway.store.session import Run
 
 TRACEBACK = "traceback.txt"
-"""File in the folder of a run that failed."""
+"""Name of the file, in the folder of a failed run, that holds the traceback."""
 
 
 @dataclass
 class JobRecorder:
-    """The runs of one job, one a seed, and what their training has used so far."""
+    """The stored runs of one job, one per seed, and the resources that their training has used so far."""
 
     runs: Sequence["Run"]
     uses_gpu: bool = False
     before: Sequence[Row] = ()
-    """Last energy samples of earlier sessions that trained these runs, one a seed; empty for new ones."""
+    """Last energy sample of each seed from earlier sessions; empty for new runs."""
     env_steps: int = 0
-    """Environment steps of each seed, those before a resume included."""
+    """Environment steps per seed, including those before a resume."""
     used: Usage = field(default_factory=Usage)
-    """In this session, all seeds of the job together."""
+    """Resources used in this session by all seeds of the job."""
     process_ids: tuple[int, ...] = ()
     began: float | None = None
     """When training began, on the session's monotonic clock."""
     trained_s: float = 0.0
-    """How long it went on; 0 where its process could not tell of its end."""
+    """Seconds from there to the end of training; 0 if the process ended without a final event."""
     store_s: float = 0.0
-    """Seconds of that on the log and checkpoints."""
+    """Seconds of `trained_s` spent on logs and checkpoints."""
     status: "Status" = "RUNNING"
     failure: Failed | None = None
     _first: tuple[float, int] | None = None
@@ -68,10 +68,10 @@ class JobRecorder:
                 # The training process's own clock: events may wait while the session is busy.
                 self._last = (float(event.curve[0]["wall_s"]), event.env_steps)
                 self._first = self._first or self._last
-                self._points(event.curve)
+                self._log_points(event.curve)
             case EvaluationFinished(usage=usage, curve=curve):
                 self.used = usage
-                self._points(curve)
+                self._log_points(curve)
             case CheckpointSaved(iteration=iteration):
                 for run in self.runs:
                     run.durable(iteration)
@@ -80,15 +80,15 @@ class JobRecorder:
                 if self.began is not None and usage is not None:
                     self.trained_s, self.store_s = time.monotonic() - self.began, event.store_s
                 self.status = "KILLED" if stopped else "FINISHED"
-                self._find_checkpoint()
+                self._record_checkpoint()
             case Failed():
                 self.status, self.failure = "FAILED", event
-                self._find_checkpoint()
+                self._record_checkpoint()
                 self._keep_traceback(event)
 
     @property
     def usage(self) -> "JobUsage":
-        """What energy is shared out by."""
+        """Resource use by which the energy meter divides energy among jobs."""
         from headway.energy.ledger import JobUsage
 
         return JobUsage(
@@ -99,8 +99,11 @@ class JobRecorder:
         )
 
     def keep_energy(self, moment: float, energy: "Energy") -> Sequence[Row]:
-        """Give each run a sample of what its training has used by `moment` (seconds since 1970), over all
-        sessions, where `energy` is the job's in this one; the samples, one a seed."""
+        """Store an energy sample in each run and return the samples, one per seed.
+
+        A sample is the seed's equal share of the job's `energy` in this session plus its use in earlier ones.
+        `moment`: seconds since the epoch.
+        """
         seeds = len(self.runs)
         share = {**energy.per_seed(seeds).as_row(), "cpu_seconds": self.used.cpu_seconds / seeds}
         samples = []
@@ -113,18 +116,19 @@ class JobRecorder:
 
     @property
     def steps_per_second(self) -> float | None:
-        """Environment steps a second of each seed, from the end of the first iteration to the last."""
+        """Environment steps per second and seed, from the end of the first iteration to that of the last."""
         if self._first is None or self._last is None or self._last == self._first:
             return None
         (begin, first), (end, last) = self._first, self._last
         return (last - first) / max(end - begin, 1e-9)
 
-    def _points(self, curve: Sequence[Row]) -> None:
+    def _log_points(self, curve: Sequence[Row]) -> None:
         for run, row in zip(self.runs, curve, strict=True):
             run.points([row])
 
-    def _find_checkpoint(self) -> None:
-        """A process killed at once may not have told of its last checkpoint; any seed's is the stack's."""
+    def _record_checkpoint(self) -> None:
+        """Record the newest checkpoint on disk, which a killed process may not have reported."""
+        # Every seed's checkpoint holds the whole stack, so the newest in any of the folders counts.
         saved = max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in self.runs)
         for run in self.runs:
             if saved > run.record.durable_iteration:
@@ -135,5 +139,5 @@ class JobRecorder:
             text = failure.traceback or failure.line
             try:
                 write_text(run.directory / TRACEBACK, text + "\n")
-            except HeadwayError as error:  # it must not end the other jobs
+            except HeadwayError as error:  # an error here must not end the other jobs
                 print_line(f"headway: {error}")

@@ -41,13 +41,13 @@ _CELL_COLUMNS = (
     "kWh",
     CO2_HEADING,
 )
-_SPARE = ("steps/s", CO2_HEADING)
+_OPTIONAL = ("steps/s", CO2_HEADING)
 """Columns left out first on a narrow terminal."""
 
 
 @dataclass(frozen=True)
 class SeedResult:
-    """Final metrics of one seed; None where a metric is not known."""
+    """Final metrics of one seed; None for a metric that is not known."""
 
     seed: int
     status: str
@@ -62,9 +62,9 @@ class SeedResult:
     """Environment steps up to the last checkpoint."""
     steps_per_second: float | None
     use: Mapping[str, float | None]
-    """CPU seconds, energy and CO2 over all sessions that trained the seed: its equal share of its stack's."""
+    """CPU seconds, energy and CO2 over all sessions: the seed's equal share of the use of its stack."""
     energy_modes: Mapping[str, str]
-    """How the power of each part is known, for example measured or estimated."""
+    """Source of the power of each part: for example measured or estimated."""
 
     @property
     def summary(self) -> dict[str, float | int | str | None]:
@@ -121,7 +121,7 @@ def stored_result(directory: Path) -> SeedResult:
     """Return the metrics of a run that ended in an earlier session, as stored by that session."""
     record, summary = RunRecord.read(directory), read_summary(directory)
 
-    def figure(name: str) -> float | None:
+    def metric(name: str) -> float | None:
         value = summary.get(name)
         return float(value) if isinstance(value, int | float) else None
 
@@ -130,11 +130,11 @@ def stored_result(directory: Path) -> SeedResult:
         status=record.settled_status,
         run_id=record.run_id,
         directory=str(directory),
-        final_reward=figure("final_reward"),
-        auc=figure("auc"),
+        final_reward=metric("final_reward"),
+        auc=metric("auc"),
         env_steps=record.durable_env_steps,
-        steps_per_second=figure("steps_per_second"),
-        use={name: figure(name) for name in _USE},
+        steps_per_second=metric("steps_per_second"),
+        use={name: metric(name) for name in _USE},
         energy_modes={name: str(value) for name, value in summary.items() if name.startswith("energy.")},
     )
 
@@ -170,23 +170,23 @@ def print_results(
     rows = [result.cells for result in results]
     finished = [result.cells for result in results if result.status == "FINISHED"]
     if len(finished) > 1:
-        rows += _over_seeds(finished)
+        rows += _summary_rows(finished)
     columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
     title = f"{config.algo.get('name')} on {config.env.id}"
-    print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _SPARE)
-    _explain(results)
+    print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _OPTIONAL)
+    _print_notes(results)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
 
 
 def print_cells(
-    study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]], days: Collection[int]
+    study: str, cells: Sequence[tuple[str, int, Sequence[SeedResult]]], episodes: Collection[int]
 ) -> None:
     """Print one row per cell: means over its finished seeds, and the resources used by all its seeds.
 
-    `cells`: (label, number of planned seeds, results of the seeds that ended or were stopped). `days`: the
-    distinct numbers of episodes per point of the evaluation curves.
+    `cells`: (label, number of planned seeds, results of the seeds that ended or were stopped). `episodes`:
+    the distinct numbers of episodes per point of the evaluation curves.
     """
     rows: list[tuple[Cell, ...]] = []
     for label, planned, results in cells:
@@ -199,46 +199,46 @@ def print_cells(
         used = (_sum(results, "cpu_seconds"), _sum(results, "kwh"), kg_co2)
         rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
     estimated = any(_estimated(results) for _, _, results in cells)
-    columns = _headings(_CELL_COLUMNS, estimated, days)
+    columns = _headings(_CELL_COLUMNS, estimated, episodes)
     shown = without_empty(columns, rows, (CO2_HEADING,))
     print_table(*shown, f"study {study}", ("finished",), (CO2_HEADING, AUC_HEADING))
-    _explain([result for _, _, results in cells for result in results])
+    _print_notes([result for _, _, results in cells for result in results])
 
 
-def _explain(results: Sequence[SeedResult]) -> None:
-    """Print what the final reward means, and why some runs have no AUC."""
+def _print_notes(results: Sequence[SeedResult]) -> None:
+    """Print the definition of the final reward, and the reason why runs have no AUC."""
     from headway.stats import FEWEST_POINTS, FINAL_SHARE
     from headway.stats.plots import counted
 
     if any(result.final_reward is not None for result in results):
-        print_line(f"{_FINAL}: the mean of a run's evaluations over the last {FINAL_SHARE:.0%} of its steps")
+        print_line(f"{_FINAL}: mean evaluation return over the last {FINAL_SHARE:.0%} of a run's steps")
     without = sum(result.final_reward is not None and result.auc is None for result in results)
     if without:
         print_line(
-            f"no AUC of {counted(without, 'run')}: evaluated fewer than {FEWEST_POINTS} times "
-            "(evaluation.every sets how often)"
+            f"no AUC for {counted(without, 'run')}: fewer than {FEWEST_POINTS} evaluations "
+            "(evaluation.every sets the interval)"
         )
 
 
-def _headings(columns: Sequence[str], estimated: bool, days: Collection[int]) -> tuple[str, ...]:
-    """Return the headings with remarks: whether energy is estimated, and how many episodes each point of the
-    evaluation curve averages. Other columns and tables use the last evaluation, which may have more."""
+def _headings(columns: Sequence[str], estimated: bool, episodes: Collection[int]) -> tuple[str, ...]:
+    """Return the headings with remarks: whether energy is estimated, and the number of episodes per point of
+    the evaluation curve. The last evaluation, which other tables use, may have more."""
     from headway.stats.plots import counted
 
-    over = f"({counted(next(iter(days)), 'episode')})" if len(days) == 1 else "(episodes differ)"
+    over = f"({counted(next(iter(episodes)), 'episode')})" if len(episodes) == 1 else "(episodes differ)"
     remarks = {_FINAL: over, _MEAN_FINAL: over, "kWh": "(estimated)" if estimated else ""}
     return tuple(f"{name} {remarks.get(name, '')}".rstrip() for name in columns)
 
 
 def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """Return the mean and the sample standard deviation; None for each that too few values leave
-    undefined."""
+    """Return the mean and the sample standard deviation; None for a value that is undefined: both without
+    values, the deviation with one."""
     from headway.stats import mean_std
 
     if not values:
         return None, None
-    figures = mean_std(values)
-    return figures.mean, figures.std if figures.count > 1 else None
+    result = mean_std(values)
+    return result.mean, result.std if result.count > 1 else None
 
 
 def _sum(results: Sequence[SeedResult], name: str) -> float | None:
@@ -268,13 +268,13 @@ def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> 
     return [sorted(rows, key=lambda row: int(row["episode_seed"])) for rows in played]
 
 
-def _over_seeds(rows: Sequence[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
+def _summary_rows(rows: Sequence[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
     """Return the row of means and the row of standard deviations."""
-    figures = [
+    statistics = [
         _mean_std([float(cell) for row in rows if isinstance(cell := row[column], int | float)])
         for column in range(2, len(_COLUMNS))
     ]
     return [
-        ("mean", None, *(mean for mean, _ in figures)),
-        ("std", None, *(deviation for _, deviation in figures)),
+        ("mean", None, *(mean for mean, _ in statistics)),
+        ("std", None, *(deviation for _, deviation in statistics)),
     ]

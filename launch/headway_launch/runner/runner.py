@@ -1,4 +1,4 @@
-"""Cells from plan to table: runs in the store, training, energy, the rules, the results."""
+"""Execution of a session: stored runs, training, energy measurement, rule episodes, results table."""
 
 import sys
 import time
@@ -16,7 +16,7 @@ from headway.store.session import SessionStore
 from headway.training.loop import TrainingJob
 from headway_launch.console.output import own_name, print_line, to_a_reader
 from headway_launch.console.progress import JobProgress
-from headway_launch.experiments.parameters import one_of_a_session
+from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CellPlan, PlannedJob, require_free_disk, uses_gpu, workers_of
@@ -26,14 +26,14 @@ from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.warm_up import compile_kernels_of
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
-_LOSSES = 3
-"""How often a training process may be lost at the same checkpoint before its runs have failed."""
-_NAMED_RUNS = 3
-_NAMED_FAILURES = 10
-_WORTH_TELLING_S = 60.0
-"""Training that is long enough for the store's share of it to mean something."""
+_MAX_RESTARTS = 3
+"""Restarts of a lost training process from one checkpoint; at the next loss its runs fail."""
+_MAX_LISTED_RUNS = 3
+_MAX_LISTED_FAILURES = 10
+_SHORTEST_MEASURED_S = 60.0
+"""Training seconds from which the store's share is printed; in less, start-up and shutdown dominate."""
 STORE_SHARE = "the store:"
-"""How the line begins that tells it."""
+"""Prefix of the line that reports the store's share of the training time."""
 
 
 @dataclass
@@ -43,26 +43,27 @@ class _Job:
     progress: JobProgress
     recording: JobRecorder | None = None
     lost_at: list[int] = field(default_factory=list)
-    """The iteration that was durable when its training process was lost, each time."""
+    """Last durable iteration at each loss of the training process."""
 
     @property
     def account(self) -> str:
-        """Names its energy: another one after each loss, as processes count from 0."""
+        """Account of the job in the energy meter. Each restarted process, whose counters begin at 0, has
+        another."""
         return f"{id(self)} {len(self.lost_at)}"
 
 
 class Runner:
-    """Conducts the cells of one session to their end: one store, one measurement of energy, and jobs of all
-    cells side by side. Raises HeadwayError before anything starts if the store cannot be used.
+    """Trains the cells of one session with one store and one energy meter, jobs of all cells in parallel.
+    Raises HeadwayError before anything starts if the store cannot be used.
 
-    `plan_kept`: the study knows what was planned, so runs that never begin need no folder.
+    `plan_kept`: the study stores its plan, so runs that never start need no folder.
     """
 
     def __init__(self, cells: Sequence[CellPlan], debug: bool = False, plan_kept: bool = False) -> None:
         self._config: ExperimentConfig = cells[0].experiment.config
         self._debug, self._plan_kept = debug, plan_kept
         self._own_cpu_s = 0.0
-        """What this process did from the beginning of training on, but for playing rules."""
+        """CPU seconds of this process since training began, without those spent on rule episodes."""
         planned = [job for cell in cells for job in cell.jobs]
         self._cluster = SessionCluster.open([job.config.backend for job in planned])
         try:
@@ -80,8 +81,8 @@ class Runner:
             raise
         self._sampled = time.monotonic()
 
-    def conduct(self) -> int:
-        """Train, evaluate the rules, print the table; returns the exit code."""
+    def run(self) -> int:
+        """Train, evaluate the rules and print the results; return the exit code."""
         began, self._own_cpu_s = time.monotonic(), -time.process_time()
         session = Scheduler(
             [job.progress for job in self._jobs],
@@ -90,11 +91,11 @@ class Runner:
             self._take,
             self._tick,
             self._cluster.open_training,
-            self._goes_on,
+            self._should_restart,
         )
         try:
             stopped = session.run()
-            self._finish_jobs(stopped)
+            self._store_unstarted(stopped)
             played: dict[str, Rules] = {}
             rules_from = time.thread_time()
             for cell in self._cells if not stopped else ():
@@ -108,11 +109,11 @@ class Runner:
         self._own_cpu_s += time.process_time()
         with to_a_reader(sys.stdout):
             self._print()
-        self._say_where(time.monotonic() - began)
+        self._print_summary(time.monotonic() - began)
         return self._exit_code(stopped)
 
     def final_rewards(self) -> list[list[float]]:
-        """The final reward of each finished seed, cell by cell."""
+        """Return the final rewards of the finished seeds, one list per cell."""
         return [
             [
                 result.final_reward
@@ -123,7 +124,7 @@ class Runner:
         ]
 
     def _begin(self, index: int) -> TrainingJob:
-        """The runs of a job, made or taken up again, and what its training process is given."""
+        """Create or resume the runs of a job and return the work of its training process."""
         job = self._jobs[index]
         runs = job.cell.runs(job.planned, self._shares)
         before = [run.energy_so_far for run in runs] if job.planned.resumed else []
@@ -134,7 +135,7 @@ class Runner:
 
     def _take(self, index: int, event: Event) -> None:
         job = self._jobs[index]
-        if job.recording is None:  # it failed before it had a run
+        if job.recording is None:  # failed before its runs were created
             return
         job.recording.take(event)
         if job.recording.status != "RUNNING":
@@ -142,18 +143,20 @@ class Runner:
             if self._debug and job.recording.failure:
                 print_line(job.recording.failure.traceback)
 
-    def _goes_on(self, index: int) -> bool:
-        """End the runs of a job whose training process was lost as those of a killed session, and plan to go
-        on with them as the next session would; False where that has been of no use."""
+    def _should_restart(self, index: int) -> bool:
+        """Return whether to restart a job whose training process was lost, and plan its resumption if so.
+
+        Its runs end as killed ones. False after `_MAX_RESTARTS` restarts from the same checkpoint.
+        """
         job = self._jobs[index]
         if job.recording is None:
             return False
         runs = job.recording.runs
         durable = min(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in runs)
-        if job.lost_at.count(durable) == _LOSSES:
+        if job.lost_at.count(durable) == _MAX_RESTARTS:
             return False
         job.recording.status = "KILLED"
-        self._finish(job, job.recording, counts=False)
+        self._finish(job, job.recording, in_results=False)
         job.lost_at.append(durable)
         job.recording = None
         job.planned = replace(
@@ -184,8 +187,8 @@ class Runner:
         for name, recording in running.items():
             recording.keep_energy(time.time(), energies[name])
 
-    def _finish(self, job: _Job, recording: JobRecorder, counts: bool = True) -> None:
-        """`counts`: it has a place in the session's table."""
+    def _finish(self, job: _Job, recording: JobRecorder, in_results: bool = True) -> None:
+        """End the runs of a job in the store; `in_results`: add them to the results table."""
         assert self._meter is not None
         cell = job.cell
         others = {name: other.usage for name, other in self._running().items()}
@@ -194,22 +197,22 @@ class Runner:
         for run, used in zip(recording.runs, recording.keep_energy(time.time(), energy), strict=True):
             result = seed_result(run, recording, cell.config.evaluation.modes[0], used, modes)
             run.finish(recording.status, result.summary)
-            if counts:
+            if in_results:
                 cell.results.append(result)
 
-    def _finish_jobs(self, stopped: bool) -> None:
-        """Put down the runs that never began, so that `headway resume` finds them."""
+    def _store_unstarted(self, stopped: bool) -> None:
+        """Store the runs that never started as killed, so that `headway resume` finds them."""
         for job in self._jobs:
             if stopped and job.recording is None and not job.planned.resumed and not self._plan_kept:
                 job.recording = JobRecorder(job.cell.runs(job.planned, self._shares), status="KILLED")
                 self._finish(job, job.recording)
 
     def _end_cells(self) -> None:
-        figures = _session_figures(self._meter.stop()) if self._meter else {}
+        metrics = _session_metrics(self._meter.stop()) if self._meter else {}
         for cell in self._cells:
-            # Also cells with nothing left to do: a session that was killed may have left them open in MLflow.
+            # Cells without jobs are ended too: a killed session may have left them open in MLflow.
             statuses = [_status(job) for job in self._jobs if job.cell is cell]
-            cell.finish(statuses, figures if cell.touched else {})
+            cell.finish(statuses, metrics if cell.touched else {})
 
     def _exit_code(self, stopped: bool) -> int:
         if stopped:
@@ -227,68 +230,67 @@ class Runner:
                 {cell.config.evaluation.episodes for cell in self._cells},
             )
 
-    def _say_where(self, seconds: float) -> None:
+    def _print_summary(self, seconds: float) -> None:
         root, study = self._config.store.root, self._config.study
         results = [result for cell in self._cells for result in cell.results]
         folders = sorted({str(Path(result.directory).parent) for result in results})
-        where = ", ".join(_from_here(folder) for folder in folders)
+        where = ", ".join(_relative(folder) for folder in folders)
         option = "" if root == type(self._config.store)().root else f" --store {root}"
         if where:
             print_line(
-                f"{seconds:.0f} s; run folders in {where}; look at them with: {own_name()} browse{option}"
+                f"{seconds:.0f} s; run folders in {where}; view them with: {own_name()} browse{option}"
             )
         if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
             environments = {repr((cell.config.env.id, cell.config.env.args)) for cell in self._cells}
             command = "compare" if len(environments) == 1 else "report"
-            print_line(f"beside the rules, with intervals: {own_name()} {command} {study}{option}")
-        self._say_what_tracking_took()
-        self._say_what_failed()
+            print_line(f"compare with the rules, with intervals: {own_name()} {command} {study}{option}")
+        self._print_store_share()
+        self._print_failures()
         unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
-        never_begun = sum(len(job.planned.seeds) for job in self._jobs if job.recording is None)
-        if unfinished or never_begun:
+        not_started = sum(len(job.planned.seeds) for job in self._jobs if job.recording is None)
+        if unfinished or not_started:
             named = (
                 " ".join(unfinished)
-                if len(unfinished) <= _NAMED_RUNS and not self._plan_kept
+                if len(unfinished) <= _MAX_LISTED_RUNS and not self._plan_kept
                 else f"--study {study}"
             )
-            kinds = f"{never_begun} runs have not begun; " if never_begun else ""
-            print_line(f"headway: {kinds}to go on: {own_name()} resume {named}{option}")
+            waiting = f"runs not started: {not_started}; " if not_started else ""
+            print_line(f"headway: {waiting}to continue: {own_name()} resume {named}{option}")
 
-    def _say_what_tracking_took(self) -> None:
-        """Of all that training processes did, and this process beside them, how much was for the store; of
-        a short training nothing, as all is beginning and end."""
+    def _print_store_share(self) -> None:
+        """Print the store's share of the training time, in the training processes and in this one."""
         recordings = [job.recording for job in self._jobs if job.recording is not None]
         trained = sum(recording.trained_s for recording in recordings)
-        if trained >= _WORTH_TELLING_S:
+        if trained >= _SHORTEST_MEASURED_S:
             kept, own = sum(recording.store_s for recording in recordings), self._own_cpu_s
             print_line(
                 f"{STORE_SHARE} {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
                 f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
             )
 
-    def _say_what_failed(self) -> None:
+    def _print_failures(self) -> None:
         failed = [job for job in self._jobs if job.progress.status == "failed"]
-        for job in failed[:_NAMED_FAILURES]:
+        for job in failed[:_MAX_LISTED_FAILURES]:
             where = (
-                f"; see {_from_here(str(job.recording.runs[0].directory))}/{TRACEBACK}"
+                f"; see {_relative(str(job.recording.runs[0].directory))}/{TRACEBACK}"
                 if job.recording
                 else ""
             )
             print_line(f"headway: {job.progress.name} failed: {job.progress.failure}{where}")
-        if len(failed) > _NAMED_FAILURES:
-            more = len(failed) - _NAMED_FAILURES
-            print_line(f"headway: and {more} more failed; `headway runs --status FAILED` shows them")
+        if len(failed) > _MAX_LISTED_FAILURES:
+            more = len(failed) - _MAX_LISTED_FAILURES
+            print_line(f"headway: and {more} more failed; `headway runs --status FAILED` lists them")
 
 
 def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:
-    """Conduct cells, those that one session can take together, the others after them; returns the worst exit
+    """Run cells of equal session settings together, the groups one after another; return the worst exit
     code."""
     sessions: dict[str, list[CellPlan]] = {}
     for cell in cells:
-        sessions.setdefault(str(one_of_a_session(cell.experiment.config)), []).append(cell)
+        sessions.setdefault(str(session_settings(cell.experiment.config)), []).append(cell)
     worst = EXIT_DONE
     for together in sessions.values():
-        worst = max(worst, Runner(together, debug, plan_kept).conduct())
+        worst = max(worst, Runner(together, debug, plan_kept).run())
         if worst == EXIT_STOPPED:
             break
     return worst
@@ -307,18 +309,18 @@ def _progress_of(cell: SessionCell, job: PlannedJob) -> JobProgress:
 
 
 def _status(job: _Job) -> Status:
-    """A job that never began was stopped before its turn, unless it could not begin."""
+    """Return the status of a job; one that never started was killed unless it failed to start."""
     if job.recording is not None:
         return job.recording.status
     return "FAILED" if job.progress.status == "failed" else "KILLED"
 
 
-def _session_figures(report: EnergyReport) -> dict[str, float]:
-    """What the machine used, and the parts of it that are no run's."""
+def _session_metrics(report: EnergyReport) -> dict[str, float]:
+    """Return the energy of the machine in kWh, and the parts of it that no run used (session and idle)."""
     parts = {"total": report.total, "session": report.session, "idle": report.idle}
     return {f"energy_{name}_kwh": part.kwh for name, part in parts.items() if part.kwh is not None}
 
 
-def _from_here(folder: str) -> str:
+def _relative(folder: str) -> str:
     path = Path(folder)
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else folder

@@ -1,4 +1,4 @@
-"""A session: training processes side by side, heard until the last of them has ended."""
+"""Parallel training processes: start, events, stop requests and restart."""
 
 import math
 import signal
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
 _SAME_REQUEST_S = 1.0
 
 
 class StopRequests:
-    """Counts Ctrl-C, SIGTERM and SIGHUP instead of dying of them, while it is entered. Signals within a
-    second of one that counted are the same request: a key pressed twice, a parent that passes on its own.
-    After the first request only Ctrl-C counts: who sends the others again was not told what that does."""
+    """Context that counts Ctrl-C, SIGTERM and SIGHUP as stop requests instead of ending the process.
+
+    Signals within a second of a counted one belong to the same request. After the first request only Ctrl-C
+    counts, because the effect of a second request is announced on the screen only.
+    """
 
     def __init__(self) -> None:
         self.count = 0
@@ -37,7 +37,7 @@ class StopRequests:
 
     def __enter__(self) -> Self:
         for number in _STOP_SIGNALS:
-            self._before[number] = signal.signal(number, self._note)
+            self._before[number] = signal.signal(number, self._count_signal)
         return self
 
     def __exit__(
@@ -49,65 +49,67 @@ class StopRequests:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def told(self) -> None:
-        """The first request has been answered on the screen: whatever came before that was the same one."""
+    def acknowledge(self) -> None:
+        """Count all requests so far as one; to be called once the first has been announced on the screen."""
         self.count, self._counted_at = 1, time.monotonic()
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        moment = time.monotonic()
+    def _count_signal(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
         if self.count and number != signal.SIGINT:
             return
-        if moment - self._counted_at >= _SAME_REQUEST_S:
+        # A double key press, or a signal that the parent process forwards, arrives twice.
+        if now - self._counted_at >= _SAME_REQUEST_S:
             self.count += 1
-            self._counted_at = moment
+            self._counted_at = now
 
 
 class Training(Protocol):
-    """One training process, wherever it is."""
+    """Interface to a training process on this machine or in a cluster."""
 
     @property
     def lost(self) -> bool:
-        """It was lost with what it ran on, and may go on elsewhere."""
+        """Whether the process was lost together with its machine and can be restarted elsewhere."""
         ...
 
     @property
-    def connection(self) -> Any:  # noqa: ANN401 - whatever `multiprocessing.connection.wait` takes
-        """Ready to be waited for: an event, or the end."""
+    def connection(self) -> Any:  # noqa: ANN401 - any object `multiprocessing.connection.wait` takes
+        """Object to wait on; ready when an event has arrived or the process has ended."""
         ...
 
     @property
-    def sentinel(self) -> Any:  # noqa: ANN401 - the same
-        """Ready to be waited for once it is gone."""
+    def sentinel(self) -> Any:  # noqa: ANN401 - as `connection`
+        """Object to wait on; ready when the process has ended."""
         ...
 
     def has_event(self) -> bool:
-        """Whether `receive` returns at once."""
+        """Return whether `receive` would return without waiting."""
         ...
 
     def has_ended(self) -> bool:
-        """Whether nothing more will be heard."""
+        """Return whether no further event will arrive."""
         ...
 
     def receive(self) -> Event | None:
-        """The next event, or None where there will be none."""
+        """Return the next event; None once there are no more."""
         ...
 
     def ask_to_stop(self) -> None:
-        """Ask for a checkpoint and an end."""
+        """Request a checkpoint and an orderly end."""
         ...
 
     def kill(self) -> None:
-        """End it and its workers at once."""
+        """Kill the process and its workers."""
         ...
 
     def join(self) -> str:
-        """Wait for the end; say how it ended, for one that gave no last event."""
+        """Wait for the end; return how the process ended, for one that sent no final event."""
         ...
 
 
 class Scheduler:
-    """Runs jobs, `parallel` at a time, made by `begin(index)` when their turn comes. Every event goes to
-    `take(index, event)`; `tick` is called a few times a second. A job that fails does not stop the others."""
+    """Runs jobs, `parallel` at a time. `begin(index)` returns a job when its turn comes, `take(index, event)`
+    receives every event, and `tick` is called a few times per second. A failed job does not stop the others.
+    """
 
     def __init__(
         self,
@@ -117,31 +119,30 @@ class Scheduler:
         take: Callable[[int, Event], None],
         tick: Callable[[], Sequence[str]] = tuple,
         open_training: Callable[["TrainingJob"], Training] = TrainingProcess,
-        goes_on: Callable[[int], bool] = lambda index: False,
+        should_restart: Callable[[int], bool] = lambda index: False,
     ) -> None:
-        """`goes_on(index)` is asked of a job whose training process was lost, and begins again if it says
-        so."""
+        """`should_restart(index)` decides whether a job whose training process was lost is started again."""
         self._begin = begin
         self._progress = progress
         self._parallel = parallel
         self._take = take
         self._tick = tick
-        self._open_training, self._goes_on = open_training, goes_on
+        self._open_training, self._should_restart = open_training, should_restart
         self._running: dict[int, Training] = {}
         self._waiting = list(range(len(progress)))
         self._asked_to_stop = False
         self._killed = False
 
     def run(self) -> bool:
-        """Train everything; returns whether the session was asked to stop. Whatever is raised, no training
-        process is left."""
+        """Run all jobs; return whether a stop was requested. Leaves no training process behind, also if it
+        raises."""
         try:
             with StopRequests() as requests, Progress(self._progress, self._parallel) as shown:
                 while self._running or (self._waiting and not requests.count):
                     while self._waiting and len(self._running) < self._parallel and not requests.count:
                         self._start(self._waiting.pop(0), shown)
-                    self._hear(shown)
-                    self._obey(requests, shown)
+                    self._receive_events(shown)
+                    self._handle_requests(requests, shown)
                     for line in self._tick():
                         shown.note(f"headway: {line}")
                     shown.show()
@@ -158,8 +159,8 @@ class Scheduler:
         except HeadwayError as error:
             self._take_event(index, Failed(str(error), traceback.format_exc()), shown)
 
-    def _hear(self, shown: Progress) -> None:
-        """Take the events that have arrived, waiting a moment if there are none."""
+    def _receive_events(self, shown: Progress) -> None:
+        """Process the events that have arrived, after waiting up to `_POLL_S` for the first."""
         by_handle: dict[Any, int] = {
             handle: index
             for index, process in self._running.items()
@@ -190,28 +191,28 @@ class Scheduler:
 
     def _end(self, index: int, shown: Progress) -> None:
         training = self._running.pop(index)
-        how = training.join()
+        reason = training.join()
         job = self._progress[index]
         unfinished = job.status in ("starting", "training")
-        if unfinished and training.lost and not self._asked_to_stop and self._goes_on(index):
-            shown.note(f"headway: {job.name}: {how}; it goes on elsewhere from its last checkpoint")
+        if unfinished and training.lost and not self._asked_to_stop and self._should_restart(index):
+            shown.note(f"headway: {job.name}: {reason}; it continues elsewhere from its last checkpoint")
             job.status = "waiting"
             self._waiting.insert(0, index)
             return
         if unfinished:
-            last = Finished(job.iteration, stopped=True) if self._killed else Failed(how, "")
+            last = Finished(job.iteration, stopped=True) if self._killed else Failed(reason, "")
             self._take_event(index, last, shown)
 
-    def _obey(self, requests: StopRequests, shown: Progress) -> None:
+    def _handle_requests(self, requests: StopRequests, shown: Progress) -> None:
         if requests.count and not self._asked_to_stop and self._running:
             self._asked_to_stop = True
             for process in self._running.values():
                 process.ask_to_stop()
-            shown.note("stopping after this iteration, with a checkpoint; Ctrl-C again kills at once")
-            requests.told()
+            shown.note("stopping after this iteration, with a checkpoint; press Ctrl-C again to kill at once")
+            requests.acknowledge()
         if requests.count > 1 and self._running:
             if not self._killed:
-                shown.note("killed; what came after the last checkpoint is lost")
+                shown.note("killed; training after the last checkpoint is lost")
             self._killed = True
             for process in self._running.values():
                 process.kill()

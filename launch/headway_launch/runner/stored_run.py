@@ -40,10 +40,9 @@ class StoredRun:
 
     @classmethod
     def read(cls, root: Path, directory: Path) -> "StoredRun":
-        """Return the run stored in `directory`. Raises HeadwayError if the folder is incomplete. ~1 The store
-        may have been moved since. The store may have been moved since the run was written."""
+        """Return the run stored in `directory`. Raises HeadwayError if the folder is incomplete."""
         mapping = read_configuration(directory)
-        # The store may have been moved since.
+        # The store may have been moved since the run was written.
         mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
         plan = read_json(directory / "plan.json")
         stack = tuple(int(seed) for seed in plan["stack"])
@@ -59,31 +58,30 @@ class StoredRun:
 
     @property
     def identity(self) -> str:
-        """What makes two runs of a seed the same run; see
+        """Key that is equal for two runs of a seed with the same learning curve; see
         `headway_launch.experiments.parameters.identity`."""
         return identity(self.mapping)
 
     @property
     def experiment(self) -> Experiment:
-        """The stored configuration, validated again. Raises HeadwayError if this version refuses it."""
+        """The experiment of the stored configuration. Raises HeadwayError if this version refuses it."""
         return resolve(self.mapping)
 
 
 def read_configuration(directory: Path) -> dict[str, Any]:
-    """Return the configuration in a run's folder. Raises HeadwayError if it cannot be read. ~1 The loader in
-    C The C loader is ten times faster, which is noticeable in studies with hundreds of runs."""
+    """Return the configuration in a run's folder. Raises HeadwayError if it cannot be read."""
     import yaml
 
     path = directory / "config.yaml"
-    # The loader in C is ten times faster, which shows where a study has hundreds of runs.
+    # The C loader is ten times faster, which is noticeable in studies with hundreds of runs.
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         mapping = yaml.load(path.read_text(encoding="utf-8"), loader)
     except (OSError, yaml.YAMLError) as error:
         reason = str(error).splitlines()[0]
-        raise HeadwayError(f"{path} cannot be read ({reason}): the run cannot be used") from error
+        raise HeadwayError(f"{path} cannot be read ({reason}), so the run cannot be used") from error
     if not isinstance(mapping, dict):
-        raise HeadwayError(f"{path} holds no configuration: the run cannot be used")
+        raise HeadwayError(f"{path} holds no configuration, so the run cannot be used")
     return mapping
 
 
@@ -94,12 +92,11 @@ def jobs_to_resume(
 
     Runs of one configuration share a batch; several runs of one seed go into successive batches. `known`: as
     in `Experiment.prepare`. Raises HeadwayError if a stack is incomplete: its seeds can only be resumed
-    together. ~1 By age, so Oldest first: the runs of a stack, which began together, then land in the same
-    batch.
+    together.
     """
     batches: dict[tuple[str, int], list[StoredRun]] = {}
     times: Counter[tuple[str, int]] = Counter()
-    # By age, so that the runs of a stack, which began together, come into one batch.
+    # Oldest first: the runs of a stack began together and then share a batch.
     for run in sorted(runs, key=lambda run: run.record.started):
         seed = run.configuration, run.record.seed
         batches.setdefault((run.configuration, times[seed]), []).append(run)
@@ -111,7 +108,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
     first = runs[0]
     seeds = [run.record.seed for run in runs]
     experiment = resolve({**first.mapping, "seed": seeds})
-    found = experiment.prepare(known)
+    environment = experiment.prepare(known)
     by_seed = {run.record.seed: run for run in runs}
     stacks = list(dict.fromkeys(run.stack for run in runs))
     jobs = []
@@ -119,7 +116,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
         missing = [seed for seed in stack if seed not in by_seed]
         if missing:
             raise HeadwayError(
-                f"seeds {', '.join(map(str, stack))} were trained in one stack and go on together; "
+                f"seeds {', '.join(map(str, stack))} were trained in one stack and resume together only; "
                 f"name the runs of seed {', '.join(map(str, missing))} too"
             )
         run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
@@ -132,9 +129,9 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             PlannedJob(
                 experiment,
                 config,
-                found.prepared,
-                found.training,
-                found.spec,
+                environment.prepared,
+                environment.training,
+                environment.spec,
                 stack,
                 run_ids,
                 iteration,

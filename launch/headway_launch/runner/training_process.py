@@ -1,4 +1,4 @@
-"""One training process as its session sees it: started, heard, asked to stop, and never left behind."""
+"""A training process on this machine and the session's handle of it: start, events, stop and kill."""
 
 import os
 import signal
@@ -23,22 +23,22 @@ _LAST_EVENT_S = 1.0
 Report = Callable[[Event], None]
 ShouldStop = Callable[[], bool]
 Work = Callable[[Report, ShouldStop], None]
-"""What a training process does: it reports events, and stops where it should."""
+"""Work of a training process: it reports events and ends when `ShouldStop` returns true."""
 
 
 class TrainingProcess:
-    """Runs one job in a process, and process group, of its own, so that Ctrl-C reaches the session only."""
+    """Runs one job in a separate process and process group, so that Ctrl-C reaches the session only."""
 
     lost = False
-    """See `headway_launch.runner.scheduler.Training`: it does not die with its machine alone."""
+    """Always false: the session is on the same machine. See `headway_launch.runner.scheduler.Training`."""
 
     def __init__(self, job: "TrainingJob", work: Work | None = None) -> None:
-        """`work`: what it does instead of training `job`, which names it then; picklable."""
+        """Start the process; `work` (picklable) replaces the training of `job`, which then only names it."""
         context = get_context("spawn")
-        self._events, childs_end = context.Pipe()
+        self._events, child_end = context.Pipe()
         name = f"headway training {', '.join(str(seed) for seed in job.seeds)}"
         self._process = context.Process(
-            target=_work, args=(work or partial(train_and_tell, job), childs_end), name=name
+            target=_run, args=(work or partial(train_and_report, job), child_end), name=name
         )
         resource_tracker.ensure_running()
         # Signals stay blocked until the child has left the terminal's process group.
@@ -47,54 +47,54 @@ class TrainingProcess:
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-        childs_end.close()
+        child_end.close()
         self._at_end = False
 
     @property
     def connection(self) -> Connection:
-        """Ready to be waited for with `multiprocessing.connection.wait`."""
+        """Pipe that is ready when an event has arrived or the process has ended."""
         return self._events
 
     @property
     def sentinel(self) -> int:
-        """Ready to be waited for once the process is gone."""
+        """Handle that is ready when the process has ended."""
         return self._process.sentinel
 
     def has_event(self) -> bool:
-        """Whether `receive` returns at once."""
+        """Return whether `receive` would return without waiting."""
         return not self._at_end and self._events.poll()
 
     def has_ended(self) -> bool:
-        """Whether nothing more will be heard."""
+        """Return whether no further event will arrive."""
         return self._at_end or (not self._process.is_alive() and not self._events.poll())
 
     def receive(self) -> Event | None:
-        """The next event, or None where the process has closed its end."""
+        """Return the next event; None if the process has closed its end of the pipe."""
         try:
             event: Event = self._events.recv()
-        except (EOFError, OSError):  # OSError also where it was killed in the middle of an event
+        except (EOFError, OSError):  # OSError if killed while sending
             self._at_end = True
             return None
         return event
 
     def ask_to_stop(self) -> None:
-        """Ask for a checkpoint and an end; nothing happens if the process is already gone."""
+        """Request a checkpoint and an orderly end; no effect if the process has ended."""
         try:
             self._events.send("stop")
         except OSError:
             return
 
     def kill(self) -> None:
-        """End the process and its workers at once."""
+        """Kill the process and its workers."""
         if self._process.pid is None or not self._process.is_alive():
             return
         try:
             os.killpg(self._process.pid, signal.SIGKILL)
-        except ProcessLookupError:  # not yet leader of its group, or gone
+        except ProcessLookupError:  # not yet leader of its group, or ended
             self._process.kill()
 
     def join(self) -> str:
-        """Wait for the end; say how it ended, for a process that gave no last event."""
+        """Wait for the end; return how the process ended, for one that sent no final event."""
         self._process.join(_LAST_EVENT_S)
         if self._process.is_alive():
             self.kill()
@@ -105,13 +105,13 @@ class TrainingProcess:
             return "its training process was killed by SIGKILL (out of memory?); lower backend.parallel"
         if code < 0:
             return f"its training process was killed by {signal.Signals(-code).name}"
-        return f"its training process ended with code {code} and no word"
+        return f"its training process ended with exit code {code} and without a final event"
 
 
-def _work(work: Work, connection: Connection) -> None:
+def _run(work: Work, connection: Connection) -> None:
     os.setpgid(0, 0)
     for number in _SIGNALS:
-        # A handler, not SIG_IGN: workers would inherit that and could not be terminated.
+        # Not SIG_IGN: workers would inherit it and could not be terminated.
         signal.signal(number, lambda *_: None)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     threading.Thread(target=_end_with_session, daemon=True).start()
@@ -123,8 +123,8 @@ def _work(work: Work, connection: Connection) -> None:
     sys.stdout.flush()
 
 
-def train_and_tell(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:
-    """Train a job; what it fails of is its last event. Raises BrokenPipeError where nobody listens."""
+def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:
+    """Train a job; report an error as its final event. Raises BrokenPipeError if the session has ended."""
     from headway.training.loop import train
 
     try:
@@ -139,6 +139,7 @@ def train_and_tell(job: "TrainingJob", report: Report, should_stop: ShouldStop) 
 
 
 def _end_with_session() -> None:
+    """Wait for the session's process to end, then kill this process group."""
     session = parent_process()
     if session is not None:
         wait([session.sentinel])

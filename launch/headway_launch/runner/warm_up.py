@@ -1,4 +1,4 @@
-"""Compiles the kernels once, before any process starts, and tells the user."""
+"""Compilation of the kernels, once, before any process starts."""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -16,8 +16,8 @@ _LINE = "compiling kernels, once"
 
 
 def compile_kernels(env: "EnvEntry") -> None:
-    """Call `warm` in those preloaded modules of an environment that define it. Otherwise every training
-    process and worker would compile the same kernels at the same time, without showing progress."""
+    """Call `warm` in the preloaded modules of an environment that define it, so that training processes and
+    workers load the kernels from the cache instead of compiling them all at once."""
     _warm(env.preload)
 
 
@@ -31,28 +31,28 @@ def _warm(names: Iterable[str]) -> None:
     modules = [import_module(name) for name in names]
     for module in modules:
         if hasattr(module, "warm"):
-            with _told_of_compiling():
+            with _compilation_shown():
                 module.warm()
 
 
 @contextmanager
-def _told_of_compiling() -> Iterator[None]:
-    """Tell the user when numba begins to compile; loading from its cache is not reported."""
+def _compilation_shown() -> Iterator[None]:
+    """Print a line when numba begins to compile; loading from its cache is not reported."""
     if "numba" not in sys.modules:
         yield
         return
     from numba.core import event
 
-    class Teller(event.Listener):  # type: ignore[misc]  # numba comes without types
-        told = False
+    class FirstCompilation(event.Listener):  # type: ignore[misc]  # numba has no type stubs
+        printed = False
 
         def on_start(self, event: object) -> None:
-            if not self.told:
+            if not self.printed:
                 print_line(_LINE)
-            self.told = True
+            self.printed = True
 
         def on_end(self, event: object) -> None:
-            """Do nothing: numba calls this for each function."""
+            """Do nothing; the listener must define this method."""
 
-    with event.install_listener("numba:compile", Teller()):
+    with event.install_listener("numba:compile", FirstCompilation()):
         yield

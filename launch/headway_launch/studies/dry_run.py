@@ -1,4 +1,4 @@
-"""What a session would take: its runs listed, time and energy estimated from a short calibration."""
+"""A dry run: the runs of a session, and the time and energy that a short calibration predicts."""
 
 from collections.abc import Sequence
 from heapq import heapify, heapreplace
@@ -13,37 +13,42 @@ from headway_launch.runner.jobs import CellPlan, share_cores
 from headway_launch.studies.plan import StudyProgress
 
 
-def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
-    """List the runs of a session, then estimate what those that are left take; returns the exit code.
-    Nothing is written to the store.
+def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
+    """Print the runs of a session and the estimated cost of training them; return the exit code. Nothing is
+    written to the store.
 
-    Raises HeadwayError if what is to be measured cannot run.
+    Raises HeadwayError if a cell cannot be trained.
     """
     planned = [job for cell in cells for job in cell.jobs]
     config = cells[0].experiment.config
     named = [cell.label or cell.experiment.algo_name for cell in cells]
     kinds = [
         (name, *kind)
-        for name, standing, cell in zip(named, standings, cells, strict=True)
-        for kind in _what_happens(standing, cell)
+        for name, each, cell in zip(named, progress, cells, strict=True)
+        for kind in _seeds_by_action(each, cell)
     ]
-    print_table(("cell", "seeds", "runs", "what happens"), kinds, f"study {config.study}")
+    print_table(("cell", "seeds", "runs", "action"), kinds, f"study {config.study}")
     if not planned:
         print_line("headway: nothing is left to train")
         return 0
-    print(flush=True)  # the list is there while its cells are measured
+    print(flush=True)  # show the list during the calibration
     shares = share_cores(config.backend, planned, usable_cores())
     paces, modes = calibrate([cell for cell in cells if cell.jobs], shares)
     rows: list[tuple[Cell, ...]] = []
     expected: list[Expectation] = []
     for name, cell in zip(named, cells, strict=True):
         if cell.jobs:
-            of_cell = [paces[id(cell)].of_job(cell.experiment.config, job.iteration) for job in cell.jobs]
+            estimates = [paces[id(cell)].estimate(cell.experiment.config, job.iteration) for job in cell.jobs]
             rows.append(
-                (name, len(of_cell), sum(job.seconds for job in of_cell) / len(of_cell), *_used(of_cell))
+                (
+                    name,
+                    len(estimates),
+                    sum(job.seconds for job in estimates) / len(estimates),
+                    *_totals(estimates),
+                )
             )
-            expected += of_cell
-    columns = ("cell", "trainings", "s each", "CPU s in all", "kWh in all", "kg CO2eq in all")
+            expected += estimates
+    columns = ("cell", "trainings", "s each", "total CPU s", "total kWh", "total kg CO2eq")
     known, cells_known = without_empty(columns, rows, columns[-1:])
     print_table(known, cells_known, spare=known[:3:-1])
     _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name)
@@ -51,14 +56,14 @@ def print_estimate(standings: Sequence[StudyProgress], cells: Sequence[CellPlan]
     if runs != len(planned):
         most = max(len(job.seeds) for job in planned)
         print(
-            f"{counted(runs, 'run')} in {counted(len(planned), 'training')}: a training is a stack of up to "
-            f"{most} seeds (backend.stack), each a run of its own in the store."
+            f"{counted(runs, 'run')} in {counted(len(planned), 'training')}: each trains a stack of up to "
+            f"{most} seeds (backend.stack), stored as one run per seed."
         )
     return 0
 
 
 def makespan(seconds: Sequence[float], parallel: int) -> float:
-    """How long jobs take together, each begun in order when one of `parallel` places is free."""
+    """Return the seconds until all jobs have ended if they start in order, `parallel` at a time."""
     free = [0.0] * max(parallel, 1)
     heapify(free)
     for each in seconds:
@@ -67,7 +72,7 @@ def makespan(seconds: Sequence[float], parallel: int) -> float:
 
 
 def spans(numbers: Sequence[int]) -> str:
-    """`0..3,7`: rising numbers that follow each other as their first and last."""
+    """Return rising numbers as text, with three or more consecutive ones shortened to a range: `0..3,7`."""
     parts: list[list[int]] = []
     for number in numbers:
         if parts and number == parts[-1][-1] + 1:
@@ -77,20 +82,20 @@ def spans(numbers: Sequence[int]) -> str:
     return ",".join(f"{part[0]}..{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
 
 
-def _what_happens(standing: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
-    """Seeds, their number, and what happens to them."""
+def _seeds_by_action(progress: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
+    """Return (seeds as text, number of seeds, action) for each action that the session takes on a cell."""
     kinds: dict[str, list[int]] = {}
     for job in cell.jobs:
-        whole = cell.experiment.config.iterations
-        what = f"goes on at iteration {job.iteration} of {whole}" if job.resumed else "begins"
-        kinds.setdefault(what, []).extend(job.seeds)
-    there = {"has finished": standing.finished, "runs elsewhere": standing.elsewhere}
-    kinds |= {what: [run.record.seed for run in runs] for what, runs in there.items() if runs}
-    return [(spans(seeds), len(seeds), what) for what, seeds in kinds.items()]
+        iterations = cell.experiment.config.iterations
+        action = f"resume at iteration {job.iteration} of {iterations}" if job.resumed else "train"
+        kinds.setdefault(action, []).extend(job.seeds)
+    others = {"none (finished)": progress.finished, "none (in another session)": progress.elsewhere}
+    kinds |= {action: [run.record.seed for run in runs] for action, runs in others.items() if runs}
+    return [(spans(seeds), len(seeds), action) for action, seeds in kinds.items()]
 
 
-def _used(expected: Sequence[Expectation]) -> tuple[float, float | None, float | None]:
-    """CPU s, kWh and kg CO2eq of some trainings; None where energy is not measured."""
+def _totals(expected: Sequence[Expectation]) -> tuple[float, float | None, float | None]:
+    """Return the total CPU s, kWh and kg CO2eq of trainings; None for energy that is not measured."""
     known = [each.kwh for each in expected if each.kwh is not None]
     emitted = [each.kg_co2 for each in expected if each.kg_co2 is not None]
     cpu_s = sum(each.cpu_s for each in expected)
@@ -101,24 +106,24 @@ def _print_totals(
     expected: Sequence[Expectation], parallel: int, paces: Sequence[Pace], modes: str, backend: str
 ) -> None:
     wall = makespan([each.seconds for each in expected], parallel)
-    cpu_s, kwh, kg = _used(expected)
+    cpu_s, kwh, kg = _totals(expected)
     energy = ", energy not measured" if kwh is None else f", {kwh:.3g} kWh"
     energy += "" if kg is None else f", {kg:.3g} kg CO2eq"
     print(
-        f"\n{counted(len(expected), 'training')}, {parallel} at once: about {duration(wall)}, "
+        f"\n{counted(len(expected), 'training')}, {parallel} in parallel: about {duration(wall)}, "
         f"{cpu_s:,.0f} CPU s{energy}"
     )
     fewest = min(pace.iterations for pace in paces)
     cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
     print(
-        f"The estimate rests on {fewest} iterations or more and one evaluation of {cells},"
-        f" measured just now with {parallel} processes at once; later iterations are taken to be as long and "
-        "this machine to be as busy."
+        f"The estimate is from at least {fewest} iterations and one evaluation of {cells}, measured with "
+        f"{parallel} processes in parallel; it assumes that later iterations take as long and this "
+        "machine stays as busy."
     )
     if backend == "ray":
         print(
-            "It was measured with training processes on this machine: placed on a cluster, with other "
-            "processors or more of them, trainings take other times."
+            "It was measured on this machine; on a cluster with other processors, or more of them, the times "
+            "differ."
         )
     if kwh is not None:
-        print(f"Energy: what CodeCarbon gave a CPU second meanwhile; {modes}.")
+        print(f"Energy: CodeCarbon's value per CPU second during the calibration; {modes}.")

@@ -1,4 +1,4 @@
-"""What a sweep set out to do, kept before it begins, and what the store has of it already."""
+"""Plans of sweeps, stored before training begins, and their progress in the store."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """What the store has of the seeds of one experiment."""
+    """Progress of one experiment in the store, seed by seed."""
 
     experiment: Experiment
     finished: tuple[StoredRun, ...] = ()
-    """The newest finished run of each seed that has one."""
+    """Newest finished run of each seed that has one."""
     unfinished: tuple[StoredRun, ...] = ()
-    """Of each other seed the run that came farthest, if it was killed or failed."""
+    """For each other seed, the run with most iterations, if it was killed or failed."""
     elsewhere: tuple[StoredRun, ...] = ()
-    """Of each other seed a run that another session trains now."""
+    """For each other seed, a run that another session is training."""
     new: tuple[int, ...] = ()
-    """Seeds that have no run."""
+    """Seeds without a run."""
     run_ids: frozenset[str] = frozenset()
-    """All runs of these seeds, older ones too."""
+    """Identities of all runs of these seeds."""
 
     @classmethod
     def of(cls, root: Path, experiment: Experiment, rows: Sequence["RunRow"]) -> "StudyProgress":
-        """The standing of an experiment among the runs of its study."""
+        """Return the progress of an experiment; `rows`: the index of its study's runs."""
         parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
         cell = cell_name(experiment.config.env.id, experiment.algo_name, parameters)
         wanted = identity(full_mapping(experiment, ()))
@@ -48,35 +48,38 @@ class StudyProgress:
                 run = StoredRun.read(root, Path(row.directory))
                 if run.identity == wanted:
                     by_seed[row.seed].append((row, run))
-        standing: dict[str, list[StoredRun]] = {"finished": [], "unfinished": [], "elsewhere": []}
+        by_kind: dict[str, list[StoredRun]] = {"finished": [], "unfinished": [], "elsewhere": []}
         new = []
         for seed, found in by_seed.items():
             if not found:
                 new.append(seed)
                 continue
             row, run = max(found, key=lambda one: (_RANKS[one[0].status], one[0].iterations, one[0].started))
-            standing[_KINDS[row.status]].append(run)
-        _keep_stacks_whole(standing["finished"], standing["unfinished"], new)
+            by_kind[_KINDS[row.status]].append(run)
+        _keep_stacks_whole(by_kind["finished"], by_kind["unfinished"], new)
         new.sort(key=list(by_seed).index)
         return cls(
             experiment,
-            finished=tuple(standing["finished"]),
-            unfinished=tuple(standing["unfinished"]),
-            elsewhere=tuple(standing["elsewhere"]),
+            finished=tuple(by_kind["finished"]),
+            unfinished=tuple(by_kind["unfinished"]),
+            elsewhere=tuple(by_kind["elsewhere"]),
             new=tuple(new),
             run_ids=frozenset(row.run_id for found in by_seed.values() for row, _ in found),
         )
 
     @classmethod
     def untouched(cls, experiment: Experiment) -> "StudyProgress":
-        """As if the store had nothing of it."""
+        """Return the progress of an experiment without stored runs."""
         return cls(experiment, new=experiment.config.seed)
 
     def plan(self, known: dict[str, PreparedEnv], label: str = "") -> CellPlan:
-        """What is left to do for it. Raises HeadwayError for what cannot run."""
+        """Return the remaining work. Raises HeadwayError if a job cannot run. `known`: environments prepared
+        before, as in `Experiment.prepare`."""
         jobs: list[PlannedJob] = []
         self._require_whole_stacks()
-        for batch in jobs_to_resume([_in_session(run, self.experiment) for run in self.unfinished], known):
+        for batch in jobs_to_resume(
+            [_with_session_settings(run, self.experiment) for run in self.unfinished], known
+        ):
             jobs += batch
         if self.new:
             jobs += new_jobs(self.experiment, self.new, known)
@@ -88,20 +91,20 @@ class StudyProgress:
             if not there.issuperset(run.stack):
                 seeds = ",".join(map(str, run.stack))
                 raise HeadwayError(
-                    f"seeds {seeds} were trained in one stack and go on together: sweep seed={seeds}, "
+                    f"seeds {seeds} were trained in one stack and resume together only: sweep seed={seeds}, "
                     f"or headway resume --study {self.experiment.config.study}"
                 )
 
 
 def _keep_stacks_whole(finished: list[StoredRun], unfinished: list[StoredRun], new: list[int]) -> None:
-    """Seeds of a stack go on together. A session that was killed while it ended them one after another has
-    left finished ones among them, and they go on too, for nothing but their end; one that was killed while it
-    began them has left seeds without a run, and all begin anew."""
+    """Move runs between the lists so that all seeds of a stack resume together or start anew together."""
     for stack in {run.stack for run in unfinished}:
+        # A session killed while it started a stack leaves seeds without a run: train them all anew.
         if not set(stack).isdisjoint(new):
             new += [run.record.seed for run in unfinished if run.stack == stack]
             unfinished[:] = [run for run in unfinished if run.stack != stack]
             continue
+        # One killed while it ended a stack leaves finished seeds among the others: resume these too.
         ended = [run for run in finished if run.record.seed in stack and run.stack == stack]
         unfinished += ended
         finished[:] = [run for run in finished if run not in ended]
@@ -111,19 +114,19 @@ _RANKS = {"FAILED": 0, "KILLED": 0, "RUNNING": 1, "FINISHED": 2}
 _KINDS = {"FAILED": "unfinished", "KILLED": "unfinished", "RUNNING": "elsewhere", "FINISHED": "finished"}
 
 
-def plan_cells(standings: Sequence[StudyProgress], labels: Sequence[str] | None = None) -> list[CellPlan]:
-    """What is left to do for each; `labels`: what they are called, by default after what they differ in.
+def plan_cells(progress: Sequence[StudyProgress], labels: Sequence[str] | None = None) -> list[CellPlan]:
+    """Return the remaining work of each experiment. `labels`: names of the cells; None: `cell_labels`.
 
-    Raises HeadwayError for what cannot run.
+    Raises HeadwayError if a job cannot run.
     """
     known: dict[str, PreparedEnv] = {}
     if labels is None:
-        labels = cell_labels([standing.experiment for standing in standings])
-    return [standing.plan(known, label) for standing, label in zip(standings, labels, strict=True)]
+        labels = cell_labels([each.experiment for each in progress])
+    return [each.plan(known, label) for each, label in zip(progress, labels, strict=True)]
 
 
 def cell_labels(experiments: Sequence[Experiment]) -> list[str]:
-    """What cells of one session are called, as where the store names them. A single one needs no name."""
+    """Return the labels of the cells of one session, as the store names them; empty for a single cell."""
     if len(experiments) < 2:
         return [""] * len(experiments)
     cells = {
@@ -141,8 +144,7 @@ def cell_labels(experiments: Sequence[Experiment]) -> list[str]:
 
 
 def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Each experiment once: those that train the same but for their seeds are one, kept and measured as the
-    last of them says."""
+    """Merge experiments that differ only in their seeds; the last one's other settings hold."""
     merged: dict[str, Experiment] = {}
     for experiment in experiments:
         key = identity(full_mapping(experiment, ()))
@@ -154,8 +156,8 @@ def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def keep_plan(root: Path, study: str, experiments: Sequence[Experiment]) -> None:
-    """Write down, durably, what a sweep sets out to do, so that `headway resume --study` knows the runs that
-    had not begun. The same sweep has the same file. Raises HeadwayError if that fails."""
+    """Store the plan of a sweep durably, so that `headway resume --study` knows which runs have not started.
+    The same plan overwrites its file. Raises HeadwayError if it cannot be written."""
     cells = [
         {"config": full_mapping(experiment, ()), "seeds": list(experiment.config.seed)}
         for experiment in experiments
@@ -167,15 +169,15 @@ def keep_plan(root: Path, study: str, experiments: Sequence[Experiment]) -> None
 
 
 def kept_plans(root: Path, study: str) -> list[Experiment]:
-    """The experiments that sweeps of a study set out to do, each once, as the newest says.
+    """Return the experiments in the stored plans of a study, merged by `distinct`, oldest plan first.
 
-    Raises HeadwayError for a file that cannot be read, or that this version refuses.
+    Raises HeadwayError for a plan that cannot be read or that this version refuses.
     """
     experiments = []
     for path in sorted(plans_folder(root, study).glob("*.json"), key=lambda path: path.stat().st_mtime_ns):
         for cell in _cells(path):
             mapping = {**cell["config"], "seed": cell["seeds"]}
-            # The store may have been moved since.
+            # The store may have been moved since the plan was written.
             mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
             experiments.append(resolve(mapping))
     return distinct(experiments)
@@ -186,18 +188,20 @@ def _cells(path: Path) -> list[Mapping[str, Any]]:
     if not isinstance(cells, list) or not all(
         isinstance(cell, dict) and {"config", "seeds"} <= set(cell) for cell in cells
     ):
-        raise HeadwayError(f"{path} is no plan of a sweep: remove it, or repair it")
+        raise HeadwayError(f"{path} is not the plan of a sweep; remove or repair it")
     return cells
 
 
-def _in_session(run: StoredRun, experiment: Experiment) -> StoredRun:
-    """A stored run as this session goes on with it: kept, measured and put side by side as the session says,
-    but by a backend that its checkpoints are of: where processes stopped actors can go on, and the other way
-    round, and a cluster is where the session has it."""
+def _with_session_settings(run: StoredRun, experiment: Experiment) -> StoredRun:
+    """Return a stored run with the store, energy and parallelism settings of this session.
+
+    The run keeps its backend, to which its checkpoints belong; only processes and Ray workers can resume
+    each other's.
+    """
     mapping = full_mapping(experiment, ())
-    asked, kept = mapping["backend"], run.mapping["backend"]
-    alike = {asked["name"], kept["name"]} <= {"process", "ray"}
-    taken = ("parallel", "name", "address", "worker_cpus", "learners") if alike else ("parallel",)
-    backend = {**kept, **{key: asked[key] for key in taken}}
+    requested, stored = mapping["backend"], run.mapping["backend"]
+    interchangeable = {requested["name"], stored["name"]} <= {"process", "ray"}
+    taken = ("parallel", "name", "address", "worker_cpus", "learners") if interchangeable else ("parallel",)
+    backend = {**stored, **{key: requested[key] for key in taken}}
     session = {"store": mapping["store"], "energy": mapping["energy"], "backend": backend}
     return replace(run, mapping={**run.mapping, **session})

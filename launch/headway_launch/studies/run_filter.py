@@ -1,4 +1,4 @@
-"""Which runs of the index are meant, and in which order: `final_reward>300`, `final_reward desc, seed`."""
+"""Conditions and sort keys on the run index: `final_reward>300`, `final_reward desc, seed`."""
 
 import math
 import operator
@@ -28,15 +28,15 @@ _FORMS = "write FIELD<VALUE, <=, >, >=, = or !=, such as --where 'final_reward>3
 
 @dataclass(frozen=True)
 class Condition:
-    """A field of the index, or a parameter by its dotted name, compared with a value."""
+    """A comparison of a field of the index, or of a parameter by its dotted name, with a value."""
 
     field: str
     sign: str
     value: str
 
     def holds(self, row: "RunRow") -> bool:
-        """Whether a run is so; one of which the figure is not known never is. Raises HeadwayError where text
-        and numbers meet in an order."""
+        """Return whether a run meets the condition; false if its value is unknown. Raises HeadwayError if
+        text is ordered against a number."""
         known = value_of(row, self.field)
         if known is None:
             return False
@@ -47,26 +47,26 @@ class Condition:
             condition = f"{self.field}{self.sign}{self.value}"
             if own is not None:
                 raise HeadwayError(
-                    f"--where: {condition} compares a number, and {self.value!r} is none; {_FORMS}"
+                    f"--where: {condition} compares a number, but {self.value!r} is not one; {_FORMS}"
                 )
-            raise HeadwayError(f"--where: {condition} compares text ({known}) by its size; use = or !=")
+            raise HeadwayError(f"--where: {condition} orders text ({known}); use = or !=")
         return _SIGNS[self.sign](str(known), self.value)
 
 
 def parse_conditions(texts: Sequence[str]) -> list[Condition]:
-    """The conditions of `--where`, all to hold. Raises HeadwayError for what is none."""
+    """Return the conditions of `--where`, to be met together. Raises HeadwayError for an invalid one."""
     conditions = []
     for text in (part for whole in texts for part in _AND.split(whole)):
         found = _CONDITION.fullmatch(text)
         if found is None or not found["value"]:
-            raise HeadwayError(f"--where {text!r} is no condition; {_FORMS}")
+            raise HeadwayError(f"--where {text!r} is not a condition; {_FORMS}")
         _require_field("--where", found["field"])
         conditions.append(Condition(found["field"], found["sign"], found["value"].strip("'\"")))
     return conditions
 
 
 def require_known(rows: Sequence["RunRow"], conditions: Sequence[Condition], keys: str) -> None:
-    """Raise HeadwayError for a parameter in the conditions, or in the keys of `in_order`, that no run has."""
+    """Raise HeadwayError for a parameter in the conditions, or in the sort `keys`, that no run has."""
     named = [("--where", condition.field) for condition in conditions]
     named += [("--sort", key.split()[0]) for key in keys.split(",") if key.strip()]
     for option, field in named:
@@ -76,24 +76,24 @@ def require_known(rows: Sequence["RunRow"], conditions: Sequence[Condition], key
 
 
 def in_order(rows: Sequence["RunRow"], keys: str) -> list["RunRow"]:
-    """The runs sorted by fields with commas between, ` desc` after one for the largest first; runs of which a
-    field is not known come last. Raises HeadwayError for what is no field."""
+    """Return the runs sorted by comma-separated fields, each optionally followed by ` desc`; runs with an
+    unknown value come last. Raises HeadwayError for an unknown field."""
     ordered = list(rows)
     for key in reversed([key.strip() for key in keys.split(",") if key.strip()]):
         field, _, direction = key.partition(" ")
-        backwards = direction.strip().lower() == "desc"
-        if not backwards and direction.strip().lower() not in ("", "asc"):
-            raise HeadwayError(f"--sort {key!r}: write FIELD, FIELD asc or FIELD desc, with commas between")
+        descending = direction.strip().lower() == "desc"
+        if not descending and direction.strip().lower() not in ("", "asc"):
+            raise HeadwayError(f"--sort {key!r}: write FIELD, FIELD asc or FIELD desc, separated by commas")
         _require_field("--sort", field)
         known = [row for row in ordered if value_of(row, field) is not None]
         unknown = [row for row in ordered if value_of(row, field) is None]
-        known.sort(key=lambda row: _rank(value_of(row, field)), reverse=backwards)
+        known.sort(key=lambda row: _sort_key(value_of(row, field)), reverse=descending)
         ordered = known + unknown
     return ordered
 
 
 def value_of(row: "RunRow", field: str) -> Value:
-    """A field of a run, or one of its parameters; None where it is not known."""
+    """Return a field of a run, or one of its parameters; None if it is not known."""
     if "." not in field:
         value: Value = getattr(row, field)
         return None if isinstance(value, float) and math.isnan(value) else value
@@ -102,7 +102,7 @@ def value_of(row: "RunRow", field: str) -> Value:
 
 @cache
 def _parameters(directory: str) -> Mapping[str, str]:
-    """Of the run in a folder: they are asked for by each condition and key, and never change."""
+    """Return the parameters of the run in a folder, cached because each condition and sort key reads them."""
     from headway.store.run_folder import RunRecord
 
     return RunRecord.read(Path(directory)).parameters
@@ -113,17 +113,18 @@ def _require_field(option: str, field: str) -> None:
 
     known = [item.name for item in fields(RunRow)]
     if "." not in field and field not in known:
-        there = suggestion(field, known)
-        raise HeadwayError(f"{option}: {field!r} is no field of a run; {there}; and parameters, as algo.lr")
+        hint = suggestion(field, known)
+        raise HeadwayError(f"{option}: a run has no field {field!r}; {hint}; or a parameter, such as algo.lr")
 
 
-def _rank(value: Value) -> tuple[int, float, str]:
-    """Numbers by size, before text in alphabetical order."""
+def _sort_key(value: Value) -> tuple[int, float, str]:
+    """Return the sort key of a value: numbers by size, then text in alphabetical order."""
     number = float(value) if isinstance(value, int | float) else _number(str(value))
     return (0, number, "") if number is not None else (1, 0.0, str(value))
 
 
 def _number(text: str) -> float | None:
+    """Return the number in a text; None if it is not a number."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The finished runs of a study, one a seed, a word about the others, and the curves to be drawn of them."""
+"""The finished runs of a study, one per seed, and their curves for plots."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def finished_runs(root: Path, study: str) -> list["RunRow"]:
-    """The newest finished run of each cell and seed of a study, the oldest first: a seed that was trained
-    twice is one seed, not two. What is left out is told in a line.
+    """Return the newest finished run of each cell and seed of a study, oldest first. Prints how many runs are
+    left out.
 
-    Raises HeadwayError if there is no such study or nothing in it has finished.
+    Raises HeadwayError if there is no such study or no run in it has finished.
     """
     finished, left_out = counted_runs(study_runs(root, study), study)
     if left_out:
@@ -30,7 +30,7 @@ def finished_runs(root: Path, study: str) -> list["RunRow"]:
 
 
 def study_runs(root: Path, study: str) -> list["RunRow"]:
-    """All runs of a study, the oldest first. Raises HeadwayError if there is no such study."""
+    """Return all runs of a study, oldest first. Raises HeadwayError if there is no such study."""
     from headway.store import RunIndex
 
     rows = RunIndex(root).rows()
@@ -40,34 +40,38 @@ def study_runs(root: Path, study: str) -> list["RunRow"]:
     return [row for row in rows if row.study == study]
 
 
-def counted_runs(of_study: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], list[str]]:
-    """The runs of a study that count, as `finished_runs` has them, and a word about each kind of those that
-    do not. Raises HeadwayError if nothing has finished."""
+def counted_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], list[str]]:
+    """Return the runs of a study that count, as `finished_runs`, and one phrase per kind of runs left out.
+
+    `rows`: all runs of the study. Raises HeadwayError if none has finished.
+    """
     from headway.store.query import newest_runs
 
-    finished = [row for row in of_study if row.status == "FINISHED"]
-    others = Counter(row.status for row in of_study if row.status != "FINISHED")
+    finished = [row for row in rows if row.status == "FINISHED"]
+    others = Counter(row.status for row in rows if row.status != "FINISHED")
     kinds = ", ".join(f"{count} {status}" for status, count in sorted(others.items()))
     if not finished:
         raise HeadwayError(f"study {study!r} has no finished run ({kinds}); see headway runs --study {study}")
     newest = newest_runs(finished)
     left_out = [f"{others.total()} not finished ({kinds})"] if others else []
     if repeats := len(finished) - len(newest):
-        left_out.append(f"{repeats} of a seed that a newer one trained again")
+        left_out.append(f"{repeats} superseded by a newer run of the same seed")
     return newest, left_out
 
 
 def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":
-    """The curves of a metric as `headway.stats.frames` takes them, fit to be averaged: those of training laid
-    on common steps, since episodes end when they do. Raises HeadwayError for a run without the metric, and
-    for a cell whose runs share no step."""
+    """Return the curves of a metric in the layout of `headway.stats.frames`, ready to be averaged over runs.
+
+    Training curves are interpolated to common steps. Raises HeadwayError for a run without the metric, and
+    for a cell whose runs share no step.
+    """
     from headway.stats import frames
 
     curves = curve_points(runs, metric)
     have = set(curves["run_id"])
     for row in runs.rows:
         if row.run_id not in have:
-            # Of the same kind, and in all runs: whatever else there is would be refused in its turn.
+            # Suggest only metrics that would be accepted: of the same kind and in all runs.
             kind = "evaluation_" if metric.startswith("evaluation_") else ""
             in_all = runs.curves().groupby("run_id").count().gt(0).all()
             known = [name for name in in_all[in_all].index if "/" in name and name.startswith(kind)]
@@ -76,42 +80,44 @@ def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":
         curves = frames.on_common_steps(curves)
     for cell, points in curves.groupby("cell"):
         if points.groupby("env_steps")["run_id"].nunique().max() < points["run_id"].nunique():
-            raise HeadwayError(f"the runs of {cell} share no step at which they have {metric!r}")
+            raise HeadwayError(f"the runs of {cell} share no step with a value of {metric!r}")
     return curves
 
 
 def curve_points(runs: "RunSelection", metric: str) -> "pd.DataFrame":
-    """As `curves_of`, each run by itself: runs without the metric have no row, steps need not be common."""
+    """Return the points of each run's curve of a metric, one per row; none for runs without the metric."""
     curves = runs.curves([metric])
     kept = ["run_id", "cell", "label", "task", "controller", "seed", "env_steps"]
-    # In the order in which tables name the controllers, so that pictures do, too.
+    # Controllers in the same order as in tables.
     ordered = curves.sort_values("controller", kind="stable", ignore_index=True)
     return ordered.reindex(columns=[*kept, metric]).rename(columns={metric: "value"})
 
 
 def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float]]:
-    """Of each task the rules' means over the days of the curves, where the metric is an evaluation's: other
-    curves are of other days, and perhaps of another reward. The last evaluation, and the rules, may have
-    more days than the curves' points."""
+    """Return the mean of an evaluation metric per task and rule, over the episodes of the curves' points.
+
+    Empty for training metrics, which are of other episodes and possibly of another reward.
+    """
     group, _, column = metric.rpartition("/")
     played = runs.rules()
     if not group.startswith("evaluation_") or column not in played:
         return {}
-    days = {
+    # The rules may have played more episodes, as the last evaluation has.
+    episodes = {
         runs.names[row.cell].task: int(configuration(row.directory)["evaluation"]["episodes"])
         for row in runs.rows
     }
-    same = played[played["episode_seed"] < played["task"].map(days)].dropna(subset=[column])
+    same = played[played["episode_seed"] < played["task"].map(episodes)].dropna(subset=[column])
     means: dict[str, dict[str, float]] = {}
-    for task, of_task in same.groupby("task", sort=False):
-        by_rule = of_task.groupby("rule", sort=False)[column].mean()
+    for task, rows in same.groupby("task", sort=False):
+        by_rule = rows.groupby("rule", sort=False)[column].mean()
         means[str(task)] = {str(rule): float(value) for rule, value in by_rule.items()}
     return means
 
 
 @lru_cache(maxsize=4096)
 def configuration(directory: str) -> Mapping[str, Any]:
-    """The configuration in a run's folder. Raises HeadwayError if it cannot be read."""
+    """Return the configuration in a run's folder, cached. Raises HeadwayError if it cannot be read."""
     from headway_launch.runner.stored_run import read_configuration
 
     return read_configuration(Path(directory))

@@ -1,4 +1,4 @@
-"""A session on a study: what its store has already is left alone, what stopped goes on, the rest begins."""
+"""A session of a study: finished runs are skipped, stopped ones resumed and missing ones trained."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,74 +17,76 @@ from headway_launch.studies.plan import StudyProgress, keep_plan, plan_cells
 
 @dataclass(frozen=True)
 class StudySession:
-    """What one session has to do for the experiments, all of one study and one store."""
+    """The work of one session on experiments of one study and one store."""
 
     experiments: tuple[Experiment, ...]
-    standings: tuple[StudyProgress, ...]
+    progress: tuple[StudyProgress, ...]
     cells: tuple[CellPlan, ...]
 
     @classmethod
     def plan(
         cls, experiments: Sequence[Experiment], labels: Sequence[str] | None = None, fresh: bool = False
     ) -> "StudySession":
-        """`labels`: what the cells are called; None: by what they differ in. `fresh`: as if the store had
-        nothing. Raises HeadwayError for what cannot run."""
+        """Return the session that completes `experiments`. `labels`: names of the cells; None: `cell_labels`.
+        `fresh`: ignore stored runs. Raises HeadwayError if a job cannot run."""
         config = experiments[0].config
         root = Path(config.store.root)
         index = RunIndex(root)
         rows = index.rows(config.study)
         for notice in index.notices:
             print_line(f"headway: {notice}")
-        standings = [
+        progress = [
             StudyProgress.untouched(experiment) if fresh else StudyProgress.of(root, experiment, rows)
             for experiment in experiments
         ]
-        return cls(tuple(experiments), tuple(standings), tuple(plan_cells(standings, labels)))
+        return cls(tuple(experiments), tuple(progress), tuple(plan_cells(progress, labels)))
 
-    def conductor(self, debug: bool) -> Runner:
-        """Ready to conduct; the plan is kept in the store. Raises HeadwayError where that cannot be used."""
+    def open_runner(self, debug: bool) -> Runner:
+        """Return a runner and store the session's plan. Raises HeadwayError if the store cannot be used."""
         config = self.experiments[0].config
-        conductor = Runner(self.cells, debug, plan_kept=True)
+        runner = Runner(self.cells, debug, plan_kept=True)
         keep_plan(Path(config.store.root), config.study, self.experiments)
-        tell_standing(config.study, self.standings)
-        return conductor
+        print_progress(config.study, self.progress)
+        return runner
 
     def require_all_ended(self) -> None:
-        """See `require_all_ended`."""
-        require_all_ended(self.experiments[0].config.study, held_elsewhere(self.standings))
+        """Raise HeadwayError if runs left to other sessions have not finished."""
+        require_all_ended(self.experiments[0].config.study, held_elsewhere(self.progress))
 
 
-def tell_standing(study: str, standings: Sequence[StudyProgress]) -> None:
-    """A line on what the store has already, nothing where that is nothing."""
+def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:
+    """Print how many runs are finished, resumed, trained elsewhere and new; nothing if all are new."""
     counts = {
-        "have finished and are left alone": sum(len(standing.finished) for standing in standings),
-        "go on": sum(len(standing.unfinished) for standing in standings),
-        "are left to the session that trains them": sum(len(standing.elsewhere) for standing in standings),
-        "begin": sum(len(standing.new) for standing in standings),
+        "finished and skipped": sum(len(each.finished) for each in progress),
+        "to resume": sum(len(each.unfinished) for each in progress),
+        "in other sessions": sum(len(each.elsewhere) for each in progress),
+        "to train": sum(len(each.new) for each in progress),
     }
     if any(counts[kind] for kind in list(counts)[:3]):
+        from headway.stats.plots import counted
+
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
-        print_line(f"headway: of {sum(counts.values())} runs of study {study}, {parts}")
+        print_line(f"headway: {counted(sum(counts.values()), 'run')} of study {study}: {parts}")
 
 
-def held_elsewhere(standings: Sequence[StudyProgress]) -> list[Path]:
-    """The folders of runs that other sessions train."""
-    return [run.directory for standing in standings for run in standing.elsewhere]
+def held_elsewhere(progress: Sequence[StudyProgress]) -> list[Path]:
+    """Return the folders of runs that other sessions are training."""
+    return [run.directory for each in progress for run in each.elsewhere]
 
 
 def require_all_ended(study: str, left: Sequence[Path]) -> None:
-    """Raise HeadwayError, with what to do, where runs in these folders, which were left to other sessions,
-    have not finished. Of a session on another host nobody can tell from here that it is gone."""
+    """Raise HeadwayError, with what to do, if runs in the folders `left` to other sessions have not finished.
+    A killed session on another host cannot be recognised here."""
     from headway.stats.plots import counted
 
     records = [record for record in map(RunRecord.read, left) if record.settled_status != "FINISHED"]
     if not records:
         return
     held = {record.session for record in records if record.settled_status == "RUNNING"}
-    who = [f"process {session.pid} on {session.host}" for session in sorted(held, key=str)]
-    line = f"{counted(len(records), 'run')} of study {study} left to other sessions and not finished"
-    line += f" (held by {', '.join(who)})" if who else ""
-    line += ": give this command again when these have ended"
+    holders = [f"process {session.pid} on {session.host}" for session in sorted(held, key=str)]
+    line = f"{counted(len(records), 'run')} of study {study}, left to other sessions: not finished"
+    line += f" (held by {', '.join(holders)})" if holders else ""
+    line += "; repeat this command when these sessions have ended"
     if any(session.host != node() for session in held):
-        line += '; where one was killed, on its host, or with "status": "KILLED" in the run.json of its runs'
+        line += '; if one was killed, repeat it on that host or set "status": "KILLED" in its runs\' run.json'
     raise HeadwayError(line)

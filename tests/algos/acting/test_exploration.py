@@ -1,4 +1,4 @@
-"""The workers' policies against torch's networks, and how they explore."""
+"""Acting policies of the off-policy algorithms against torch's networks, and their exploration."""
 
 from dataclasses import replace
 from typing import Any, Literal
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, RecurrentPolicy, generator
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
-from headway_algos.off_policy.ddpg import DeterministicMethod
-from headway_algos.off_policy.dqn import ValueMethod
+from headway_algos.off_policy.ddpg import DeterministicPolicyGradient
+from headway_algos.off_policy.dqn import QLearning
 from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
@@ -20,7 +20,7 @@ from headway_algos.replay_config import NetworkConfig
 
 AGENTS, COPIES, SIZE = 5, 6, 3
 SPACES: dict[str, ActionSpace] = {"madqn": Discrete(4), "ddpg": Box((-1.0, 0.0), (3.0, 1.0))}
-METHODS: dict[str, Any] = {"madqn": ValueMethod, "ddpg": DeterministicMethod}
+METHODS: dict[str, Any] = {"madqn": QLearning, "ddpg": DeterministicPolicyGradient}
 Policies = Literal["independent", "shared", "groups"]
 
 
@@ -35,7 +35,7 @@ def _spec(algorithm: str, come_and_go: bool = False) -> EnvSpec:
 def _learner(
     algorithm: str, policies: Policies, precision: str, seeds: tuple[int, ...], spec: EnvSpec | None = None
 ) -> tuple[OffPolicyLearner, Any]:
-    """Networks with biases and a normaliser that has seen something; its acting policy."""
+    """A learner with nonzero biases and a used normaliser, and its acting policy."""
     spec = spec or _spec(algorithm)
     entry, model = ENTRIES[algorithm], NetworkConfig((8, 7), "relu")
     config = entry.config(policies=policies, precision=precision, model=model)
@@ -44,7 +44,7 @@ def _learner(
     with torch.no_grad():
         for parameter in learner.method.network.parameters():
             parameter += torch.randn(parameter.shape, generator=random, dtype=parameter.dtype)
-    stack = len(learner.memory.filled)
+    stack = len(learner.replay.filled)
     learner.moments.include(1 + 2 * torch.randn(stack, 50, SIZE, generator=random))
     return learner, entry.acting_policy(config, spec)
 
@@ -64,7 +64,7 @@ def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observations:
 
 
 def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray[np.float64]:
-    """(C, N, A), by the learner's own way of laying out rows."""
+    """(C, N, A), by the learner's layout of rows."""
     rows = learner.layout.rows(observed.observations[None])
     mean, scale = learner.moments.mean.to(learner.dtype), learner.moments.scale.to(learner.dtype)
     rows = ((rows - mean) * scale).clamp(-10, 10)
@@ -77,7 +77,7 @@ def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("replicas", [1, 3])
-def test_greedy_actions_and_their_chances_equal_torchs(
+def test_greedy_actions_and_log_probabilities_equal_torch(
     policies: Policies, precision: str, replicas: int
 ) -> None:
     spec = _spec("madqn")
@@ -104,7 +104,7 @@ def test_greedy_actions_and_their_chances_equal_torchs(
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_deterministic_actions_equal_torchs_within_the_bounds(policies: Policies, precision: str) -> None:
+def test_deterministic_actions_equal_torch_and_respect_the_bounds(policies: Policies, precision: str) -> None:
     spec = _spec("ddpg")
     learner, acting = _learner("ddpg", policies, precision, (0, 1))
     observed = _observed(spec, 2 * COPIES)
@@ -116,8 +116,8 @@ def test_deterministic_actions_equal_torchs_within_the_bounds(policies: Policies
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 0.3, 1.0])
-def test_epsilon_is_the_chance_of_any_allowed_action(epsilon: float) -> None:
-    """Frequencies within 5 standard deviations; the best action's chance has its share of epsilon, too."""
+def test_epsilon_is_the_probability_of_a_random_allowed_action(epsilon: float) -> None:
+    """Frequencies within 5 standard deviations; epsilon includes its share of the best action."""
     draws, spec = 40_000, _spec("madqn")
     learner, acting = _learner("madqn", "shared", "float64", (0,))
     parameters = {**learner.acting_parameters(), "exploration": np.full((1, 1, 1), epsilon)}
@@ -158,10 +158,10 @@ def test_absent_agents_rows_are_never_read() -> None:
         np.testing.assert_array_equal(actions[observed.alive], expected[observed.alive])
 
 
-def _wandering(
+def _ornstein_uhlenbeck(
     theta: float, sigma: float, agents: int
 ) -> tuple[OrnsteinUhlenbeckPolicy, dict[str, NDArray[Any]]]:
-    """A policy of zero networks in bounds so wide that nothing is cut: actions are noise / 1e6."""
+    """A policy with zero networks and bounds too wide to clip: actions are noise / 1e6."""
     names = tuple(f"a{i}" for i in range(agents))
     spec = EnvSpec("made", names, 1, Box((-1e6,), (1e6,)), agents_come_and_go=True)
     config = DDPGConfig(
@@ -175,12 +175,12 @@ def _wandering(
 
 
 @pytest.mark.parametrize(("theta", "sigma"), [(0.15, 0.2), (0.5, 1.0), (1.0, 0.3)])
-def test_noise_has_the_variance_and_the_memory_of_an_ornstein_uhlenbeck_process(
+def test_noise_has_the_variance_and_autocorrelation_of_an_ornstein_uhlenbeck_process(
     theta: float, sigma: float
 ) -> None:
-    """In steps of one: variance sigma^2 / (1 - (1 - theta)^2), autocorrelation (1 - theta)^lag."""
+    """Discretised with step 1: variance sigma^2 / (1 - (1 - theta)^2), autocorrelation (1 - theta)^lag."""
     agents, steps = 400, 300
-    policy, parameters = _wandering(theta, sigma, agents)
+    policy, parameters = _ornstein_uhlenbeck(theta, sigma, agents)
     assert isinstance(policy, RecurrentPolicy)
     noise = policy.noise(generator(0, "action", 0), steps)
     memory = np.zeros((1, agents, policy.hidden_size))
@@ -202,8 +202,8 @@ def test_noise_has_the_variance_and_the_memory_of_an_ornstein_uhlenbeck_process(
     assert path[0].std() == pytest.approx(sigma, rel=0.15)  # it begins at 0
 
 
-def test_noise_stands_still_while_an_agent_is_away_or_acting_greedily() -> None:
-    policy, parameters = _wandering(0.15, 0.2, 2)
+def test_noise_is_unchanged_while_an_agent_is_absent_or_acts_greedily() -> None:
+    policy, parameters = _ornstein_uhlenbeck(0.15, 0.2, 2)
     observed = Observations(
         np.zeros((1, 2, 1), np.float32), np.zeros((1, 0), np.float32), np.array([[True, False]])
     )
@@ -228,7 +228,7 @@ def test_noisy_actions_stay_within_the_bounds() -> None:
 
 
 @pytest.mark.parametrize("algorithm", SPACES)
-def test_parameters_have_the_shapes_that_workers_make_room_for(algorithm: str) -> None:
+def test_acting_parameters_have_the_declared_shapes(algorithm: str) -> None:
     for policies in ("independent", "shared", "groups"):
         learner, acting = _learner(algorithm, policies, "float32", (0, 1))  # type: ignore[arg-type]  # a literal
         given = learner.acting_parameters()
@@ -238,7 +238,7 @@ def test_parameters_have_the_shapes_that_workers_make_room_for(algorithm: str) -
         assert isinstance(acting, EpsilonGreedyPolicy if algorithm == "madqn" else OrnsteinUhlenbeckPolicy)
 
 
-def test_exploration_falls_as_configured() -> None:
+def test_exploration_follows_its_schedule() -> None:
     linear = MADQNConfig(exploration_start=0.9, exploration_end=0.1, exploration_share=0.4)
     assert [round(linear.exploration(p, 7), 12) for p in (0, 0.1, 0.2, 0.4, 1)] == [0.9, 0.7, 0.5, 0.1, 0.1]
     at_once = replace(linear, exploration_share=0.0)

@@ -1,4 +1,4 @@
-"""The numpy policy of the workers against the torch actor, and its draws against its probabilities."""
+"""The numpy acting policy against the torch actor, and its samples against its probabilities."""
 
 from itertools import product
 from typing import Any, Literal
@@ -50,7 +50,7 @@ def _learner(
     activation: Literal["tanh", "relu"] = "tanh",
     normalise: bool = True,
 ) -> tuple[OnPolicyLearner, MLPActingPolicy]:
-    """Policies far from uniform, with a normaliser that has seen something."""
+    """Policies far from uniform, with a used normaliser."""
     model = ModelConfig(hidden=(8, 7), activation=activation, actor_gain=1.5)
     config = AlgoConfig(policies=policies, model=model, precision=precision, normalise_observations=normalise)
     learner = OnPolicyLearner(config, spec, seeds, "cpu")
@@ -67,7 +67,7 @@ def _learner(
 def _torch_log_probs(
     learner: OnPolicyLearner, observed: Observations, actions: NDArray[Any]
 ) -> NDArray[np.float64]:
-    """(C, N), agent by agent from the learner's own way of laying out rows."""
+    """(C, N), by the learner's layout of rows."""
     layout = learner.layout
     rows = layout.rows(observed.observations[None])
     if learner.config.normalise_observations:
@@ -83,7 +83,7 @@ def _torch_log_probs(
     ("space", "policies", "precision", "replicas"),
     list(product(SPACES, ["independent", "shared", "groups"], ["float32", "float64"], [1, 3])),
 )
-def test_log_probabilities_equal_torchs(
+def test_log_probabilities_equal_torch(
     space: str, policies: Policies, precision: Precision, replicas: int
 ) -> None:
     spec = _spec(SPACES[space])
@@ -100,7 +100,7 @@ def test_log_probabilities_equal_torchs(
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_log_probabilities_equal_torchs_for_every_activation(activation: Literal["tanh", "relu"]) -> None:
+def test_log_probabilities_equal_torch_for_every_activation(activation: Literal["tanh", "relu"]) -> None:
     spec = _spec(SPACES["discrete"])
     learner, acting = _learner(spec, "groups", "float64", (0, 1), activation)
     observed = _observed(spec, 2 * COPIES)
@@ -110,8 +110,8 @@ def test_log_probabilities_equal_torchs_for_every_activation(activation: Literal
     )
 
 
-def test_log_probabilities_equal_torchs_where_observations_are_not_normalised() -> None:
-    """Also far out, where a normaliser would cut them."""
+def test_log_probabilities_equal_torch_without_normalisation() -> None:
+    """Also for observations that a normaliser would clip."""
     spec = _spec(SPACES["discrete"])
     learner, acting = _learner(spec, "independent", "float64", (0,), normalise=False)
     observed = _observed(spec, COPIES)
@@ -122,7 +122,7 @@ def test_log_probabilities_equal_torchs_where_observations_are_not_normalised() 
     )
 
 
-def test_parameters_have_the_shapes_that_workers_make_room_for() -> None:
+def test_acting_parameters_have_the_declared_shapes() -> None:
     for space, policies in product(SPACES.values(), ("independent", "shared", "groups")):
         learner, acting = _learner(_spec(space), policies, "float32", (0, 1))  # type: ignore[arg-type]  # a literal
         shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
@@ -207,7 +207,7 @@ def test_greedy_actions_are_the_mode() -> None:
 @pytest.mark.parametrize("space", SPACES)
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("copies", [1, COPIES])
-def test_rows_of_absent_agents_change_no_other_and_are_left_alone(
+def test_rows_of_absent_agents_affect_no_other_and_stay_unchanged(
     space: str, policies: Policies, copies: int
 ) -> None:
     spec = _spec(SPACES[space], come_and_go=True)
@@ -230,8 +230,8 @@ def test_rows_of_absent_agents_change_no_other_and_are_left_alone(
         assert ((actions >= 0) & (actions < spec.action_space.n)).all()
 
 
-def test_a_single_agents_observations_are_left_alone() -> None:
-    """One agent: rows by policy are a view of the environment's own memory."""
+def test_a_single_agents_observations_are_not_modified() -> None:
+    """One agent: rows by policy are a view of the environment's array."""
     spec = EnvSpec("made", ("only",), SIZE, Discrete(2), agents_come_and_go=True)
     config = AlgoConfig(model=ModelConfig(hidden=(4,)))
     learner, acting = OnPolicyLearner(config, spec, (0,), "cpu"), MLPActingPolicy.of(config, spec)

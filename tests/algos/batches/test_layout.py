@@ -1,4 +1,4 @@
-"""Rows by policy, minibatches and the places where streams are cut."""
+"""Rows by policy, minibatches and truncations."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -42,17 +42,17 @@ def test_rows_are_ordered_by_agent_step_and_copy(policies: str) -> None:
     np.testing.assert_array_equal(layout.by_agent(rows, STEPS), values)
 
 
-def test_the_first_agents_of_a_shared_policy_come_back() -> None:
+def test_rows_of_the_first_agents_of_a_shared_policy_convert_back() -> None:
     layout, values = _layout("shared"), np.arange(STEPS * REPLICAS * COPIES * 2.0)
     by_agent = values.reshape(STEPS, REPLICAS * COPIES, 2)
     np.testing.assert_array_equal(layout.by_agent(layout.rows(by_agent), STEPS, agents=2), by_agent)
 
 
 @pytest.mark.parametrize("policies", ["independent", "groups"])
-def test_agents_of_several_policies_cannot_be_the_first_few(policies: str) -> None:
+def test_a_subset_of_agents_needs_a_shared_policy(policies: str) -> None:
     layout = _layout(policies)
     rows = layout.rows(np.zeros((STEPS, REPLICAS * COPIES, 6)))
-    with pytest.raises(ValueError, match="policies are all there"):
+    with pytest.raises(ValueError, match="agents must be None with"):
         layout.by_agent(rows, STEPS, agents=2)
 
 
@@ -64,8 +64,8 @@ def test_groups_are_those_the_environment_names() -> None:
 def _batches(
     selected: NDArray[np.bool_], epochs: int, parts: int, piece_rows: int
 ) -> list[list[tuple[NDArray[np.int64], Tensor]]]:
-    """For each minibatch its pieces, as (rows of each network (P, rows), weights (P, rows)); pieces hold
-    about `piece_rows` rows of each network."""
+    """Pieces of each minibatch as (rows per network (P, rows), weights (P, rows)), with about `piece_rows`
+    rows per network."""
     stack, batch = selected.shape
     generators = [generator(p, "test") for p in range(stack)]
     result = []
@@ -102,7 +102,7 @@ def test_an_epoch_covers_every_selected_row_once_and_no_other(parts: int, piece_
     assert (orders[0] == orders[3]) == (parts == 1), "epochs are shuffled anew, a whole batch is not"
 
 
-def test_a_minibatchs_weights_are_those_of_its_mean() -> None:
+def test_weights_of_a_minibatch_average_its_rows() -> None:
     selected = np.random.default_rng(1).random((3, 40)) < [[0.9], [0.5], [0.05]]
     for pieces in _batches(selected, 1, 4, 5):
         for p in range(3):
@@ -112,7 +112,7 @@ def test_a_minibatchs_weights_are_those_of_its_mean() -> None:
                 torch.testing.assert_close(used, torch.full_like(used, 1 / len(used)))
 
 
-def test_minibatches_are_as_equal_as_can_be() -> None:
+def test_minibatches_have_nearly_equal_sizes() -> None:
     selected = np.ones((1, 30), np.bool_)
     sizes = [sum(int((w > 0).sum()) for _, w in pieces) for pieces in _batches(selected, 1, 4, 1000)]
     assert sum(sizes) == 30
@@ -159,25 +159,25 @@ def test_a_networks_minibatches_do_not_depend_on_its_stack() -> None:
             assert torch.equal(of_p, alone.index[alone.weight > 0])
 
 
-def test_endings_are_found_and_put_back(fabricate: Callable[..., Trajectory]) -> None:
+def test_truncations_are_found_and_inserted_back(fabricate: Callable[..., Trajectory]) -> None:
     made = fabricate(SPEC, 10, REPLICAS * COPIES, seed=5, ends=0.2, leaves=0.05)
     made.truncated[:, :COPIES] = False  # replicas differ in how many there are
     made.truncated[3, 1] = True
     made.terminated[3, 1] = False
-    endings = Truncations.of(made, REPLICAS)
+    truncations = Truncations.of(made, REPLICAS)
     values = made.final_observations[..., 0].astype(np.float64)
-    back = endings.put(endings.take(values), values.shape)
+    back = truncations.put(truncations.take(values), values.shape)
     cut = (made.truncated & ~made.terminated).any(axis=2)
     np.testing.assert_array_equal(back[cut], values[cut])
     assert (back[~cut] == 0).all()
 
 
-def test_no_endings() -> None:
+def test_no_truncations() -> None:
     made = Trajectory.allocate(TrajectoryLayout(SPEC, 4, REPLICAS * COPIES))
-    endings = Truncations.of(made, REPLICAS)
-    assert len(endings) == 0
-    assert endings.take(made.final_states).shape == (0, REPLICAS, 2)
-    assert (endings.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()
+    truncations = Truncations.of(made, REPLICAS)
+    assert len(truncations) == 0
+    assert truncations.take(made.final_states).shape == (0, REPLICAS, 2)
+    assert (truncations.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()
 
 
 def test_absent_rows_become_zero_in_a_copy() -> None:
@@ -193,7 +193,7 @@ def test_absent_rows_become_zero_in_a_copy() -> None:
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("agents", [1, 6])
-def test_rows_become_zero_where_absent_and_what_they_are_of_stays(policies: str, agents: int) -> None:
+def test_absent_rows_become_zero_and_the_source_is_unchanged(policies: str, agents: int) -> None:
     spec = replace(SPEC, agents=SPEC.agents[:agents], groups=SPEC.groups[:agents])
     layout = Layout(Grouping.of(policies, spec), 1, torch.device("cpu"), torch.float32)
     random = np.random.default_rng(0)
@@ -206,24 +206,24 @@ def test_rows_become_zero_where_absent_and_what_they_are_of_stays(policies: str,
     assert np.array_equal(values, before, equal_nan=True)
 
 
-def test_an_unknown_word_for_policies_is_refused() -> None:
+def test_an_unknown_value_of_policies_is_refused() -> None:
     with pytest.raises(ValueError, match="independent, shared or groups, not 'group'"):
         Grouping.of("group", SPEC)
 
 
 @pytest.mark.parametrize("piece_rows", [5, 1000])
-def test_rows_taken_ahead_are_those_of_each_minibatch(
+def test_prefetched_rows_equal_those_of_each_minibatch(
     monkeypatch: pytest.MonkeyPatch, piece_rows: int
 ) -> None:
-    """Of whichever tensor is asked for, in blocks that divide the minibatches or not."""
+    """For several tensors, in blocks that divide the minibatches or not."""
     selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
     rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]
     generators = [generator(p, "test") for p in range(3)]
-    monkeypatch.setattr(layout, "TAKEN_AHEAD", 3 * 9 * 3)
+    monkeypatch.setattr(layout, "PREFETCH_SAMPLES", 3 * 9 * 3)
     ahead = 0
     for pieces, _ in minibatches(selected, generators, 2, 4, 3 * piece_rows, _layout("shared")):
         for piece in pieces:
-            ahead += piece.ahead is not None
+            ahead += piece.prefetched is not None
             for tensor in rows:
                 assert torch.equal(piece.of(tensor), tensor.flatten(0, 1)[piece.index])
     assert ahead == (8 if piece_rows == 1000 else 0)

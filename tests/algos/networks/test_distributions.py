@@ -89,7 +89,7 @@ def test_forbidden_actions_have_probability_exactly_zero(dtype: torch.dtype) -> 
 
 
 def test_kl_of_a_categorical_is_weighted_by_its_probabilities() -> None:
-    """Not the mean over actions of an estimator, which is wrong by two orders of magnitude here."""
+    """An unweighted mean over actions would be wrong by two orders of magnitude here."""
     old = torch.tensor([[0.9, 0.09, 0.01]], dtype=torch.float64).log()[..., None]
     new = torch.tensor([[0.85, 0.12, 0.03]], dtype=torch.float64).log()[..., None]
     by_hand = sum(p * np.log(p / q) for p, q in zip([0.9, 0.09, 0.01], [0.85, 0.12, 0.03], strict=True))

@@ -1,4 +1,4 @@
-"""Networks that remember, against torch's own units and against loops that go agent by agent."""
+"""Recurrent networks against torch's units and against loops over agents."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -64,7 +64,7 @@ every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CAS
 
 
 def randomised(network: RecurrentNetwork, seed: int = 0) -> RecurrentNetwork:
-    """Biases that are not 0."""
+    """Set nonzero biases."""
     random = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for bias in (*network.biases, network.bias_input, network.bias_memory):
@@ -73,7 +73,7 @@ def randomised(network: RecurrentNetwork, seed: int = 0) -> RecurrentNetwork:
 
 
 class Alone:
-    """Network p of a stack, as torch's own modules: one row, one step."""
+    """Network p of a stack as torch modules: one row, one step."""
 
     def __init__(self, network: RecurrentNetwork, p: int) -> None:
         self.layers = [(w[p], b[p, :, 0]) for w, b in zip(network.weights, network.biases, strict=True)]
@@ -89,20 +89,20 @@ class Alone:
             delattr(self.cell, name)
             setattr(self.cell, name, tensor.double())
 
-    def step(self, row: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs and the memory after one row."""
+    def step(self, row: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Return outputs and the hidden state after one row."""
         for weight, bias in self.layers[:-1]:
             row = torch.tanh(weight.double() @ row + bias.double())
-        memory = self.cell(row[None], memory[None])[0]
+        hidden = self.cell(row[None], hidden[None])[0]
         weight, bias = self.layers[-1]
-        return weight.double() @ memory + bias.double(), memory
+        return weight.double() @ hidden + bias.double(), hidden
 
 
-def test_the_units_are_those_of_torch() -> None:
+def test_gated_units_equal_torch() -> None:
     """Two networks, four sequences of six steps, one after another in torch.nn.GRU."""
     network = randomised(make_network(replace(GRU, hidden=()), (1, 2), 1, "x", (3, 2), 1.0, torch.float64))  # type: ignore[arg-type]  # it remembers
     rows, start = torch.randn(2, 4, 6, 3, dtype=torch.float64), torch.randn(2, 4, UNITS, dtype=torch.float64)
-    got = network.memories(rows.transpose(1, 2).flatten(1, 2), Timeline(start.transpose(1, 2)))
+    got = network.hidden_states(rows.transpose(1, 2).flatten(1, 2), Timeline(start.transpose(1, 2)))
     for p in range(2):
         alone = Alone(network, p).cell
         reference = torch.nn.GRU(3, UNITS, batch_first=True, dtype=torch.float64)
@@ -112,9 +112,9 @@ def test_the_units_are_those_of_torch() -> None:
         torch.testing.assert_close(got[p].view(UNITS, 6, 4).permute(2, 1, 0), expected, rtol=0, atol=1e-12)
 
 
-def test_a_network_that_remembers_says_what_it_misses() -> None:
+def test_a_recurrent_network_without_a_timeline_is_refused() -> None:
     network = make_network(GRU, (1,), 1, "x", (3, 2), 1.0, torch.float64)
-    with pytest.raises(HeadwayError, match=r"what came before.*use algo\.model\.core=none$"):
+    with pytest.raises(HeadwayError, match=r"order of rows in time.*use algo\.model\.core=none$"):
         network(torch.zeros(1, 2, 3, dtype=torch.float64))
 
 
@@ -128,9 +128,9 @@ def _plan(policies: str, precision: str, seeds: tuple[int, ...]) -> tuple[AlgoCo
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, precision: str) -> None:
-    """With agents that come, go and retire, episodes of several lengths, and from one iteration to the next:
-    every log-probability, agent by agent and step by step."""
+def test_hidden_states_of_workers_equal_torch_along_whole_trajectories(policies: str, precision: str) -> None:
+    """Every log-probability, by agent and step, over several iterations, with agents that come, go and retire
+    and episodes of different lengths."""
     config, plan = _plan(policies, precision, (3, 5))
     learner = OnPolicyLearner(config, plan.spec, plan.seeds, "cpu")
     network = learner.actor.network
@@ -138,7 +138,7 @@ def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, 
     randomised(network)
     collector = SerialCollector(plan)
     collector.begin()
-    memory = torch.zeros(8, 3, UNITS, dtype=torch.float64)
+    hidden = torch.zeros(8, 3, UNITS, dtype=torch.float64)
     tolerance = 1e-5 if precision == "float32" else 1e-11
     alone = [Alone(network, p) for p in range(len(network.bias_input))]
     each = learner.grouping.num_policies
@@ -146,8 +146,8 @@ def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, 
     for iteration in (1, 2):
         collector.collect(iteration, learner.acting_parameters())
         track = collector.trajectory
-        np.testing.assert_allclose(track.hidden_states[0], memory, atol=tolerance)
-        assert not memory[torch.from_numpy(track.begins[0])].any()
+        np.testing.assert_allclose(track.hidden_states[0], hidden, atol=tolerance)
+        assert not hidden[torch.from_numpy(track.begins[0])].any()
         assert track.begins.all() == (iteration == 1)
         for t, c, n in np.argwhere(np.ones_like(track.terminated)):
             if track.alive[t, c, n]:
@@ -156,71 +156,71 @@ def test_workers_remember_as_torch_does_along_whole_trajectories(policies: str, 
                 with torch.no_grad():
                     row = row / np.sqrt(1 + 1e-8)  # the normaliser has seen nothing yet
                     which = alone[c // 4 * each + followed[int(n)]]
-                    logits, memory[c, n] = which.step(row, memory[c, n])
+                    logits, hidden[c, n] = which.step(row, hidden[c, n])
                 logits = torch.where(mask, logits, -torch.inf)
                 expected = torch.log_softmax(logits, 0)[track.actions[t, c, n]].item()
                 assert track.log_probs[t, c, n] == pytest.approx(expected, abs=tolerance)
             if track.terminated[t, c, n] or track.truncated[t, c, n]:
-                memory[c, n] = 0
-    assert not (memory == 0).all()
+                hidden[c, n] = 0
+    assert not (hidden == 0).all()
     collector.close()
 
 
 def made(fabricate: Fabricate, spec: EnvSpec, seed: int, steps: int = 8, **chances: float) -> Trajectory:
-    """A trajectory of three copies in which some agents remember something at its start."""
+    """A trajectory of three copies in which some agents start with nonzero hidden states."""
     return fabricate(spec, steps, 3, seed, hidden_size=UNITS, **{"ends": 0.15, "leaves": 0.05, **chances})
 
 
-def naive_memories(
+def naive_hidden_states(
     network: RecurrentNetwork, inputs: NDArray[Any], track: Trajectory, follows: Callable[[int], int]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Memories before each step (T + 1, C, N, M) and right after (T, C, N, M), of inputs (T, C, N, D)."""
+    """Hidden states before (T + 1, C, N, M) and after (T, C, N, M) each step, for inputs (T, C, N, D)."""
     steps, copies, agents = track.terminated.shape
     before, after = np.zeros((steps + 1, copies, agents, UNITS)), np.zeros((steps, copies, agents, UNITS))
     for c in range(copies):
         for n in range(agents):
-            alone, memory = Alone(network, follows(n)), torch.tensor(track.hidden_states[0, c, n])
+            alone, hidden = Alone(network, follows(n)), torch.tensor(track.hidden_states[0, c, n])
             for t in range(steps):
-                before[t, c, n] = memory
+                before[t, c, n] = hidden
                 if track.alive[t, c, n]:
                     with torch.no_grad():
-                        memory = alone.step(torch.tensor(inputs[t, c, n], dtype=torch.float64), memory)[1]
-                after[t, c, n] = memory
+                        hidden = alone.step(torch.tensor(inputs[t, c, n], dtype=torch.float64), hidden)[1]
+                after[t, c, n] = hidden
                 if track.terminated[t, c, n] or track.truncated[t, c, n]:
-                    memory = torch.zeros_like(memory)
-            before[steps, c, n] = memory
+                    hidden = torch.zeros_like(hidden)
+            before[steps, c, n] = hidden
     return before, after
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-def test_memories_are_replayed_as_agent_by_agent(fabricate: Fabricate, policies: str) -> None:
+def test_replayed_hidden_states_equal_a_loop_over_agents(fabricate: Fabricate, policies: str) -> None:
     config = named("ippo", policies=policies, normalise_observations=False, piece_samples=40)
     learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(fabricate, DISCRETE, 1, absent=0.3)
     network = learner.actor.network
     assert isinstance(network, RecurrentNetwork)
-    memories = learner._memories(track, learner._observations(track))
-    assert isinstance(memories, HiddenStates)
+    hidden_states = learner._hidden_states(track, learner._observations(track))
+    assert isinstance(hidden_states, HiddenStates)
     groups = {n: k for k, members in enumerate(learner.grouping.members) for n in members.tolist()}
-    before, after = naive_memories(network, track.observations, track, lambda n: groups[n])
-    np.testing.assert_allclose(memories.before, before, atol=1e-12)
-    np.testing.assert_allclose(memories.after, after, atol=1e-12)
+    before, after = naive_hidden_states(network, track.observations, track, lambda n: groups[n])
+    np.testing.assert_allclose(hidden_states.before, before, atol=1e-12)
+    np.testing.assert_allclose(hidden_states.after, after, atol=1e-12)
 
 
 def naive_surrogate(actor: Actor, track: Trajectory, advantages: NDArray[Any], coeff: float) -> list[Tensor]:
-    """E[pi / pi_old A] + coeff E[H] of each agent's own policy, with a gradient that goes back to the last
-    multiple of LENGTH steps, or to where its stream began."""
+    """E[pi / pi_old A] + coeff E[H] of independent policies, with gradients back to the last multiple of
+    LENGTH steps, or to the beginning of the stream."""
     network, found = actor.network, []
     assert isinstance(network, RecurrentNetwork)
     steps, copies, agents = track.terminated.shape
     for n in range(agents):
         alone, total, rows = Alone(network, n), torch.zeros((), dtype=torch.float64), 0
         for c in range(copies):
-            memory = torch.tensor(track.hidden_states[0, c, n])
+            hidden = torch.tensor(track.hidden_states[0, c, n])
             for t in range(steps):
-                memory = memory.detach() if t % LENGTH == 0 else memory
+                hidden = hidden.detach() if t % LENGTH == 0 else hidden
                 if track.alive[t, c, n]:
                     row = torch.tensor(track.observations[t, c, n], dtype=torch.float64)
-                    logits, memory = alone.step(row, memory)
+                    logits, hidden = alone.step(row, hidden)
                     if track.acting[t, c, n]:
                         allowed = torch.tensor(track.action_masks[t, c, n])
                         log_probs = torch.log_softmax(logits[allowed], 0)
@@ -229,13 +229,13 @@ def naive_surrogate(actor: Actor, track: Trajectory, advantages: NDArray[Any], c
                         entropy = -(log_probs.exp() * log_probs).sum()
                         total, rows = total + ratio * advantages[t, c, n] + coeff * entropy, rows + 1
                 if track.terminated[t, c, n] or track.truncated[t, c, n]:
-                    memory = torch.zeros_like(memory)
+                    hidden = torch.zeros_like(hidden)
         found.append(total / max(rows, 1))
     return found
 
 
 @pytest.mark.parametrize("piece_samples", [10, 5120])
-def test_gradients_through_sequences_are_those_of_a_loop(fabricate: Fabricate, piece_samples: int) -> None:
+def test_gradients_through_sequences_equal_a_loop(fabricate: Fabricate, piece_samples: int) -> None:
     """T = 8 in sequences of 3: the last is filled up. Streams end, and agents are away, in their midst."""
     config = named("itrpo", normalise_observations=False, piece_samples=piece_samples)
     learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(
@@ -257,7 +257,7 @@ def test_gradients_through_sequences_are_those_of_a_loop(fabricate: Fabricate, p
 def rows_of(
     learner: OnPolicyLearner, track: Trajectory, advantages: NDArray[Any]
 ) -> tuple[PolicyBatch, Tensor]:
-    """What the update is given, by way of an update that keeps it."""
+    """Record the arguments of the policy update."""
     kept: list[tuple[PolicyBatch, Tensor]] = []
 
     class Keeping:
@@ -268,14 +268,14 @@ def rows_of(
     update, learner.policy_update = learner.policy_update, Keeping()  # type: ignore[assignment]
     learner.config = replace(learner.config, normalise_advantages=False)
     observations = learner._observations(track)
-    memories = learner._memories(track, observations)
-    learner._improve_policies(track, observations, memories, advantages, 1)
+    hidden_states = learner._hidden_states(track, observations)
+    learner._improve_policies(track, observations, hidden_states, advantages, 1)
     learner.policy_update = update
     return kept[0]
 
 
-def test_fisher_products_go_through_time(fabricate: Fabricate) -> None:
-    """Against the Hessian of the mean KL, entry by entry, of one small policy."""
+def test_fisher_products_backpropagate_through_time(fabricate: Fabricate) -> None:
+    """Against the Hessian of the mean KL of one small policy, entry by entry."""
     model = replace(GRU, hidden=(), gru_size=2)
     config = named("itrpo", model=model, normalise_observations=False)
     spec = replace(DISCRETE, agents=("a",), groups=("x",), observation_size=2, has_action_mask=False)
@@ -302,9 +302,9 @@ def test_fisher_products_go_through_time(fabricate: Fabricate) -> None:
         torch.testing.assert_close(product(unit)[0], hessian[i], rtol=0, atol=1e-10)
 
 
-def test_critics_remember_from_iteration_to_iteration(fabricate: Fabricate) -> None:
-    """Values of a local critic against a loop; the second trajectory goes on where the first one ended, and
-    where streams are cut, the value is that of what was remembered then."""
+def test_hidden_states_of_critics_continue_across_iterations(fabricate: Fabricate) -> None:
+    """Values of a local critic against a loop; the second trajectory continues from the first one's hidden
+    states, and final values of truncated streams use the hidden state at the truncation."""
     config = named("ippo", normalise_observations=False, normalise_values=False, lr=1e-9, gae_lambda=0.0)
     learner = OnPolicyLearner(config, DISCRETE, (0,), "cpu")
     critic = learner.critic
@@ -316,14 +316,14 @@ def test_critics_remember_from_iteration_to_iteration(fabricate: Fabricate) -> N
         track = made(fabricate, DISCRETE, 5 + iteration, absent=0.2)
         track.begins[:] = np.random.default_rng(iteration).random(track.begins.shape) < 0.5
         track.hidden_states[0] = np.where(track.begins[0][..., None], 0, carried)
-        before, after = naive_memories(network, track.observations, track, lambda n: n)
+        before, after = naive_hidden_states(network, track.observations, track, lambda n: n)
         estimate = critic.estimate(track, learner.behaviour, iteration)
         for t, c, n in np.argwhere(track.alive[:-1]):
             alone = Alone(network, int(n))
 
-            def value(row: NDArray[Any], memory: NDArray[Any], alone: Alone = alone) -> float:
+            def value(row: NDArray[Any], hidden: NDArray[Any], alone: Alone = alone) -> float:
                 seen = torch.tensor(row, dtype=torch.float64)
-                return alone.step(seen, torch.tensor(memory))[0].item()
+                return alone.step(seen, torch.tensor(hidden))[0].item()
 
             here = value(track.observations[t, c, n], before[t, c, n])
             assert estimate.values[t, c, n] == pytest.approx(here, abs=1e-12)
@@ -359,7 +359,7 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 
 
 @every_case
-def test_a_seed_alone_learns_what_it_learns_in_a_stack(
+def test_a_seed_trains_the_same_alone_and_in_a_stack(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     seeds = (3, 5)
@@ -396,7 +396,7 @@ def test_rows_of_absent_agents_change_nothing(
 
 @every_case
 @pytest.mark.parametrize("shared_until", [0.0, 0.5])
-def test_going_on_from_a_state_is_going_on(
+def test_training_resumed_from_a_state_is_exact(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec, shared_until: float
 ) -> None:
     """Bit for bit, what critics remember included, also across the parting of shared policies."""

@@ -86,7 +86,7 @@ def _of_agents(made: Trajectory, agents: slice) -> Trajectory:
 
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
+def test_a_seed_trains_the_same_alone_and_in_a_stack_of_three(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Policies
 ) -> None:
     config = replace(config, policies=policies)
@@ -103,7 +103,7 @@ def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
 
 
 @every_case
-def test_an_independent_policy_alone_learns_what_it_learns_among_others(
+def test_an_independent_policy_trains_the_same_alone_and_among_others(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
 ) -> None:
     among = _learner(config, spec, (4,))
@@ -119,7 +119,7 @@ def test_an_independent_policy_alone_learns_what_it_learns_among_others(
 
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared"])
-def test_poison_in_what_nobody_lived_through_changes_nothing(
+def test_poisoned_rows_without_experience_change_nothing(
     fabricate: Fabricate,
     poisoned: Callable[[Trajectory], Trajectory],
     config: ReplayConfig,
@@ -139,7 +139,9 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
 
 
 @every_case
-def test_a_checkpoint_goes_on_bit_for_bit(fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec) -> None:
+def test_training_resumed_from_a_checkpoint_is_exact(
+    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
+) -> None:
     config = replace(config, lr_end=0.1, precision="float32")
     first, second = (_learner(config, spec, (1, 2)) for _ in range(2))
     assert isinstance(first, LearnerWithReplay)
@@ -167,7 +169,7 @@ def test_a_checkpoint_goes_on_bit_for_bit(fabricate: Fabricate, config: ReplayCo
 def test_nothing_is_learned_before_there_is_enough_to_draw_from(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
 ) -> None:
-    """Each policy waits for its own memory."""
+    """Each policy waits for its own replay buffer to fill."""
     learner = _learner(replace(config, learning_starts=25), spec, (1,))
     before = [array.detach().clone() for array in learner.method.network.parameters()]
     made = fabricate(spec, 10, 3, seed=0, ends=0.3)
@@ -175,7 +177,7 @@ def test_nothing_is_learned_before_there_is_enough_to_draw_from(
     made.acting[:, :, 1] &= np.arange(10)[:, None] < 5
     info = learner.update(made, 1, 0.0)
     assert info["critic/loss"][0] > 0
-    held = learner.memory.filled
+    held = learner.replay.filled
     assert held[0] == 0 < held[1] < 25 <= held[2]
     moved = [
         [bool((now[k] != then[k]).any()) for k in range(3)]
@@ -304,7 +306,7 @@ def test_impossible_numbers_of_one_are_named(config: type[Any], wrong: dict[str,
     [
         ("madqn", Box((-1.0,), (1.0,)), "madqn takes Discrete actions, .* made has Box ones; use algo=ddpg"),
         ("ddpg", Discrete(2), "ddpg takes Box actions, .* made has Discrete ones; use algo=madqn"),
-        ("ddpg", Box((-1.0,), (np.inf,)), "ddpg takes Box actions with bounds, .*algo=ippo"),
+        ("ddpg", Box((-1.0,), (np.inf,)), "ddpg takes bounded Box actions, .*algo=ippo"),
     ],
 )
 def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: ActionSpace, line: str) -> None:
@@ -319,14 +321,14 @@ def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: Act
 @every_case
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
 @pytest.mark.parametrize("iterations", [1, 6])
-def test_what_is_kept_beside_a_checkpoint_is_foretold(
+def test_replay_bytes_are_predicted(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, policies: Policies, iterations: int
 ) -> None:
     """Of a seed whose agents act at every step, memories full or not."""
     config = replace(config, policies=policies, n_step=1)
     learner, steps = _learner(config, spec, (1,)), 12 * 2
     for iteration in range(iterations):
-        learner._remember(fabricate(spec, 12, 2, seed=iteration))
+        learner._store(fabricate(spec, 12, 2, seed=iteration))
     real = sum(array.nbytes for array in learner.experience()["memory"]["arrays"].values())
     assert real == pytest.approx(
         ENTRIES[config.name].replay_bytes(config, spec, iterations * steps), rel=0.15

@@ -32,38 +32,38 @@ def _numbered(numbers: NDArray[np.int64], spec: EnvSpec = SPEC) -> Transitions:
     )
 
 
-def _memory(capacity: int = CAPACITY, spec: EnvSpec = SPEC) -> ReplayBuffer:
+def _buffer(capacity: int = CAPACITY, spec: EnvSpec = SPEC) -> ReplayBuffer:
     return ReplayBuffer(spec, POLICIES, capacity, torch.device("cpu"))
 
 
-def _held(memory: ReplayBuffer) -> list[list[float]]:
+def _held(buffer: ReplayBuffer) -> list[list[float]]:
     """Of each policy, the numbers held, sorted."""
-    by_policy = memory.arrays["returns"].numpy().reshape(POLICIES, memory.capacity)
-    return [sorted(row[:count].tolist()) for row, count in zip(by_policy, memory.filled, strict=True)]
+    by_policy = buffer.arrays["returns"].numpy().reshape(POLICIES, buffer.capacity)
+    return [sorted(row[:count].tolist()) for row, count in zip(by_policy, buffer.filled, strict=True)]
 
 
 def test_each_policy_holds_its_own_newest_and_no_others() -> None:
-    random, memory = np.random.default_rng(0), _memory()
+    random, buffer = np.random.default_rng(0), _buffer()
     lived: list[list[float]] = [[] for _ in range(POLICIES)]
     number = 0
     for count in (2, 0, 5, 1, 30, 3, 7):
         owners = random.choice(POLICIES, count, p=[0.6, 0.4, 0.0])
         numbers = np.arange(number, number + count)
         number += count
-        memory.add(owners, _numbered(numbers))
+        buffer.add(owners, _numbered(numbers))
         for owner, one in zip(owners, numbers, strict=True):
             lived[owner].append(float(one))
-        assert _held(memory) == [sorted(all_of[-CAPACITY:]) for all_of in lived]
-    assert memory.filled.tolist() == [CAPACITY, CAPACITY, 0]
+        assert _held(buffer) == [sorted(all_of[-CAPACITY:]) for all_of in lived]
+    assert buffer.filled.tolist() == [CAPACITY, CAPACITY, 0]
 
 
 def test_batches_hold_whole_transitions_and_no_holes() -> None:
-    memory = _memory()
-    memory.add(np.array([0, 0, 0, 1]), _numbered(np.array([5, 6, 7, 8])))
+    buffer = _buffer()
+    buffer.add(np.array([0, 0, 0, 1]), _numbered(np.array([5, 6, 7, 8])))
     random = [generator(0, "replay", k) for k in range(POLICIES)]
-    places = memory.draws(random, np.array([True, True, False]), (4, 50))
+    places = buffer.draws(random, np.array([True, True, False]), (4, 50))
     assert places.shape == (4, POLICIES, 50)
-    batch = memory.batch(places[0], torch.float64)
+    batch = buffer.batch(places[0], torch.float64)
     assert set(batch.returns[0].tolist()) == {5.0, 6.0, 7.0}
     assert set(batch.returns[1].tolist()) == {8.0}
     assert not batch.returns[2].any()
@@ -80,13 +80,13 @@ def test_batches_hold_whole_transitions_and_no_holes() -> None:
 @pytest.mark.parametrize("lived", [40, 100, 1234])
 def test_draws_are_uniform_over_what_is_held(lived: int) -> None:
     """Chi-squared within 5 standard deviations, before the memory is full, when it is, and long after."""
-    memory, draws = _memory(100), 200_000
+    buffer, draws = _buffer(100), 200_000
     for first in range(0, lived, 7):
         numbers = np.arange(first, min(first + 7, lived))
-        memory.add(np.zeros(len(numbers), np.int64), _numbered(numbers))
+        buffer.add(np.zeros(len(numbers), np.int64), _numbered(numbers))
     random = [generator(3, "replay", k) for k in range(POLICIES)]
-    places = memory.draws(random, np.array([True, False, False]), (1, draws))
-    drawn = memory.batch(places[0], torch.float64).returns[0].numpy().astype(int)
+    places = buffer.draws(random, np.array([True, False, False]), (1, draws))
+    drawn = buffer.batch(places[0], torch.float64).returns[0].numpy().astype(int)
     held = min(lived, 100)
     counts = np.bincount(drawn, minlength=lived)
     assert not counts[: lived - held].any()
@@ -96,27 +96,27 @@ def test_draws_are_uniform_over_what_is_held(lived: int) -> None:
 
 
 def test_a_policys_draws_do_not_depend_on_the_others() -> None:
-    alone, among = _memory(), _memory()
+    alone, among = _buffer(), _buffer()
     alone.add(np.zeros(4, np.int64), _numbered(np.arange(4)))
     among.add(np.array([0, 1, 0, 1, 0, 0]), _numbered(np.array([0, 9, 1, 9, 2, 3])))
     drawn = []
-    for memory, active in ((alone, [True, False, False]), (among, [True, True, False])):
+    for buffer, active in ((alone, [True, False, False]), (among, [True, True, False])):
         random = [generator(1, "replay", k) for k in range(POLICIES)]
-        drawn.append(memory.batch(memory.draws(random, np.array(active), (1, 30))[0], torch.float64))
+        drawn.append(buffer.batch(buffer.draws(random, np.array(active), (1, 30))[0], torch.float64))
     assert torch.equal(drawn[0].returns[0], drawn[1].returns[0])
 
 
 @pytest.mark.parametrize("lived", [3, 20])
 @pytest.mark.parametrize("space", [Discrete(3), Box((-1.0,), (1.0,))])
-def test_what_is_saved_is_what_is_held_and_goes_on_alike(lived: int, space: Any) -> None:  # noqa: ANN401
+def test_a_saved_buffer_restores_and_continues_identically(lived: int, space: Any) -> None:  # noqa: ANN401
     spec = replace(SPEC, action_space=space, has_action_mask=isinstance(space, Discrete))
-    memory, other = _memory(spec=spec), _memory(spec=spec)
-    memory.add(np.arange(lived) % 2, _numbered(np.arange(lived), spec))
-    state = memory.state_dict()
-    assert len(state["arrays"]["returns"]) == memory.filled.sum() <= 2 * CAPACITY
+    buffer, other = _buffer(spec=spec), _buffer(spec=spec)
+    buffer.add(np.arange(lived) % 2, _numbered(np.arange(lived), spec))
+    state = buffer.state_dict()
+    assert len(state["arrays"]["returns"]) == buffer.filled.sum() <= 2 * CAPACITY
     other.load_state_dict(state)
-    for each in (memory, other):
+    for each in (buffer, other):
         each.add(np.array([0, 1, 1, 2]), _numbered(np.arange(90, 94), spec))
-    for name, array in memory.arrays.items():
+    for name, array in buffer.arrays.items():
         assert torch.equal(array, other.arrays[name]), name
-    assert memory.filled.tolist() == other.filled.tolist()
+    assert buffer.filled.tolist() == other.filled.tolist()

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.off_policy.ddpg import DeterministicMethod
-from headway_algos.off_policy.dqn import ValueMethod
+from headway_algos.off_policy.ddpg import DeterministicPolicyGradient
+from headway_algos.off_policy.dqn import QLearning
 from headway_algos.off_policy.replay_buffer import Batch
 from headway_algos.off_policy.target_networks import TargetNetwork, mean_over_batch, regression_loss
 from headway_algos.recipes.ddpg import DDPGConfig
@@ -52,15 +52,15 @@ def _batch(spec: EnvSpec) -> Batch:
     )
 
 
-def _estranged(target: TargetNetwork) -> None:
-    """A target network that is far from the one in learning."""
+def _randomise_target(target: TargetNetwork) -> None:
+    """Move a target network far from its online network."""
     random = torch.Generator().manual_seed(8)
     for parameter in target.network.parameters():
         parameter += torch.randn(parameter.shape, generator=random, dtype=DOUBLE)
 
 
 def _by_hand(network: StackedMLP, p: int, x: Tensor) -> Tensor:
-    """One network's outputs for one row of inputs."""
+    """Outputs of one network for one row of inputs."""
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         x = weight[p] @ x + bias[p, :, 0]
         if i < len(network.weights) - 1:
@@ -70,8 +70,8 @@ def _by_hand(network: StackedMLP, p: int, x: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("double", [True, False])
 def test_q_targets_are_those_of_a_loop(double: bool) -> None:
-    method, batch = ValueMethod(replace(MADQN, double=double), DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
-    _estranged(method.target)
+    method, batch = QLearning(replace(MADQN, double=double), DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
+    _randomise_target(method.target)
     targets = method.targets(batch)
     assert batch.next_masks is not None
     differ = 0
@@ -88,8 +88,8 @@ def test_q_targets_are_those_of_a_loop(double: bool) -> None:
     assert torch.equal(targets[:, 0], batch.returns[:, 0])
 
 
-def test_a_forbidden_action_s_value_never_enters_a_target() -> None:
-    method, batch = ValueMethod(MADQN, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
+def test_the_value_of_a_forbidden_action_never_enters_a_target() -> None:
+    method, batch = QLearning(MADQN, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
     before = method.targets(batch)
     with torch.no_grad():
         for network in (method.network, method.target.network):
@@ -103,8 +103,8 @@ def test_a_forbidden_action_s_value_never_enters_a_target() -> None:
 
 def test_a_step_of_q_learning_is_adam_s_on_the_mean_loss_of_the_actions_taken() -> None:
     config = replace(MADQN, loss="squared", target_every=1000)
-    method, batch = ValueMethod(config, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
-    _estranged(method.target)
+    method, batch = QLearning(config, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
+    _randomise_target(method.target)
     targets = method.targets(batch)
     before = [parameter.detach().clone() for parameter in method.network.parameters()]
     gradients: list[list[Tensor]] = []
@@ -124,25 +124,25 @@ def test_a_step_of_q_learning_is_adam_s_on_the_mean_loss_of_the_actions_taken() 
 
 
 def test_deterministic_targets_are_those_of_a_loop() -> None:
-    method, batch = DeterministicMethod(DDPG, BOX, SEEDS, K, CPU), _batch(BOX)
-    _estranged(method.slow_actor)
-    _estranged(method.slow_critic)
+    method, batch = DeterministicPolicyGradient(DDPG, BOX, SEEDS, K, CPU), _batch(BOX)
+    _randomise_target(method.target_actor)
+    _randomise_target(method.target_critic)
     targets = method.targets(batch)
     for p in range(P):
         for b in range(B):
             then = batch.next_observations[p, b]
-            action = _by_hand(method.slow_actor.network, p, then).tanh()
-            value = _by_hand(method.slow_critic.network, p, torch.cat([then, action]))[0]
+            action = _by_hand(method.target_actor.network, p, then).tanh()
+            value = _by_hand(method.target_critic.network, p, torch.cat([then, action]))[0]
             expected = batch.returns[p, b] + batch.discounts[p, b] * value
             np.testing.assert_allclose(targets[p, b], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("saturation_coeff", [0.0, 0.7])
-def test_actors_climb_the_critic_along_their_own_action(saturation_coeff: float) -> None:
-    """The step is Adam's on the gradient of the mean of Q(o, mu(o)), the critic standing still, less what
-    the tanh is given, squared and weighted."""
+def test_actors_ascend_the_critic_along_their_own_action(saturation_coeff: float) -> None:
+    """The step is Adam's on the gradient of the mean of Q(o, mu(o)) with a fixed critic, minus the weighted
+    squares of the inputs of tanh."""
     config = replace(DDPG, critic_lr=1e-30, tau=1.0, target_every=1000, saturation_coeff=saturation_coeff)
-    method, batch = DeterministicMethod(config, BOX, SEEDS, K, CPU), _batch(BOX)
+    method, batch = DeterministicPolicyGradient(config, BOX, SEEDS, K, CPU), _batch(BOX)
     before = [parameter.detach().clone() for parameter in method.network.parameters()]
     gradients: list[list[Tensor]] = []
     for p in range(P):
@@ -167,7 +167,7 @@ def test_critics_see_actions_in_units_of_the_bounds() -> None:
     wide = replace(BOX, action_space=Box((-20.0, 5.0), (20.0, 15.0)))
     scaled = replace(batch, actions=torch.tensor([0.0, 5.0]) + batch.actions * 10)
     losses = [
-        DeterministicMethod(DDPG, spec, SEEDS, K, CPU).learn(given, ALL)["critic/loss"]
+        DeterministicPolicyGradient(DDPG, spec, SEEDS, K, CPU).learn(given, ALL)["critic/loss"]
         for spec, given in ((BOX, batch), (wide, scaled))
     ]
     np.testing.assert_allclose(losses[0], losses[1], rtol=1e-9)
@@ -181,8 +181,10 @@ def test_losses_by_definition(error: float) -> None:
     assert float(regression_loss(given, "squared")) == pytest.approx(0.5 * error**2, abs=1e-15)
 
 
-def _followed(tau: float, every: int, active: list[list[bool]]) -> tuple[list[Any], list[Any], list[Any]]:
-    """First, in-learning and target weights of two networks of which those `active` took steps."""
+def _updated_targets(
+    tau: float, every: int, active: list[list[bool]]
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Initial, online and target weights of two networks, of which those `active` took steps."""
     online = StackedMLP((1, 2), 1, "q network", (2, (), 1), "tanh", 1.0, DOUBLE)
     target = TargetNetwork(online, every, tau)
     first = online.weights[0].detach().clone()
@@ -195,28 +197,28 @@ def _followed(tau: float, every: int, active: list[list[bool]]) -> tuple[list[An
     return first, online.weights[0].detach(), target.network.weights[0]  # type: ignore[return-value]  # tensors
 
 
-def test_hard_targets_are_copies_made_at_every_so_many_steps_of_each_network() -> None:
-    first, online, target = _followed(1.0, 3, [[True, False], [True, True]])
+def test_hard_targets_are_copied_at_a_fixed_number_of_steps_per_network() -> None:
+    first, online, target = _updated_targets(1.0, 3, [[True, False], [True, True]])
     assert torch.equal(target, first)  # type: ignore[arg-type]
-    _, online, target = _followed(1.0, 3, [[True, False], [True, True], [True, True]])
+    _, online, target = _updated_targets(1.0, 3, [[True, False], [True, True], [True, True]])
     assert torch.equal(target[0], online[0])
     assert torch.equal(target[1], first[1])
 
 
 @pytest.mark.parametrize("tau", [0.01, 0.3])
-def test_soft_targets_go_a_share_of_the_way(tau: float) -> None:
+def test_soft_targets_move_by_tau(tau: float) -> None:
     """theta' <- tau theta + (1 - tau) theta', n times: (1 - tau)^n of the distance is left."""
-    first, online, target = _followed(tau, 1, [[True, True]] * 4 + [[True, False]] * 3)
+    first, online, target = _updated_targets(tau, 1, [[True, True]] * 4 + [[True, False]] * 3)
     for network, steps in ((0, 7), (1, 4)):
         expected = online[network] + (first[network] - online[network]) * (1 - tau) ** steps
         np.testing.assert_allclose(target[network], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["madqn", "ddpg"])
-def test_networks_without_a_batch_stay_as_they_are(kind: str) -> None:
+def test_networks_without_a_batch_stay_unchanged(kind: str) -> None:
     make: Callable[[], Any] = {
-        "madqn": lambda: ValueMethod(replace(MADQN, target_every=1), DISCRETE, SEEDS, K, CPU),
-        "ddpg": lambda: DeterministicMethod(DDPG, BOX, SEEDS, K, CPU),
+        "madqn": lambda: QLearning(replace(MADQN, target_every=1), DISCRETE, SEEDS, K, CPU),
+        "ddpg": lambda: DeterministicPolicyGradient(DDPG, BOX, SEEDS, K, CPU),
     }[kind]
     batch = _batch(DISCRETE if kind == "madqn" else BOX)
     method, untouched = make(), make()
@@ -228,8 +230,8 @@ def test_networks_without_a_batch_stay_as_they_are(kind: str) -> None:
         pairs += [(method.target.network, untouched.target.network)]
     else:
         pairs += [(method.critic, untouched.critic)]
-        pairs += [(method.slow_actor.network, untouched.slow_actor.network)]
-        pairs += [(method.slow_critic.network, untouched.slow_critic.network)]
+        pairs += [(method.target_actor.network, untouched.target_actor.network)]
+        pairs += [(method.target_critic.network, untouched.target_critic.network)]
     for module, before in pairs:
         for now, then in zip(module.parameters(), before.parameters(), strict=True):
             assert torch.equal(now[~torch.from_numpy(active)], then[~torch.from_numpy(active)])

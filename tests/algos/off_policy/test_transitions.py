@@ -1,4 +1,4 @@
-"""Semi-Markov transitions against a walk along every agent's stream."""
+"""Semi-Markov transitions against a walk along each agent's stream."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory
-from headway_algos.off_policy.transitions import TransitionMaker, Transitions
+from headway_algos.off_policy.transitions import TransitionBuilder, Transitions
 
 Fabricate = Callable[..., Trajectory]
 GAMMA = 0.9
@@ -59,7 +59,7 @@ def _all_walks(parts: list[Trajectory], n_step: int) -> list[Row]:
 
 
 def _rows(made: list[Transitions]) -> list[Row]:
-    """Stream by stream, each in the order of time."""
+    """By stream, each in order of time."""
     rows = [
         (
             int(part.streams[i]), part.observations[i], part.actions[i], float(part.returns[i]),
@@ -76,7 +76,7 @@ def _key(row: Row) -> tuple[Any, ...]:
 
 
 def _assert_same(got: list[Row], expected: list[Row]) -> None:
-    """Whatever the order within a stream: an n-step transition can be whole before an earlier one."""
+    """Ignores the order within a stream: an n-step transition can be complete before an earlier one."""
     assert len(got) == len(expected)
     for mine, theirs in zip(sorted(got, key=_key), sorted(expected, key=_key), strict=True):
         for a, b in zip(mine, theirs, strict=True):
@@ -88,9 +88,9 @@ def _assert_same(got: list[Row], expected: list[Row]) -> None:
 def test_transitions_are_those_of_a_walk_along_each_stream(
     fabricate: Fabricate, n_step: int, idle: float
 ) -> None:
-    """Over three iterations, with agents that are absent, idle, cut and that end, one by one and together."""
+    """Over three iterations, with agents absent, idle, truncated and terminated, singly and together."""
     parts = [fabricate(SPEC, 7, 4, seed=i, absent=0.3, idle=idle, ends=0.1, leaves=0.05) for i in range(3)]
-    maker = TransitionMaker(SPEC, GAMMA, n_step)
+    maker = TransitionBuilder(SPEC, GAMMA, n_step)
     made = [maker.transitions(part) for part in parts]
     expected = _all_walks(parts, n_step)
     assert len(expected) > 30
@@ -99,11 +99,11 @@ def test_transitions_are_those_of_a_walk_along_each_stream(
     _assert_same(_rows(made), expected)
 
 
-def test_what_nobody_lived_through_is_never_read(
+def test_rows_without_experience_are_never_read(
     fabricate: Fabricate, poisoned: Callable[[Trajectory], Trajectory]
 ) -> None:
     made = fabricate(SPEC, 12, 4, seed=3, absent=0.3, idle=0.3, ends=0.2, leaves=0.1)
-    clean, bad = (TransitionMaker(SPEC, GAMMA, 2).transitions(part) for part in (made, poisoned(made)))
+    clean, bad = (TransitionBuilder(SPEC, GAMMA, 2).transitions(part) for part in (made, poisoned(made)))
     assert len(clean) > 20
     for name in Transitions.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(bad, name), getattr(clean, name))
@@ -111,7 +111,7 @@ def test_what_nobody_lived_through_is_never_read(
     assert np.isfinite(bad.next_observations).all()
 
 
-def test_a_transition_over_iterations_is_that_of_one_long_iteration(fabricate: Fabricate) -> None:
+def test_transitions_across_iterations_equal_those_of_one_long_iteration(fabricate: Fabricate) -> None:
     whole = fabricate(SPEC, 20, 3, seed=1, absent=0.4, idle=0.5)
     names = Trajectory.__dataclass_fields__
     with_last_row = ("observations", "states", "alive", "action_masks")
@@ -120,17 +120,17 @@ def test_a_transition_over_iterations_is_that_of_one_long_iteration(fabricate: F
         cuts = {name: slice(first, last + (name in with_last_row)) for name in names}
         return Trajectory(*(getattr(whole, name)[cuts[name]] for name in names))
 
-    one, several = (TransitionMaker(SPEC, GAMMA, 3) for _ in range(2))
+    one, several = (TransitionBuilder(SPEC, GAMMA, 3) for _ in range(2))
     at_once = [one.transitions(whole)]
     in_parts = [several.transitions(part_of(first, first + 5)) for first in range(0, 20, 5)]
     _assert_same(_rows(in_parts), _rows(at_once))
 
 
 def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabricate) -> None:
-    """In what is observed last; those of agents that are away then are lost, and nothing waits."""
+    """At the last observation; transitions of agents absent then are dropped, and none stays open."""
     spec = replace(SPEC, snapshots=False)
     made = fabricate(spec, 6, 5, seed=2, absent=0.3, idle=0.5, ends=0.0)
-    maker = TransitionMaker(spec, GAMMA, 1)
+    maker = TransitionBuilder(spec, GAMMA, 1)
     transitions = maker.transitions(made)
     assert maker.state_dict() == {}
     walked = _all_walks([made], 1)
@@ -147,7 +147,7 @@ def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabrica
 
 def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:
     parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
-    maker, other = (TransitionMaker(SPEC, GAMMA, 2) for _ in range(2))
+    maker, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
     maker.transitions(parts[0])
     state = maker.state_dict()
     assert len(state["streams"]) > 3
@@ -157,9 +157,9 @@ def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:
         np.testing.assert_array_equal(getattr(restored, name), getattr(continued, name))
 
 
-def test_actions_of_a_box_are_kept_whole(fabricate: Fabricate) -> None:
+def test_box_actions_are_stored_with_all_components(fabricate: Fabricate) -> None:
     spec = replace(SPEC, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
     made = fabricate(spec, 6, 2, seed=0)
-    transitions = TransitionMaker(spec, GAMMA, 1).transitions(made)
+    transitions = TransitionBuilder(spec, GAMMA, 1).transitions(made)
     assert transitions.actions.shape == (len(transitions), 2)
     assert transitions.next_masks.shape == (len(transitions), 0)

@@ -1,4 +1,4 @@
-"""Gradients found in workers: what they are, what stale ones do, and that policies learn by them."""
+"""Gradients of asynchronous workers: their values, staleness, and that policies learn from them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -38,7 +38,7 @@ Advantages = Callable[..., NDArray[np.float64]]
 
 
 class NaiveAgent:
-    """An agent's actor and critic as torch.nn modules, of published parameters."""
+    """An agent's actor and critic as torch.nn modules with published parameters."""
 
     def __init__(self, published: Arrays, agent: int) -> None:
         self.agent = agent
@@ -114,17 +114,17 @@ def _assert_alike(naive: NaiveAgent, published: Arrays) -> None:
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])
-def test_room_for_agents_that_never_come_changes_no_contribution(
+def test_unused_slots_change_no_contribution(
     fabricate: Made,
     poisoned: Callable[[Trajectory], Trajectory],
     monkeypatch: pytest.MonkeyPatch,
     spec: EnvSpec,
 ) -> None:
-    """A worker that leaves out no slot finds the same: of two agents, of one, of none, of three."""
+    """Equal to a worker that computes every slot, for two, one, no and three agents."""
     shared = replace(CONFIG, policies="shared", normalise_observations=True, normalise_values=True)
     roomy = replace(spec, agents=tuple("abcdefgh"))
     leaving_out, whole = (A2CContributor(shared, roomy, (SEED,)) for _ in range(2))
-    monkeypatch.setattr(whole.learner, "_of_who_was_there", lambda trajectory: trajectory)
+    monkeypatch.setattr(whole.learner, "_drop_unused_slots", lambda trajectory: trajectory)
     published = AsynchronousA2CLearner(shared, roomy, (SEED,), "cpu").published()
     for number, last in enumerate((2, 1, 0, 3), start=1):
         made = fabricate(roomy, 8, 2, seed=number, absent=0.3, idle=0.2, leaves=0.05)
@@ -142,11 +142,13 @@ def test_room_for_agents_that_never_come_changes_no_contribution(
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])
-def test_a_stale_gradient_is_that_of_its_own_parameters_applied_to_those_of_now(
+def test_a_stale_gradient_is_applied_to_the_current_parameters(
     fabricate: Made, poisoned: Callable[[Trajectory], Trajectory], naive_advantages: Advantages, spec: EnvSpec
 ) -> None:
-    """Two workers begin with the same parameters; the second's gradient comes when the first's is applied.
-    Against plain modules, one row at a time; an agent that the second never saw stays where it was."""
+    """Two workers start from the same parameters; the second gradient arrives after the first was applied.
+
+    Against plain modules, row by row; an agent without data in the second rollout stays unchanged.
+    """
     learner = AsynchronousA2CLearner(CONFIG, spec, (SEED,), "cpu")
     workers = [A2CContributor(CONFIG, spec, (SEED,)) for _ in range(2)]
     rollouts = [fabricate(spec, 9, 2, seed, absent=0.2, idle=0.2, leaves=0.1) for seed in (1, 2)]
@@ -168,8 +170,8 @@ def test_a_stale_gradient_is_that_of_its_own_parameters_applied_to_those_of_now(
         _assert_alike(agent, learner.published())
 
 
-def test_compiled_kernels_contribute_what_torch_does_and_leave_contributions_alone(fabricate: Made) -> None:
-    """In float32 workers learn by compiled kernels, in float64 by torch."""
+def test_contributions_of_compiled_kernels_equal_torch_and_stay_unchanged(fabricate: Made) -> None:
+    """Workers use compiled kernels in float32, torch in float64."""
     found, expected = [], []
     for precision, contributions in (("float32", found), ("float64", expected)):
         config = replace(CONFIG, precision=precision, grad_clip=None)
@@ -184,8 +186,8 @@ def test_compiled_kernels_contribute_what_torch_does_and_leave_contributions_alo
         assert all(np.any(array) for name, array in ours.items() if "gradient" in name)
 
 
-def test_a_worker_keeps_nothing_of_what_it_learned_before(fabricate: Made) -> None:
-    """Its gradient is of what it adopted, whatever it did since it began."""
+def test_a_workers_gradient_depends_on_the_adopted_parameters_only(fabricate: Made) -> None:
+    """Regardless of its earlier contributions."""
     learner = AsynchronousA2CLearner(CONFIG, BOX, (SEED,), "cpu")
     used, fresh = (A2CContributor(CONFIG, BOX, (SEED,)) for _ in range(2))
     published = learner.published()
@@ -202,7 +204,7 @@ def test_a_worker_keeps_nothing_of_what_it_learned_before(fabricate: Made) -> No
         np.testing.assert_array_equal(array, other[name], err_msg=name)
 
 
-def test_a_worker_whose_learning_diverges_names_the_contribution(fabricate: Made) -> None:
+def test_divergence_in_a_worker_names_the_contribution(fabricate: Made) -> None:
     worker = A2CContributor(CONFIG, BOX, (SEED,))
     published = AsynchronousA2CLearner(CONFIG, BOX, (SEED,), "cpu").published()
     published["critic.network.weights.0"][:] = np.nan
@@ -211,7 +213,7 @@ def test_a_worker_whose_learning_diverges_names_the_contribution(fabricate: Made
         worker.contribute(fabricate(BOX, 9, 2, 1), 7)
 
 
-def test_normalisers_are_of_what_all_workers_saw(fabricate: Made) -> None:
+def test_normalisers_cover_the_data_of_all_workers(fabricate: Made) -> None:
     config = replace(CONFIG, normalise_observations=True, normalise_values=True)
     learner = AsynchronousA2CLearner(config, DISCRETE, (SEED,), "cpu")
     workers = [A2CContributor(config, DISCRETE, (SEED,)) for _ in range(2)]
@@ -230,8 +232,8 @@ def test_normalisers_are_of_what_all_workers_saw(fabricate: Made) -> None:
         assert after["critic.return_moments.count"][n, 0, 0] == len(seen)
 
 
-def test_what_is_published_is_not_what_is_learned_on(fabricate: Made) -> None:
-    """A rollout may have to be repeated, or kept in a checkpoint, while others move the parameters."""
+def test_published_parameters_are_copies(fabricate: Made) -> None:
+    """A rollout may be repeated, or stored in a checkpoint, while other workers' updates are applied."""
     learner = AsynchronousA2CLearner(CONFIG, BOX, (SEED,), "cpu")
     worker = A2CContributor(CONFIG, BOX, (SEED,))
     published = learner.published()
@@ -244,7 +246,7 @@ def test_what_is_published_is_not_what_is_learned_on(fabricate: Made) -> None:
 
 
 @pytest.mark.parametrize("setting", [{"epochs": 2}, {"minibatches": 2}, {"shared_until": 0.5}])
-def test_what_has_no_meaning_here_is_refused(setting: Mapping[str, Any]) -> None:
+def test_settings_without_effect_are_refused(setting: Mapping[str, Any]) -> None:
     with pytest.raises(ValueError, match=f"{next(iter(setting))} must be . for a3c"):
         A3CConfig(**setting)
 
@@ -252,8 +254,8 @@ def test_what_has_no_meaning_here_is_refused(setting: Mapping[str, Any]) -> None
 def _learned(
     env: str, arguments: Mapping[str, Any], settings: Mapping[str, Any], iterations: int
 ) -> tuple[float, float, float]:
-    """Returns of greedy, random and optimal play, after four workers learned in turns, so that gradients are
-    stale by three updates."""
+    """Returns of greedy, random and optimal play, after training with four workers in turns, so that
+    gradients are stale by three updates."""
     toy, entry, copies, steps = TOYS[env], ENTRIES["a3c"], 8, 32
     prepared, config = toy.prepare(toy.config(**arguments)), entry.config(**settings)
     spec = toy.make(prepared, 1).spec
@@ -279,13 +281,13 @@ def _learned(
     return greedy, random, best
 
 
-def test_stale_gradients_lead_to_the_optimum_of_a_matrix_game() -> None:
+def test_stale_gradients_reach_the_optimum_of_a_matrix_game() -> None:
     game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
     assert _learned("matrix", game, {"lr": 1e-2, "entropy_coeff": 0.1}, 20)[0] == 11.0
 
 
-def test_stale_gradients_lead_to_tracking_at_little_more_than_the_optimal_cost() -> None:
-    """At most 1.6 times it; random play costs hundreds of times it."""
+def test_stale_gradients_reach_nearly_the_optimal_tracking_cost() -> None:
+    """At most 1.6 times the optimal cost; random play costs hundreds of times as much."""
     model = ModelConfig(hidden=(32, 32), activation="relu")
     settings = {
         "policies": "shared", "model": model, "gamma": 0.8, "lr": 5e-3, "lr_end": 0.02, "entropy_coeff": 0.0,
@@ -296,7 +298,7 @@ def test_stale_gradients_lead_to_tracking_at_little_more_than_the_optimal_cost()
     assert random < 100 * best
 
 
-def test_stale_gradients_of_agents_that_come_and_go_lead_near_the_optimum() -> None:
+def test_stale_gradients_come_near_the_optimum_with_agents_that_come_and_go() -> None:
     """At least 0.96 of the way from random to optimal."""
     settings = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
     greedy, random, best = _learned("visitors", {}, settings, 20)

@@ -1,7 +1,7 @@
 """Whole updates of the algorithms against one plain network after another, in float64.
 
-The naive learner knows agents, not stacks: torch.nn modules, torch.optim.Adam, torch.distributions and
-loops over (agent, step, copy). It shares with Headway its first weights and the order of minibatches.
+The naive learner has no stacks: torch.nn modules, torch.optim.Adam, torch.distributions and loops over
+(agent, step, copy). It shares with Headway the initial weights and the order of minibatches.
 """
 
 from collections.abc import Callable, Sequence
@@ -92,7 +92,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
 
 
 class Moments:
-    """Mean and standard deviation of everything seen, kept whole."""
+    """Mean and standard deviation of all rows, computed from stored rows."""
 
     def __init__(self) -> None:
         self.seen: list[Array] = []
@@ -146,7 +146,7 @@ class Policy:
 @dataclass
 class Value:
     viewers: list[int]
-    """Agents whose value it gives; [0] for a team's critic."""
+    """Agents that it values; [0] for a team's critic."""
     network: nn.Sequential
     adam: torch.optim.Adam
     inputs: Moments
@@ -154,7 +154,7 @@ class Value:
 
 
 class Naive:
-    """One replica, one agent and one row at a time."""
+    """One replica: one agent and one row at a time."""
 
     def __init__(
         self, config: AlgoConfig, spec: EnvSpec, seed: int, like: OnPolicyLearner, oracle: Oracle

@@ -45,8 +45,8 @@ def _one(values: list[float], dtype: type = float) -> Array:
     return np.array(values, dtype)[:, None, None]
 
 
-def test_an_absent_stretch_is_one_longer_step() -> None:
-    """Present at 0 and 3 of four steps: the same as two steps with gamma^3 and discounted pay."""
+def test_a_period_of_absence_is_one_longer_step() -> None:
+    """Present at steps 0 and 3 of four: the same as two steps with gamma^3 and discounted rewards."""
     gamma, lam = 0.9, 0.6
     none = np.zeros((4, 1, 1), np.bool_)
     present = np.array([1, 0, 0, 1, 1], np.bool_)[:, None, None]
@@ -68,7 +68,7 @@ def test_termination_ends_the_return_and_truncation_bootstraps_from_the_final_va
     assert truncated[0, 0, 0] == pytest.approx(1 + 0.9 * 7 - 0.5, abs=1e-12)
 
 
-def test_numbers_of_absent_steps_are_never_read() -> None:
+def test_values_of_absent_steps_are_never_read() -> None:
     rewards, values, final_values, terminated, truncated, present = _random_case(2, 0.5)
     absent = ~present.astype(np.bool_)
     quiet, poisoned = rewards.copy(), rewards.copy()
@@ -82,7 +82,7 @@ def test_numbers_of_absent_steps_are_never_read() -> None:
     assert (result[absent[:-1]] == 0).all()
 
 
-def test_who_is_away_at_the_cut_awaits_what_its_teammates_do() -> None:
+def test_an_agent_absent_at_the_end_gets_its_teammates_value() -> None:
     values = np.array([[[9.0, 9.0, 9.0], [9.0, 9.0, 9.0]], [[1.0, np.nan, 4.0], [np.nan, np.nan, np.nan]]])
     present = np.array([[[True] * 3] * 2, [[True, False, True], [False] * 3]])
     filled, awaiting = with_teammates_values(values, present)
@@ -92,7 +92,7 @@ def test_who_is_away_at_the_cut_awaits_what_its_teammates_do() -> None:
     assert not present[1, 0, 1]
 
 
-def test_with_a_reward_a_team_each_awaits_what_its_own_team_does() -> None:
+def test_with_rewards_per_team_an_absent_agent_gets_its_own_teams_value() -> None:
     values = np.array([[[9.0] * 5], [[1.0, np.nan, 3.0, 8.0, np.nan]]])
     present = np.array([[[True] * 5], [[True, False, True, True, False]]])
     filled, awaiting = with_teammates_values(values, present, ("a", "a", "a", "b", "c"))

@@ -1,4 +1,4 @@
-"""The learner as a whole: stacks, absent agents, endings, and going on from a checkpoint."""
+"""The learner as a whole: stacks, absent agents, stream ends, and resuming from a checkpoint."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -138,8 +138,8 @@ def _assert_close(
 
 
 def _rounding(config: AlgoConfig, spec: EnvSpec) -> float:
-    """What rounding leaves, which standardising nearly equal advantages, of a policy with a row or two,
-    enlarges; several epochs of PPO on ratios of Gaussians even more."""
+    """Tolerance for rounding errors, which grow by standardising nearly equal advantages of few rows, and
+    further by several epochs of PPO on ratios of Gaussians."""
     return 1e-7 if (config, spec) in ((IPPO, BOX), (HAPPO, BOX)) else 1e-9
 
 
@@ -149,10 +149,10 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 
 
 @every_case
-def test_a_seed_alone_learns_what_it_learns_in_a_stack_of_three(
+def test_a_seed_trains_the_same_alone_and_in_a_stack_of_three(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
-    """Though the others have more rows, or hardly any."""
+    """Although the others have more rows, or hardly any."""
     seeds, rtol = (3, 5, 7), _rounding(config, spec)
     stacked = OnPolicyLearner(config, spec, seeds, "cpu")
     alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in seeds]
@@ -198,7 +198,7 @@ each_by_itself = pytest.mark.parametrize(
 
 
 @each_by_itself
-def test_an_independent_policy_alone_learns_what_it_learns_among_others(
+def test_an_independent_policy_trains_the_same_alone_and_among_others(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     among = OnPolicyLearner(config, spec, (5,), "cpu")
@@ -213,7 +213,7 @@ def test_an_independent_policy_alone_learns_what_it_learns_among_others(
 
 
 @each_by_itself
-def test_what_others_live_through_changes_no_independent_policy(
+def test_other_agents_experience_changes_no_independent_policy(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     results = []
@@ -233,7 +233,7 @@ def test_what_others_live_through_changes_no_independent_policy(
 
 
 @every_case
-def test_poison_in_what_nobody_lived_through_changes_nothing(
+def test_poisoned_rows_without_experience_change_nothing(
     fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     clean, bad = (OnPolicyLearner(config, spec, (1, 2), "cpu") for _ in range(2))
@@ -250,20 +250,20 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX, replace(DISCRETE, shared_reward=True)])
 @pytest.mark.parametrize("config", [IPPO, IA2C, ITRPO, MAACKTR], ids=lambda config: config.name)
-def test_room_for_agents_that_never_come_changes_nothing(
+def test_unused_slots_change_nothing(
     fabricate: Fabricate,
     poisoned: Poison,
     monkeypatch: pytest.MonkeyPatch,
     config: AlgoConfig,
     spec: EnvSpec,
 ) -> None:
-    """Slots beyond the last that somebody had are left out, in one iteration more of them than in another,
-    and all in one: a learner that leaves out none learns the same. One comes when all steps are over and the
-    others have left: what a team awaits is told by her alone."""
+    """A learner that trims unused slots, a different number per iteration and once all, trains the same as
+    one that trims none. One agent appears after the last step, when the others have left: the team's value
+    there depends on that agent only."""
     shared = replace(config, policies="shared")
     roomy = replace(spec, agents=tuple("abcdefghi"), groups=())
     tight, wide = OnPolicyLearner(shared, spec, (1, 2), "cpu"), OnPolicyLearner(shared, roomy, (1, 2), "cpu")
-    monkeypatch.setattr(tight, "_of_who_was_there", lambda trajectory: trajectory)
+    monkeypatch.setattr(tight, "_drop_unused_slots", lambda trajectory: trajectory)
     for iteration, last in ((1, 4), (2, 2), (3, 0), (4, 3)):
         made = fabricate(roomy, 8, 6, seed=iteration, absent=0.3, idle=0.2, leaves=0.05)
         made.alive[:, :, last:] = False
@@ -280,7 +280,7 @@ def test_room_for_agents_that_never_come_changes_nothing(
 
 
 def test_padding_of_unequal_groups_changes_nothing(fabricate: Fabricate) -> None:
-    """The large group learns the same beside a group of one as beside a group of its own size."""
+    """The large group trains the same beside a group of one as beside a group of its size."""
     config = replace(IPPO, policies="groups")
     padded = replace(DISCRETE, agents=tuple("abcd"), groups=tuple("xxxy"))
     equal = replace(DISCRETE, agents=tuple("abcdef"), groups=tuple("xxxyyy"))
@@ -294,7 +294,7 @@ def test_padding_of_unequal_groups_changes_nothing(fabricate: Fabricate) -> None
 
 
 @every_case
-def test_a_checkpoint_goes_on_bit_for_bit(
+def test_training_resumed_from_a_checkpoint_is_exact(
     fabricate: Fabricate, tmp_path: Path, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     config = replace(config, lr_end=0.1, precision="float32")
@@ -339,7 +339,7 @@ def test_a_saved_state_is_not_changed_by_loading_it_elsewhere(fabricate: Fabrica
 
 
 class PlainGradient:
-    """One step of the policy gradient: another update, with a state of its own."""
+    """One step of the policy gradient: a further update, with its own state."""
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
         self.actor, self.lr, self.share, self.improvements = actor, config.lr, 1.0, 0
@@ -376,7 +376,7 @@ def _each_in_turn(
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """An order in which agents, each with a policy of its own, improve one after another."""
+    """An order that updates agents with independent policies one after another."""
     gains = torch.zeros(len(rows.selected), dtype=advantages.dtype)
     for p in range(len(rows.selected)):
         mine = np.zeros_like(rows.selected)
@@ -388,8 +388,8 @@ def _each_in_turn(
 def test_critic_update_and_order_are_three_choices(
     fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second update and a second order join by name alone; in turns, and all at once, a plain gradient
-    step of independent policies is the same."""
+    """A further update and a further order join by name; a plain gradient step of independent policies is the
+    same in sequential and simultaneous order."""
     monkeypatch.setitem(UPDATES, "gradient", PlainGradient)
     monkeypatch.setitem(ORDERS, "in turn", _each_in_turn)
     results = []
@@ -410,7 +410,7 @@ def test_critic_update_and_order_are_three_choices(
 
 
 class RewardAbovePar:
-    """A critic without networks: the reward beyond the mean of those seen before; one viewpoint, or N."""
+    """A critic without networks: reward minus the mean of earlier rewards; one viewpoint, or N."""
 
     def __init__(
         self,
@@ -434,7 +434,7 @@ class RewardAbovePar:
         self.par = estimate.returns.reshape(len(estimate.returns), len(self.par), -1).mean(axis=(0, 2))
         return {"par": self.par}
 
-    def absorb(self, trajectory: Trajectory) -> None:
+    def update_normalisers(self, trajectory: Trajectory) -> None:
         self.seen += len(trajectory.rewards)
 
     def anneal(self, share: float) -> None:
@@ -448,10 +448,10 @@ class RewardAbovePar:
 
 
 @pytest.mark.parametrize("viewpoints", [1, 4])
-def test_a_critic_of_ones_own_joins_by_name(
+def test_a_custom_critic_joins_by_name(
     fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch, viewpoints: int
 ) -> None:
-    """The learner asks it for advantages, of agents or of the team, and keeps its state."""
+    """The learner uses its advantages, of agents or of the team, and stores its state."""
     own: dict[str, Any] = {"critic": "above par"}
     monkeypatch.setitem(CRITICS, "above par", partial(RewardAbovePar, viewpoints=viewpoints))
     first, other = (OnPolicyLearner(replace(MAPPO, **own, lr_end=0.5), TEAM, (1, 2), "cpu") for _ in range(2))
@@ -470,7 +470,7 @@ def test_a_critic_of_ones_own_joins_by_name(
     _assert_close(_numbers(other.actor), _numbers(first.actor))
 
 
-def test_a_teams_advantage_is_that_of_each_of_its_agents(
+def test_all_agents_of_a_team_get_the_teams_advantage(
     fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own: dict[str, Any] = {"critic": "above par"}
@@ -507,10 +507,10 @@ def _changed_by(config: AlgoConfig, spec: EnvSpec, made: Trajectory, change: Cha
 
 @pytest.mark.parametrize("natural", [False, True])
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_truncation_alone_bootstraps_and_from_the_final_observation(
+def test_only_truncation_bootstraps_and_from_the_final_observation(
     fabricate: Fabricate, natural: bool, which: int
 ) -> None:
-    """Not from what the next episode starts with: at the trajectory's end that is read by nothing else."""
+    """Not from the next episode's first observation, which is otherwise unused at the trajectory's end."""
     config, spec = [(IPPO, DISCRETE), (MAPPO, DISCRETE), (MAPPO, TEAM)][which]
     made = fabricate(spec, 6, 2, seed=0, ends=0.0)
     made.terminated[-1], made.truncated[-1] = natural, not natural
@@ -528,22 +528,24 @@ def test_truncation_alone_bootstraps_and_from_the_final_observation(
 
 
 def _values(learner: OnPolicyLearner, scene: CriticBatch) -> NDArray[np.float64]:
-    """(M, C, W) by the learner's value critic."""
+    """Values (M, C, W) by the learner's critic."""
     assert isinstance(learner.critic, ValueCritic)
     return learner.critic.values(learner.critic.rows(scene), len(scene.observations))
 
 
 def _final_values(learner: OnPolicyLearner, made: Trajectory) -> NDArray[np.float64]:
-    """(T, C, N): what streams that were cut bootstrap from."""
-    endings = Truncations.of(made, 1)
-    return endings.put(_values(learner, CriticBatch.after_endings(made, endings)), made.rewards.shape)
+    """Bootstrap values of truncated streams, (T, C, N)."""
+    truncations = Truncations.of(made, 1)
+    return truncations.put(
+        _values(learner, CriticBatch.after_truncations(made, truncations)), made.rewards.shape
+    )
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, WITH_STATE])
-def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
+def test_a_central_critic_bootstraps_from_the_team_when_one_agent_is_truncated(
     fabricate: Fabricate, poisoned: Poison, spec: EnvSpec
 ) -> None:
-    """Agent 1 is truncated and the episode goes on: its bootstrap is the value of what came next."""
+    """Agent 1 is truncated and the episode continues: it bootstraps from the value of the next state."""
     made = poisoned(fabricate(spec, 5, 2, seed=0, ends=0.0))
     made.truncated[2, :, 1] = True
     made.final_observations[2, :, 1] = 0.5
@@ -555,8 +557,8 @@ def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
     np.testing.assert_allclose(final[2, :, 1], expected[0, :, 1], rtol=1e-12)
 
 
-def test_an_agent_absent_when_cut_bootstraps_from_its_final_observation(fabricate: Fabricate) -> None:
-    """The contract promises one wherever `truncated` is set."""
+def test_an_agent_absent_when_truncated_bootstraps_from_its_final_observation(fabricate: Fabricate) -> None:
+    """The contract guarantees one wherever `truncated` is set."""
     made = fabricate(DISCRETE, 4, 1, seed=0, ends=0.0)
     made.alive[3, :, 1] = made.acting[3, :, 1] = False
     made.truncated[3] = True
@@ -567,7 +569,7 @@ def test_an_agent_absent_when_cut_bootstraps_from_its_final_observation(fabricat
 
 
 @every_case
-def test_an_iteration_in_which_nobody_was_there_changes_no_policy(
+def test_an_iteration_without_live_agents_changes_no_policy(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
@@ -582,7 +584,7 @@ def test_an_iteration_in_which_nobody_was_there_changes_no_policy(
 
 @pytest.mark.parametrize("normalise", [True, False])
 def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) -> None:
-    """A constant reward of 50 that ends every episode: the critic comes to say 50 in either case."""
+    """With a constant reward of 50 at the end of each episode, the critic learns 50 in either case."""
     config = replace(
         IPPO, normalise_values=normalise, lr=1e-9, critic_lr=0.05, epochs=20, value_clip=None, grad_clip=None
     )
@@ -594,8 +596,8 @@ def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) ->
     np.testing.assert_allclose(_values(learner, CriticBatch.of_steps(made)), 50, rtol=0.05)
 
 
-def test_value_errors_are_cut(fabricate: Fabricate) -> None:
-    """Beyond the bound an error teaches nothing: with a tiny one the critic stays as it was."""
+def test_value_errors_are_clipped(fabricate: Fabricate) -> None:
+    """Errors beyond the bound have no gradient: with a tiny bound the critic stays unchanged."""
     results = {}
     for name, bound in (("cut", 1e-12), ("whole", None)):
         learner = OnPolicyLearner(
@@ -613,15 +615,15 @@ def test_value_errors_are_cut(fabricate: Fabricate) -> None:
     assert results == {"cut": False, "whole": True}
 
 
-def test_a_gpu_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_gpu_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(HeadwayError, match="device=auto or device=cpu"):
         OnPolicyLearner(IPPO, DISCRETE, (1,), "cuda")
     assert OnPolicyLearner(IPPO, DISCRETE, (1,), "auto").device.type == "cpu"
 
 
-def test_a_device_that_is_none_is_refused_in_one_line() -> None:
-    with pytest.raises(HeadwayError, match="'gpu' is no device; use device=auto, cpu or cuda"):
+def test_an_unknown_device_is_refused_in_one_line() -> None:
+    with pytest.raises(HeadwayError, match="'gpu' is not a device; use device=auto, cpu or cuda"):
         OnPolicyLearner(IPPO, DISCRETE, (1,), "gpu")
 
 
@@ -663,7 +665,7 @@ def test_an_absurd_learning_rate_ends_in_one_line(fabricate: Fabricate, spec: En
 def test_a_critic_that_is_no_longer_finite_is_named_whatever_the_update(
     fabricate: Fabricate, config: AlgoConfig
 ) -> None:
-    """A trust region would take no step on what it says, and go on like that to the end."""
+    """A trust region would reject every step on its values, and train on without effect."""
     learner = OnPolicyLearner(config, TEAM, (4, 6), "cpu")
     made = fabricate(TEAM, 4, 4, seed=0)
     for tensor in learner.critic.state_dict()["networks"].values():

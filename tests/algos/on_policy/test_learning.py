@@ -1,4 +1,4 @@
-"""Learning bars: how near to a known optimum each algorithm comes in a few seconds."""
+"""Learning bars: each algorithm comes close to a known optimum within seconds."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,13 +27,13 @@ ON_POLICY = {
     for name, config in CONFIGS.items()
     if isinstance(config, AlgoConfig) and ENTRIES[name].contributor is None
 }
-"""Those that learn in step; of the others see `test_asynchronous`."""
+"""Synchronous algorithms; for the others see `test_asynchronous`."""
 ALGORITHMS = list(ON_POLICY)
 CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
-"""Those that take Box actions."""
+"""Algorithms that take Box actions."""
 UPDATE = {name: config.update for name, config in ON_POLICY.items()}
 IN_TURNS = {name for name, config in ON_POLICY.items() if config.order == "sequential"}
-"""They need a policy for each agent, which then learns from its own experience alone."""
+"""Algorithms that need one policy per agent, trained on its own experience only."""
 
 
 def _begun(
@@ -93,19 +93,19 @@ MATRIX_SETTINGS = {
     "entropy_coeff": 0.3,
 }
 NATURAL_LR = {"lr": 0.25}
-"""K-FAC's: a share of the natural gradient."""
+"""Settings of K-FAC; the learning rate is a share of the natural gradient."""
 CLIMBING: dict[str, tuple[dict[str, float], int]] = {
     "ppo": ({}, 45),
     "a2c": ({"lr": 2e-2, "lr_end": 0.5, "entropy_coeff": 0.7}, 120),
     "trpo": ({"kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
     "kfac": ({**NATURAL_LR, "kl_bound": 0.1, "entropy_coeff": 0.5}, 45),
 }
-"""By update: what else is set, and iterations."""
+"""Further settings and number of iterations, by update."""
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
-    """11 of 11, where it is the only equilibrium."""
+    """11 of 11, the only equilibrium."""
     game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
     settings = {**MATRIX_SETTINGS, **(NATURAL_LR if UPDATE[algorithm] == "kfac" else {})}
     evaluated = _train("matrix", game, algorithm, settings, (0, 1, 2), (16, 16, 30))
@@ -114,8 +114,8 @@ def test_matrix_without_a_trap_is_played_at_its_optimum(algorithm: str) -> None:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None:
-    """7 of 11: who improves alone is kept from the best payoff by the penalty of -30 beside it, and
-    reaches 7 by way of 5 and 6 (Claus and Boutilier 1998). The entropy bonus keeps it from stopping at 6."""
+    """7 of 11: independent improvement is kept from the best payoff by the penalty of -30 next to it, and
+    reaches 7 through 5 and 6 (Claus and Boutilier 1998). The entropy bonus prevents stopping at 6."""
     changes, iterations = CLIMBING[UPDATE[algorithm]]
     settings = {**MATRIX_SETTINGS, **changes}
     evaluated = _train("matrix", {}, algorithm, settings, (0, 1, 2), (16, 16, iterations))
@@ -124,8 +124,8 @@ def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None
 
 @pytest.mark.parametrize("algorithm", CONTINUOUS)
 def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorithm: str) -> None:
-    """At most 1.6 times the optimal cost with one policy for all, twice with a policy each; the untrained
-    policy's is hundreds of times the optimum's."""
+    """At most 1.6 times the optimal cost with a shared policy, twice with independent ones; untrained
+    policies cost hundreds of times the optimum."""
     in_turns = algorithm in IN_TURNS
     settings: dict[str, Any] = {
         "policies": "independent" if in_turns else "shared",
@@ -153,8 +153,8 @@ def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorith
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(algorithm: str) -> None:
-    """Over agents that come, go and retire, at least 0.96 of the way from random to optimal; 0.88 with a
-    policy each."""
+    """At least 0.96 of the way from random to optimal, with agents that come, go and retire; 0.88 with
+    independent policies."""
     settings: dict[str, Any] = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
     iterations = 10
     if UPDATE[algorithm] == "a2c":
@@ -204,12 +204,12 @@ RECALL: dict[str, tuple[dict[str, Any], int]] = {
     "ia2c": ({"minibatches": 1, "lr": 2e-2, "lr_end": 0.1}, 40),
     "matrpo": ({"minibatches": 4, "lr": 1e-2, "lr_end": 0.1}, 20),
 }
-"""By algorithm, one of each update: what is set, and iterations."""
+"""Settings and number of iterations, for one algorithm per update."""
 
 
 @pytest.mark.parametrize("algorithm", RECALL)
-def test_what_was_seen_at_first_is_named_at_last_by_those_who_remember(algorithm: str) -> None:
-    """Always, of two cues, by every seed; who sees no further than the present is as good as chance."""
+def test_recurrent_policies_recall_the_first_observation_at_the_end(algorithm: str) -> None:
+    """Always, of two cues, by every seed; without recurrence policies do no better than chance."""
     settings, iterations = RECALL[algorithm]
     task, model = {"agents": 2, "steps": 4}, ModelConfig(hidden=(16,), gru_size=16, sequence_length=12)
     for core, bounds in (("gru", (1.0, 1.0)), ("none", (0.2, 0.8))):
@@ -219,8 +219,8 @@ def test_what_was_seen_at_first_is_named_at_last_by_those_who_remember(algorithm
 
 
 def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> None:
-    """Ten agents are paid, alike, the share of them that are right: more than 0.75 of the way from random to
-    optimal, though nine tenths of the reward are the others' doing."""
+    """More than 0.75 of the way from random to optimal, although nine tenths of the reward, the share of ten
+    agents that choose right, depend on the others."""
     team = {"agents": 10, "steps": 50}
     settings = {"critic": "counterfactual", "policies": "shared", "gamma": 0.5, "gae_lambda": 0.5, "lr": 3e-3}
     evaluated = _train("trivial", team, "custom", settings, (0, 1), (4, 50, 15))
@@ -230,7 +230,7 @@ def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> Non
 
 
 def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
-    """11 of 11, each agent by its own values, the other being part of what it finds."""
+    """11 of 11, each agent by its own values, with the other as part of the environment."""
     game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
     settings = {"lr": 5e-2, "updates": 8, "batch_size": 32, "learning_starts": 64}
     evaluated = _train("matrix", game, "madqn", settings, (0, 1, 2), (8, 8, 30))
@@ -268,7 +268,7 @@ def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
 
 
 def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> None:
-    """At most 4 times the linear-quadratic regulator's; the untrained policy's is hundreds of times it."""
+    """At most 4 times the linear-quadratic regulator's cost; untrained policies cost hundreds of times it."""
     settings = {
         "policies": "shared", "model": NetworkConfig((32, 32), "tanh"), "gamma": 0.6, "lr": 1e-3,
         "critic_lr": 5e-3, "lr_end": 0.02, "updates": 40, "learning_starts": 200, "tau": 0.05,

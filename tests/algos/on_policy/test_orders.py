@@ -1,4 +1,4 @@
-"""The sequential order: whose turn it is, and what the factor of each turn is."""
+"""The sequential order: the permutation, and the factor of each policy."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,7 +33,7 @@ CONFIG = AlgoConfig(
 
 
 class Recording(GradientUpdate):
-    """PPO that notes every turn: who, with which advantages, and the log-probabilities it comes to."""
+    """PPO that records each update: policies, advantages, and the resulting log-probabilities."""
 
     turns: list[tuple[list[int], Tensor, Tensor]]
     policies: list[int]
@@ -79,7 +79,7 @@ def _generators(purpose: str, count: int) -> list[np.random.Generator]:
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX], ids=["discrete", "box"])
-def test_advantages_are_weighed_by_the_ratios_of_the_agents_before(spec: EnvSpec) -> None:
+def test_advantages_are_weighted_by_the_ratios_of_agents_updated_before(spec: EnvSpec) -> None:
     """A naive product over agents, row by row; 1 where an agent was not acting."""
     update = _update(Recording, spec)
     assert isinstance(update, Recording)
@@ -100,8 +100,8 @@ def test_advantages_are_weighed_by_the_ratios_of_the_agents_before(spec: EnvSpec
     assert info["policy"].tolist() == list(range(R * N))
 
 
-def test_whose_turn_comes_first_learns_as_if_all_learnt_at_once() -> None:
-    """And the others do not: with ratios off 1 their factors change what they learn."""
+def test_the_first_policy_in_order_is_updated_as_in_the_simultaneous_order() -> None:
+    """The others are not: ratios other than 1 change their factors."""
     rows, advantages, _ = _rows(DISCRETE)
     results = []
     for order in (sequential, simultaneous):
@@ -117,8 +117,8 @@ def test_whose_turn_comes_first_learns_as_if_all_learnt_at_once() -> None:
                 assert (one[p] - other[p]).abs().max() > 1e-4
 
 
-def test_what_an_update_carries_on_comes_back_from_its_turn() -> None:
-    """Moments and coefficients after two improvements are as if each policy had kept its own."""
+def test_the_state_of_an_update_is_adopted_from_its_part() -> None:
+    """Moments and coefficients after two updates are as if each policy had its own update."""
     rows, advantages, _ = _rows(DISCRETE)
     config = replace(CONFIG, kl_coeff=0.3)
     whole, parts = _update(GradientUpdate, DISCRETE, config), _update(GradientUpdate, DISCRETE, config)

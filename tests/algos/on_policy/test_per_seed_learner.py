@@ -1,5 +1,5 @@
-"""A seed learns the same in any stack: bit for bit, however products round, with on-policy algorithms; with
-`madqn` and `ddpg` as far as products of a stack round as single ones do."""
+"""A seed trains the same in any stack: bit for bit with on-policy algorithms, whatever the rounding;
+with `madqn` and `ddpg` if products of a stack round like single ones."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -49,7 +49,7 @@ every_case = pytest.mark.parametrize(("name", "settings", "spec"), CASES.values(
 
 
 class RoundsByShape(TorchDispatchMode):
-    """Matrix products that are off by a share that depends on their shapes, as rounding does."""
+    """Matrix products with a relative error that depends on their shapes, like rounding."""
 
     PRODUCTS = ("aten::bmm", "aten::baddbmm", "aten::baddbmm_", "aten::mm", "aten::addmm")
 
@@ -87,7 +87,7 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 def _experience(
     fabricate: Fabricate, spec: EnvSpec, iteration: int, settings: dict[str, Any]
 ) -> list[Trajectory]:
-    """One trajectory per seed: one of agents that are always there, one of few, one of hardly any."""
+    """One trajectory per seed: with all, few and hardly any agents alive."""
     memory = settings["model"].get("gru_size", 0)
     return [
         fabricate(spec, 12, 3, 10 * iteration + r, absent=absent, idle=0.2, leaves=0.02, hidden_size=memory)
@@ -107,7 +107,7 @@ def _arrays(state: Any, path: str = "") -> dict[str, NDArray[Any]]:  # noqa: ANN
 def _trained(
     learner: Learner, tracks: list[Trajectory]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """What learning leaves: the state's tensors and what acts; and the metrics of the last iteration."""
+    """State tensors and acting parameters after training, and the metrics of the last iteration."""
     metrics: dict[str, NDArray[Any]] = {}
     for i, track in enumerate(tracks):
         metrics = learner.update(track, i + 1, 0.2 * i)
@@ -131,7 +131,7 @@ def test_a_seed_learns_the_same_in_any_stack(
 
 
 @pytest.mark.parametrize("name", ["ippo", "ia2c", "itrpo", "maacktr"])
-def test_products_that_hold_several_seeds_would_show(fabricate: Fabricate, name: str) -> None:
+def test_products_over_several_seeds_would_be_detected(fabricate: Fabricate, name: str) -> None:
     """The same comparison fails for a learner that stacks seeds, as it does on a GPU."""
     settings = CASES[name][1]
     tracks = [_experience(fabricate, DISCRETE, iteration, settings) for iteration in (1, 2)]
@@ -145,7 +145,7 @@ def test_products_that_hold_several_seeds_would_show(fabricate: Fabricate, name:
 
 
 @every_case
-def test_a_state_of_all_seeds_at_once_is_gone_on_from(
+def test_a_joined_state_can_be_resumed(
     fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
 ) -> None:
     first, second = (_learner(name, settings, spec, SEEDS) for _ in range(2))
@@ -162,8 +162,8 @@ def test_a_state_of_all_seeds_at_once_is_gone_on_from(
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case not in ("madqn", "ddpg")])
-def test_a_state_of_a_learner_that_stacks_seeds_is_gone_on_from(fabricate: Fabricate, case: str) -> None:
-    """Of a run begun on a GPU, or before seeds were kept apart."""
+def test_the_state_of_a_learner_that_stacks_seeds_can_be_resumed(fabricate: Fabricate, case: str) -> None:
+    """From a run started on a GPU, or before seeds were separated."""
     name, settings, spec = CASES[case]
     config = build(ENTRIES[name].config, {**settings, "precision": "float64"}, "algo", name)
     stacked = (SplitLearner if config.shared_until else OnPolicyLearner)(config, spec, SEEDS, "cpu")

@@ -1,4 +1,4 @@
-"""Policies that are one at first and part later."""
+"""A shared policy that is split into separate ones during training."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,7 +38,7 @@ def _same(one: dict[str, NDArray[np.float64]], other: dict[str, NDArray[np.float
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_they_are_the_shared_policy_until_they_part_and_go_on_from_it(
+def test_policies_equal_the_shared_one_until_the_split_and_start_from_it(
     name: str, fabricate: Fabricate
 ) -> None:
     config, spec = CASES[name]
@@ -64,8 +64,8 @@ def test_they_are_the_shared_policy_until_they_part_and_go_on_from_it(
 
 @pytest.mark.parametrize("parts_at", [1, 2])
 @pytest.mark.parametrize("name", CASES)
-def test_a_learner_taken_up_again_goes_on_bit_for_bit(name: str, parts_at: int, fabricate: Fabricate) -> None:
-    """Also where it is kept just before, or just after, the policies part."""
+def test_a_resumed_learner_continues_bit_for_bit(name: str, parts_at: int, fabricate: Fabricate) -> None:
+    """Also from a state just before, or just after, the split."""
     config, spec = CASES[name]
     config = replace(config, shared_until=parts_at / 4)
     first = SplitLearner(config, spec, SEEDS, "cpu")
@@ -80,19 +80,19 @@ def test_a_learner_taken_up_again_goes_on_bit_for_bit(name: str, parts_at: int, 
     assert _same(again.acting_parameters(), first.acting_parameters())
 
 
-def test_the_optimiser_goes_on_with_the_moments_of_the_shared_policy(fabricate: Fabricate) -> None:
+def test_the_optimiser_keeps_the_moments_of_the_shared_policy(fabricate: Fabricate) -> None:
     config, spec = CASES["ippo"]
     learner = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
-    steps = learner.together.state_dict()["policy_update"]["optimiser"]["counts"]
+    steps = learner.shared.state_dict()["policy_update"]["optimiser"]["counts"]
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=1), 1, 0.5)
-    after = learner.apart.state_dict()["policy_update"]["optimiser"]["counts"]
+    after = learner.separate.state_dict()["policy_update"]["optimiser"]["counts"]
     assert (after == 2 * steps[0]).all()
     assert len(after) == 4 * len(steps)
 
 
 @pytest.mark.parametrize("update", ["ppo", "a2c", "trpo"])
-def test_once_parted_they_learn_in_smaller_steps(update: str, fabricate: Fabricate) -> None:
+def test_steps_are_smaller_after_the_split(update: str, fabricate: Fabricate) -> None:
     """A hundredth of the learning rate: steps of Adam and TRPO are proportional to it."""
 
     def step_apart(apart_lr: float) -> float:
@@ -115,22 +115,22 @@ def test_once_parted_they_learn_in_smaller_steps(update: str, fabricate: Fabrica
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"apart_lr": 0.5}, "apart_lr is for policies that part: set shared_until"),
+        ({"apart_lr": 0.5}, "apart_lr applies after shared_until: set shared_until"),
         ({"apart_lr": 0.0, "shared_until": 0.5}, "apart_lr must be above 0"),
         ({"shared_until": 1.0}, r"shared_until must lie in \[0, 1\)"),
-        ({"shared_until": 0.5, "policies": "shared"}, "shared_until is for policies that are not shared"),
+        ({"shared_until": 0.5, "policies": "shared"}, "shared_until must be 0 with policies: shared"),
         (
             {"shared_until": 0.5, "order": "sequential"},
-            "shared_until must be 0 where policies are updated one",
+            "shared_until must be 0 with order: sequential",
         ),
     ],
 )
-def test_what_cannot_part_is_refused(changes: dict[str, object], message: str) -> None:
+def test_impossible_splits_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         AlgoConfig(**changes)  # type: ignore[arg-type]  # as from YAML
 
 
-def test_the_registry_makes_it() -> None:
+def test_the_registry_makes_a_split_learner() -> None:
     config = IPPOConfig(model=MODEL, shared_until=0.5)
     assert isinstance(ENTRIES["ippo"].learner(config, SPEC, SEEDS[:1], "cpu"), SplitLearner)
     plain = replace(config, shared_until=0.0)

@@ -17,13 +17,13 @@ def _parameters(stack: int, seed: int = 0) -> list[torch.nn.Parameter]:
 
 @pytest.fixture
 def by_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps as on a GPU."""
+    """Use the code path of a GPU."""
     monkeypatch.setattr(StackedAdam, "_step_compiled", StackedAdam._step_by_torch)
 
 
 @pytest.fixture(params=["compiled", "by torch"])
 def either(request: pytest.FixtureRequest) -> None:
-    """Steps in each way."""
+    """Run with each code path."""
     if request.param == "by torch":
         request.getfixturevalue("by_torch")
 
@@ -31,7 +31,7 @@ def either(request: pytest.FixtureRequest) -> None:
 @pytest.mark.usefixtures("either")
 @pytest.mark.parametrize("grad_clip", [None, 0.5])
 def test_networks_that_step_at_different_times_equal_torchs_adam_alone(grad_clip: float | None) -> None:
-    """One begins late: its moments are then as young as a new optimiser's."""
+    """One starts late: its bias correction is then that of a new optimiser."""
     stack, signals = 3, [_parameters(3, 10 + step) for step in range(7)]
     together = _parameters(stack)
     alone = [[torch.nn.Parameter(t[p].detach().clone()) for t in together] for p in range(stack)]
@@ -71,7 +71,7 @@ def test_a_stack_steps_by_torch_bit_for_bit_as_torchs_fused_adam() -> None:
     assert all(torch.equal(a, b) for a, b in zip(mine, its, strict=True))
 
 
-def test_a_restored_optimiser_goes_on_as_the_stored_one_and_leaves_it_alone() -> None:
+def test_a_restored_optimiser_continues_like_the_stored_one_without_sharing_tensors() -> None:
     first = _parameters(2)
     stored = StackedAdam(first, 0.05, None)
 
@@ -90,7 +90,7 @@ def test_a_restored_optimiser_goes_on_as_the_stored_one_and_leaves_it_alone() ->
     assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
 
 
-def test_a_gradient_laid_out_otherwise_than_its_parameter_is_the_same_gradient() -> None:
+def test_the_memory_layout_of_a_gradient_does_not_matter() -> None:
     mine, its = _parameters(3), _parameters(3)
     ours, theirs = StackedAdam(mine, 0.05, None), StackedAdam(its, 0.05, None)
     for tensor, other, signal in zip(mine, its, _parameters(3, 20), strict=True):
@@ -109,7 +109,7 @@ def test_parameters_given_to_another_optimiser_are_not_stepped_by_the_first() ->
         first.step(np.ones(2, np.bool_))
 
 
-def test_one_parameter_that_was_moved_is_not_left_behind() -> None:
+def test_a_moved_parameter_is_detected() -> None:
     parameters = _parameters(2)
     optimiser = StackedAdam(parameters, 0.05, None)
     parameters[1].data = parameters[1].detach().clone()
@@ -147,7 +147,7 @@ def test_a_network_steps_bit_for_bit_the_same_in_any_stack(size: int, dtype: tor
 
 
 @pytest.mark.usefixtures("either")
-def test_what_has_no_gradient_since_the_last_step_begins_with_none() -> None:
+def test_a_parameter_without_a_new_gradient_gets_zero() -> None:
     parameters, alone = _parameters(2), _parameters(2)
     ours, theirs = StackedAdam(parameters, 0.05, None), torch.optim.Adam(alone, lr=0.05, eps=1e-5)
     for step, given in enumerate(((0, 1), (1,))):
@@ -163,7 +163,7 @@ def test_what_has_no_gradient_since_the_last_step_begins_with_none() -> None:
 
 
 @pytest.mark.usefixtures("either")
-def test_a_bounded_gradient_that_is_not_a_number_leaves_no_number_in_its_network() -> None:
+def test_a_nan_gradient_makes_the_whole_network_nan() -> None:
     parameters = _parameters(2)
     optimiser = StackedAdam(parameters, 0.05, 0.5)
     for parameter, signal in zip(parameters, _parameters(2, 1), strict=True):

@@ -21,8 +21,8 @@ def _times(matrices: Tensor, vectors: Tensor) -> Tensor:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def test_with_an_iteration_a_dimension_the_solution_is_the_direct_one() -> None:
-    """And goes no worse for more of them."""
+def test_with_one_iteration_per_dimension_the_solution_is_exact() -> None:
+    """Also with more iterations."""
     matrices, targets = _systems(4, 6)
     exact = torch.linalg.solve(matrices, targets)
     for iterations in (6, 50):
@@ -42,8 +42,8 @@ def test_after_few_iterations_it_is_the_best_of_the_krylov_space() -> None:
         torch.testing.assert_close(found, best, rtol=1e-8, atol=1e-8)
 
 
-def test_a_system_that_is_solved_waits_for_the_others() -> None:
-    """One needs a single iteration, one none at all; neither harms or is harmed."""
+def test_a_solved_system_stays_unchanged() -> None:
+    """One needs a single iteration, one none; neither affects the others."""
     matrices, targets = _systems(4, 8)
     matrices[1], targets[2] = 3 * torch.eye(8, dtype=DOUBLE), 0
     solution, _ = conjugate_gradient(lambda v: _times(matrices, v), targets, 8)

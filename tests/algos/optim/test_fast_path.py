@@ -1,4 +1,4 @@
-"""Compiled steps of learning against torch's, which other tests hold to their definitions."""
+"""Compiled training steps against torch's, which other tests check against their definitions."""
 
 import os
 import subprocess
@@ -37,13 +37,13 @@ CONFIG = AlgoConfig(
 
 @pytest.fixture
 def by_torch(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """What is made while it holds learns by torch."""
+    """Learners made within this context use torch."""
     monkeypatch.setattr(fast_path, "ENABLED", False)
     return monkeypatch
 
 
 class Case:
-    """Policies and critics with something to learn."""
+    """Policies and critics with training data."""
 
     def __init__(self, config: AlgoConfig, space: str, masked: bool, seeds: tuple[int, ...]) -> None:
         spec = EnvSpec("toy", ("a",), SIZE, SPACES[space], has_action_mask=masked)
@@ -94,7 +94,7 @@ class Case:
             )
         present = self.rows.selected.T[..., None]
         estimate = CriticEstimate(
-            returns, returns, returns, present, self.rows.observations, memories=None, taken=taken
+            returns, returns, returns, present, self.rows.observations, hidden_states=None, taken=taken
         )
         return regression, regression.fit(estimate, 0)
 
@@ -112,7 +112,7 @@ def _state(learned: GradientUpdate | ReturnRegression) -> list[Tensor]:
 )
 @pytest.mark.parametrize("kl_coeff", [0.0, 0.4])
 @pytest.mark.parametrize(("space", "masked"), [("discrete", False), ("discrete", True), ("box", False)])
-def test_policies_become_what_they_become_by_torch(
+def test_compiled_policy_updates_equal_torch(
     space: str,
     masked: bool,
     kl_coeff: float,
@@ -132,7 +132,7 @@ def test_policies_become_what_they_become_by_torch(
 
 @pytest.mark.parametrize("outputs", [1, 4])
 @pytest.mark.parametrize("value_clip", [None, 1.0])
-def test_critics_become_what_they_become_by_torch(
+def test_compiled_critic_updates_equal_torch(
     outputs: int, value_clip: float | None, by_torch: pytest.MonkeyPatch
 ) -> None:
     config = replace(CONFIG, value_clip=value_clip)
@@ -145,11 +145,12 @@ def test_critics_become_what_they_become_by_torch(
 
 
 @pytest.mark.parametrize(("space", "masked"), [("discrete", True), ("box", False)])
-def test_a_network_learns_bit_for_bit_the_same_in_any_stack(space: str, masked: bool) -> None:
-    """Though others have more rows, so that its own end in padding, and there are more than a piece may be
-    of. One network has none at all. Without a penalty, whose outputs are products by torch: these round
-    differently in another stack on some processors, so that no stack of torch's holds two seeds on a CPU
-    (`headway_algos.on_policy.per_seed_learner`)."""
+def test_a_network_trains_bit_for_bit_the_same_in_any_stack(space: str, masked: bool) -> None:
+    """Although other networks have more rows, so that it has padding, and batches exceed `piece_samples`.
+
+    One network has no rows. Without a KL penalty, whose outputs torch computes: on some processors these
+    round differently in another stack (see `headway_algos.on_policy.per_seed_learner`).
+    """
     config, seeds = replace(CONFIG, piece_samples=300, kl_coeff=0.0), (0, 3, 6)
     together, info = Case(config, space, masked, seeds).improve()
     of_values, losses = Case(config, space, masked, seeds).fit(1)
@@ -164,8 +165,8 @@ def test_a_network_learns_bit_for_bit_the_same_in_any_stack(space: str, masked: 
     assert together.optimiser.counts.tolist() == [6, 6, 0]
 
 
-def test_a_part_of_a_stack_learns_what_it_learns_in_the_whole() -> None:
-    """As where one policy is updated after another."""
+def test_part_of_a_stack_trains_as_in_the_whole() -> None:
+    """As in the sequential order."""
     whole, _ = Case(CONFIG, "box", False, (0, 1, 2)).improve()
     case, policies = Case(CONFIG, "box", False, (0, 1, 2)), torch.tensor([1])
     update = ppo_update(case.actor, CONFIG, case.layout)
@@ -194,7 +195,7 @@ for name in ("adam", "learn_gaussian", "learn_categorical", "learn_returns"):
 """
 
 
-def test_what_was_compiled_before_is_all_that_learning_needs() -> None:
+def test_training_compiles_nothing_after_warm_up() -> None:
     done = subprocess.run(
         [sys.executable, "-c", _WARMED], check=True, timeout=120, capture_output=True, text=True
     )
@@ -221,7 +222,7 @@ assert abs(row[0] - np.tanh(0.5)) < 1e-6
 """
 
 
-def test_where_no_cache_can_be_written_kernels_are_compiled_all_the_same() -> None:
+def test_kernels_are_compiled_without_a_writable_cache() -> None:
     nowhere = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
     subprocess.run([sys.executable, "-c", _UNCACHED], check=True, timeout=120, env=nowhere)
 
@@ -235,7 +236,7 @@ def test_where_no_cache_can_be_written_kernels_are_compiled_all_the_same() -> No
         (CONFIG.model, torch.float64, False),
     ],
 )
-def test_kernels_serve_every_size_of_perceptron_in_float32(
+def test_kernels_are_used_for_every_size_of_perceptron_in_float32(
     model: ModelConfig, dtype: torch.dtype, compiled: bool
 ) -> None:
     network = make_network(model, (0, 1), 1, "actor", (SIZE, ACTIONS), 1.0, dtype)
@@ -243,7 +244,7 @@ def test_kernels_serve_every_size_of_perceptron_in_float32(
     assert (fast_path.Perceptrons.of(network, optimiser) is not None) == compiled
 
 
-def test_a_parameter_that_is_not_a_number_stays_one_and_is_seen() -> None:
+def test_a_nan_parameter_is_kept_and_detected() -> None:
     case = Case(CONFIG, "box", False, (0, 1))
     case.actor.network.weights[0].data[1, 0, 0] = torch.nan
     update, info = case.improve()
@@ -251,7 +252,7 @@ def test_a_parameter_that_is_not_a_number_stays_one_and_is_seen() -> None:
     assert torch.isfinite(update.optimiser.values.whole[0]).all()
 
 
-def test_exp_is_exact_to_a_few_last_bits() -> None:
+def test_exp_is_accurate_to_a_few_units_in_the_last_place() -> None:
     x = np.concatenate([np.linspace(-86.9, 88, 100_001), np.logspace(-30, 1, 1000)]).astype(np.float32)
     ours, bits = x.copy(), np.empty(len(x), np.int32)
     kernel._exp(ours, bits, bits.view(np.float32), len(x))
@@ -263,7 +264,7 @@ def test_exp_is_exact_to_a_few_last_bits() -> None:
     assert np.isnan(odd[3])
 
 
-def test_tanh_is_exact_to_a_few_last_bits() -> None:
+def test_tanh_is_accurate_to_a_few_units_in_the_last_place() -> None:
     x = np.concatenate([np.linspace(-12, 12, 100_001), np.logspace(-30, 1, 1000)]).astype(np.float32)
     ours = x.copy()
     kernel._tanh(ours, len(x))

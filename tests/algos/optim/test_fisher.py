@@ -1,4 +1,4 @@
-"""Fisher products against the explicit matrix, against automatic differentiation, and J against both."""
+"""Fisher products against the explicit matrix and automatic differentiation, and products with J."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ every_network = pytest.mark.parametrize(
 
 
 def _actor(space: str, hidden: tuple[int, ...] = (6, 5), activation: str = "tanh") -> Actor:
-    """Policies with every parameter away from its start."""
+    """Policies with randomised parameters."""
     model = ModelConfig(hidden, "tanh" if activation == "tanh" else "relu", actor_gain=0.8)
     actor = Actor(model, EnvSpec("made", ("only",), D, SPACES[space]), range(P), 1, DOUBLE)
     random = torch.Generator().manual_seed(1)
@@ -56,8 +56,8 @@ def _batch(space: str, masked: bool = False) -> WholeBatch:
 
 
 def _explicit(actor: Actor, batch: WholeBatch, p: int) -> Tensor:
-    """(V, V): mean over rows of J^T M J, J by autograd a row at a time, M from its definition as the
-    covariance of the score."""
+    """Mean over rows of J^T M J, (V, V), with J by autograd row by row and M as the covariance of the
+    score."""
     alone = actor.narrow(torch.tensor([p]))
     total = torch.zeros(())
     for b in range(batch.weight.shape[1]):
@@ -106,7 +106,7 @@ def test_both_forms_are_equal(space: str, masked: bool, hidden: tuple[int, ...],
 
 
 def test_a_policy_without_rows_has_no_fisher_information() -> None:
-    """Not even in its log standard deviation."""
+    """Also not in its log standard deviation."""
     actor, batch = _actor("box"), _batch("box")
     weight = batch.weight.clone()
     weight[1] = 0
@@ -118,7 +118,7 @@ def test_a_policy_without_rows_has_no_fisher_information() -> None:
 
 
 @every_network
-def test_pushing_and_pulling_are_the_jacobians(hidden: tuple[int, ...], activation: str) -> None:
+def test_jvp_and_vjp_equal_the_jacobian(hidden: tuple[int, ...], activation: str) -> None:
     network = _actor("discrete", hidden, activation).network
     rows = torch.randn(P, B, D, generator=torch.Generator().manual_seed(5), dtype=DOUBLE)
     linear = LinearisedMLP.of(network, rows)
@@ -133,17 +133,17 @@ def test_pushing_and_pulling_are_the_jacobians(hidden: tuple[int, ...], activati
 
     step = torch.tensor(1e-6, dtype=DOUBLE)
     slope = (outputs(step) - outputs(-step)) / (2 * step)
-    torch.testing.assert_close(linear.push(change), slope, rtol=1e-7, atol=1e-7)
+    torch.testing.assert_close(linear.jvp(change), slope, rtol=1e-7, atol=1e-7)
     signal = torch.randn(linear.outputs.shape, generator=random, dtype=DOUBLE)
     expected = torch.autograd.grad(network(rows), list(network.parameters()), signal)
-    for mine, theirs in zip(linear.pull(signal), expected, strict=True):
+    for mine, theirs in zip(linear.vjp(signal), expected, strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(linear.outputs, network(rows).detach(), rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("kind", ["categorical", "masked", "gaussian"])
 def test_information_in_the_outputs_is_the_hessian_of_the_kl_divergence(kind: str) -> None:
-    """Of KL(old || new) in new, at old; torch.distributions' divergence, which ours is proven equal to."""
+    """Hessian of KL(old || new) in new at old, by torch.distributions."""
     random = torch.Generator().manual_seed(7)
     outputs, direction = (torch.randn(1, A, 1, generator=random, dtype=DOUBLE) for _ in range(2))
     log_std = torch.randn(1, A, 1, generator=random, dtype=DOUBLE)
@@ -173,7 +173,7 @@ def test_information_in_a_log_standard_deviation_is_two() -> None:
     torch.testing.assert_close(hessian.reshape(A, A), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_vectors_fall_apart_into_what_they_were_put_together_from() -> None:
+def test_unflat_inverts_flat() -> None:
     tensors = [torch.randn(2, 3, 4), torch.randn(2, 3, 1)]
     for part, tensor in zip(unflat(flat(tensors), tensors), tensors, strict=True):
         assert torch.equal(part, tensor)

@@ -1,4 +1,4 @@
-"""Kronecker factors against loops over rows, and what they do to gradients against the whole matrix."""
+"""Kronecker factors against loops over rows, and their products against the full matrix."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ every_activation = pytest.mark.parametrize("activation", ["tanh", "relu"])
 
 
 def _network(activation: str = "tanh", hidden: tuple[int, ...] = (5, 4)) -> StackedMLP:
-    """Every parameter away from its start."""
+    """A network with randomised parameters."""
     network = StackedMLP(range(P), 1, "test", (D, hidden, OUTPUTS), activation, 0.9, DOUBLE)
     random = torch.Generator().manual_seed(1)
     with torch.no_grad():
@@ -44,7 +44,7 @@ def _include(factors: KroneckerFactors, network: StackedMLP, seed: int, active: 
 
 
 def _naive(network: StackedMLP, seed: int, p: int) -> list[Tensor]:
-    """A, G of every layer for one batch, a row at a time, by automatic differentiation."""
+    """A and G of every layer for one batch, row by row, by automatic differentiation."""
     rows, score, weight = _batch(seed)
     layers = [
         (nn.Parameter(w[p].detach().clone()), nn.Parameter(b[p, :, 0].detach().clone()))
@@ -67,7 +67,7 @@ def _naive(network: StackedMLP, seed: int, p: int) -> list[Tensor]:
 
 @every_activation
 def test_factors_are_running_averages_of_those_of_loops_over_rows(activation: str) -> None:
-    """The first batches weigh alike, then the latest has 1 - decay; who sits out keeps what it has."""
+    """The first batches have equal weights, later ones 1 - decay; inactive networks keep their averages."""
     network = _network(activation)
     factors = KroneckerFactors(network, DAMPING, DECAY, 1)
     turns = [[True] * P, [True, False, True], [True] * P, [True] * P]
@@ -94,7 +94,7 @@ def _explicit(inputs: Tensor, signals: Tensor) -> Tensor:
 
 
 @every_activation
-def test_solving_and_multiplying_are_those_of_the_whole_damped_matrix(activation: str) -> None:
+def test_solve_and_product_equal_the_full_damped_matrix(activation: str) -> None:
     network = _network(activation)
     factors = KroneckerFactors(network, DAMPING, DECAY, 1)
     _include(factors, network, 0, [True] * P)
@@ -134,7 +134,7 @@ def test_inverses_are_renewed_at_each_networks_own_batches() -> None:
     ]  # fmt: skip
 
 
-def test_before_its_first_batch_a_network_goes_nowhere() -> None:
+def test_before_its_first_batch_a_network_does_not_move() -> None:
     network = _network()
     factors = KroneckerFactors(network, DAMPING, DECAY, 1)
     _include(factors, network, 0, [True, False, True])
@@ -142,8 +142,8 @@ def test_before_its_first_batch_a_network_goes_nowhere() -> None:
     assert [bool((solved[0][p] == 0).all()) for p in range(P)] == [False, True, False]
 
 
-def test_where_no_signal_arrives_directions_are_finite() -> None:
-    """As where only one action is allowed in every row."""
+def test_directions_are_finite_without_signals() -> None:
+    """As with a single allowed action in every row."""
     network = _network()
     factors = KroneckerFactors(network, DAMPING, DECAY, 1)
     rows, score, weight = _batch(0)

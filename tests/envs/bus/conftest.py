@@ -9,5 +9,5 @@ from headway_envs.bus.prepared import Prepared
 
 @pytest.fixture(scope="session")
 def line() -> Prepared:
-    """The default scenario."""
+    """Return the prepared default scenario."""
     return prepare(BusConfig())

@@ -9,7 +9,7 @@ METRE = 1.0 / 111_320.0
 
 
 def test_no_two_stops_of_a_terminal_are_far_from_each_other() -> None:
-    """Forty stops along five kilometres are many terminals, though each lies next to another."""
+    """Forty stops along five kilometres form many terminals, although each is close to the next."""
     north = np.append(130.0 * np.arange(40), 9000.0)
     stops = pd.DataFrame({"lat": north * METRE, "lon": 0.0})
     found = terminals(stops, np.arange(41))

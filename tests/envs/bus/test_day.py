@@ -1,4 +1,4 @@
-"""Laws that hold on every day, whatever the agents do."""
+"""Invariants of every day, for any actions."""
 
 import itertools
 import pickle
@@ -24,7 +24,7 @@ def _begun(prepared: Prepared, copies: int, seed: int = 0) -> BusBatchedEnv:
 
 
 def _actions(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Mostly MOVE, with some holding and a few visits to the service centre."""
+    """Return random actions: mostly MOVE, some WAIT and few SERVICE_CENTER."""
     return rng.choice(3, shape, p=[0.25, 0.745, 0.005]).astype(np.int64)
 
 
@@ -86,7 +86,7 @@ def test_snapshot_restores_bit_for_bit(line: Prepared) -> None:
             assert array.tobytes() == reached[part][name].tobytes(), f"{part}.{name}"
 
 
-def test_a_snapshot_holds_of_the_queues_only_who_waits(line: Prepared) -> None:
+def test_a_snapshot_holds_only_waiting_passengers_of_the_queues(line: Prepared) -> None:
     env, rng = _begun(line, 2), np.random.default_rng(2)
     for actions in _actions(rng, (200, 2, len(line.agents))):
         env.step(actions)
@@ -96,7 +96,7 @@ def test_a_snapshot_holds_of_the_queues_only_who_waits(line: Prepared) -> None:
     assert world["arrived_at"].shape == world["leaves_at"].shape == (waiting,)
 
 
-def test_a_snapshot_of_before_with_all_places_of_the_queues_is_restored(line: Prepared) -> None:
+def test_an_older_snapshot_with_the_whole_queue_storage_is_restored(line: Prepared) -> None:
     env, rng = _begun(line, 2), np.random.default_rng(2)
     script = _actions(rng, (300, 2, len(line.agents)))
     for actions in script[:200]:
@@ -137,7 +137,7 @@ def test_copies_depend_on_their_seed_alone(line: Prepared) -> None:
 
 
 def test_two_controllers_meet_the_same_day(line: Prepared) -> None:
-    """Arrivals, demand and congestion are keyed, not drawn in turn: holding changes none of them."""
+    """Arrivals, demand and congestion are keyed draws, so holding changes none of them."""
     moving, holding = _begun(line, 1), _begun(line, 1)
     slots = len(line.agents)
     for tick in range(600):
@@ -187,8 +187,8 @@ def test_service_is_masked_while_away_and_ends_with_a_full_tank() -> None:
     assert env.world.slots["fuel"][away].min() > 70
 
 
-def test_a_centre_for_worn_buses_takes_no_others() -> None:
-    """Whoever orders all buses to it all day has them go when they are worn, and drive on until then."""
+def test_the_centre_accepts_worn_buses_only() -> None:
+    """With SERVICE_CENTER at every step, buses go to service only when they are worn."""
     config = BusConfig(upkeep=UpkeepConfig(service_below=0.6))
     prepared = prepare(config)
     env, order = _begun(prepared, 1), np.full((1, 14), SERVICE_CENTER)
@@ -245,7 +245,7 @@ def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, stat
         assert np.isfinite(outcome.rewards).all()
 
 
-def test_own_rewards_differ_and_are_nothing_at_the_depot(line: Prepared) -> None:
+def test_own_rewards_differ_and_are_zero_at_the_depot(line: Prepared) -> None:
     reward = replace(line.config.reward, scope="own")
     env = _begun(replace(line, config=replace(line.config, reward=reward)), 1)
     for _ in range(300):
@@ -260,7 +260,7 @@ def _with_reward(line: Prepared, **changes: object) -> Prepared:
 
 
 def _day_of_rewards(env: BusBatchedEnv, seed: int) -> NDArray[np.float64]:
-    """(N,): each slot's rewards summed over a day of MOVE and WAIT at random, with service now and then."""
+    """Return each slot's return (N,) of a day with random MOVE and WAIT, and occasional service."""
     random, total = np.random.default_rng(seed), np.zeros(14)
     for _ in range(env.prepared.config.ticks):
         actions = random.choice([WAIT, MOVE, SERVICE_CENTER], size=(1, 14), p=[0.2, 0.79, 0.01])
@@ -269,9 +269,9 @@ def _day_of_rewards(env: BusBatchedEnv, seed: int) -> NDArray[np.float64]:
     return total
 
 
-def test_a_line_s_rewards_are_of_its_own_and_sum_to_the_team_s() -> None:
-    """All slots of a line, those at the depot too, are paid the same, lines differ, and the mean over all
-    slots is what the team is paid."""
+def test_line_rewards_differ_and_average_to_the_teams() -> None:
+    """All slots of a line, also at the depot, receive the same; lines differ; and the mean over all slots is
+    the team's reward."""
     corridor = prepare(BusConfig(scenario="corridor"))
     slots = len(corridor.agents)
     team, lines = (_begun(_with_reward(corridor, scope=scope), 1) for scope in ("team", "line"))
@@ -293,8 +293,8 @@ def test_a_line_s_rewards_are_of_its_own_and_sum_to_the_team_s() -> None:
 
 @pytest.mark.parametrize("scope", ["team", "line", "own"])
 def test_foreseen_upkeep_adds_the_same_to_every_day(line: Prepared, scope: str) -> None:
-    """Whatever is done, a slot's day differs by minus its potential at the start, so policies rank as before;
-    single intervals differ, or it would be of no use."""
+    """For any actions, a slot's return changes by minus its initial potential, which keeps the ranking of
+    policies; rewards of single intervals change."""
     plain, foreseeing = (_with_reward(line, scope=scope, foresee_upkeep=foresee) for foresee in (False, True))
     env = _begun(foreseeing, 1)
     owed = -env.world.slots["upkeep_ahead"][0]
@@ -321,8 +321,9 @@ def test_foreseen_upkeep_is_refunded_when_a_worn_bus_goes_to_service(line: Prepa
     assert outcome.rewards[0, n] > 0.5 * owed[n]
 
 
-def test_a_follower_share_pays_a_bus_for_the_spacing_behind_it(line: Prepared) -> None:
-    """The bus ahead's reward rises by weight x share x (the follower's c - its own); the others' stays."""
+def test_the_follower_share_rewards_the_spacing_behind(line: Prepared) -> None:
+    """The reward of the bus ahead rises by weight x share x (the follower's c - its own); others keep
+    theirs."""
     own, mixed = (_begun(_with_reward(line, scope="own", follower_share=s), 1) for s in (0.0, 0.25))
     actions, moved = np.full((1, 14), MOVE), 0
     for _ in range(400):
@@ -341,8 +342,8 @@ def test_a_follower_share_pays_a_bus_for_the_spacing_behind_it(line: Prepared) -
 
 
 def test_always_moving_does_not_depend_on_the_control_interval() -> None:
-    """Under constant MOVE the events fall at the same exact times whatever tick_s, up to when a slot at the
-    depot is woken, which is exact too."""
+    """With constant MOVE all events have the same exact times for any tick_s, including departures from the
+    depot."""
     boarded, times = [], []
     for tick_s in (30.0, 60.0, 300.0):
         prepared = prepare(BusConfig(tick_s=tick_s))

@@ -1,4 +1,4 @@
-"""A tiny scenario computed by hand, and the draws against their distributions."""
+"""A small scenario computed by hand, and random draws compared with their distributions."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ CALM = NoiseConfig(
 
 
 def tiny(board: float = 1e-9) -> Prepared:
-    """Three stops 100 s apart, trips at 05:10 and 05:40, no noise, hardly a passenger."""
+    """Return a scenario of three stops 100 s apart, trips at 05:10 and 05:40, no noise and few passengers."""
     frames = {
         "stops": {"stop": [0, 1, 2], "lat": [0.0, 0.0, 0.0], "lon": [0.0, 0.01, 0.02]},
         "patterns": {"pattern": [0], "line": ["a"], "dir": ["I"], "n_stops": [3]},
@@ -79,7 +79,8 @@ def tiny(board: float = 1e-9) -> Prepared:
 
 
 def test_events_fall_at_the_times_computed_by_hand() -> None:
-    """Window opens at 18600 - 180 = 18420; MOVE at once; stop 1 at 18520, end at 18620."""
+    """The dispatch window opens at 18600 - 180 = 18420 s; with MOVE, stop 1 is at 18520 s, the end at 18620
+    s."""
     prepared = tiny()
     env = BusBatchedEnv(prepared, 1)
     env.reset(np.zeros(1, np.uint64))
@@ -136,8 +137,8 @@ def test_the_unit_draws_have_mean_one_and_their_deviation() -> None:
 
 
 def test_boardings_respond_to_the_headway_less_than_in_proportion() -> None:
-    """All captive: arrivals are those measured; half captive: as many board under the target headway, and
-    more come."""
+    """If all are captive, arrivals equal the measured boardings; if half are, as many board at the target
+    headway, and more arrive."""
     captive, half = tiny(120.0), tiny(120.0)
     config = replace(half.config, captive_share=0.5)
     assert captive.settings["captive_arrivals"][0] == 1.0

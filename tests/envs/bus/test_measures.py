@@ -1,4 +1,4 @@
-"""Measures of scenarios that are used in more than one place."""
+"""Measures of scenarios that several modules use."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def test_every_size_has_travel_times_of_the_same_hours(size: str) -> None:
     assert sorted(generate(size, 0).link_times["hour"].unique()) == TIMED_HOURS.tolist()
 
 
-def test_loads_are_what_boarded_and_has_not_alighted() -> None:
+def test_loads_are_boardings_minus_alightings() -> None:
     tables = generate("line", 0)
     stays = tables.alighting.assign(p_alight=(tables.alighting["seq0"] == 44).astype(float))
     loads = link_loads(replace(tables, alighting=stays), "weekday")

@@ -1,4 +1,4 @@
-"""The PettingZoo face."""
+"""PettingZoo ParallelEnv of the bus environment."""
 
 import warnings
 
@@ -11,14 +11,14 @@ from headway_envs.bus.parallel import BusParallelEnv
 from headway_envs.bus.prepared import Prepared
 
 
-def test_pettingzoo_finds_nothing(line: Prepared) -> None:
+def test_pettingzoos_api_test_passes(line: Prepared) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parallel_api_test(BusParallelEnv(line), num_cycles=1300)
         parallel_seed_test(lambda: BusParallelEnv(line), num_cycles=100)
 
 
-def test_both_faces_give_the_same_day(line: Prepared) -> None:
+def test_the_parallel_env_and_the_batch_give_the_same_day(line: Prepared) -> None:
     face, batch = BusParallelEnv(line), BusBatchedEnv(line, 1)
     seen, infos = face.reset(seed=5)
     observed = batch.reset(np.array([5], np.uint64))

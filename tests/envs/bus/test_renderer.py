@@ -1,4 +1,4 @@
-"""What `headway render` draws of a service day."""
+"""Pictures of a service day by `headway render`."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -36,7 +36,7 @@ def near(picture: np.ndarray, colour: str) -> int:
 
 
 def test_calls_lie_where_the_tables_have_their_stops(line: Prepared) -> None:
-    """Turned so that the line lies across the picture, distances are what they were, and so is the length."""
+    """The map is rotated so that the line lies across the picture; distances and its length are kept."""
     tables, net = scenario_tables("line", 0), line.network
     places = geography(tables, line)
     stops = tables.stops.set_index("stop")
@@ -78,7 +78,7 @@ def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
 
 
 def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
-    """As the field draws it: with both directions in one, buses that meet look like buses that overtake."""
+    """As usual in the field: with both directions in one panel, meeting buses look like overtaking ones."""
     renderer = BusRenderer(line)
     assert renderer._directions == sorted(set(renderer._places.directions))
     for pattern, (first, last) in enumerate(pairwise(line.network.pattern_calls)):
@@ -90,8 +90,8 @@ def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) ->
             assert up[-1] == 1.0
 
 
-def test_a_pattern_that_begins_on_the_way_is_drawn_from_there(line: Prepared) -> None:
-    """The way back, taken for a variant of the way there, begins where that ends."""
+def test_a_pattern_that_starts_midway_is_drawn_from_there(line: Prepared) -> None:
+    """The return direction, treated as a variant of the outward one, begins where that ends."""
     renderer = BusRenderer(line)
     renderer._places = replace(renderer._places, directions=("I", "I"))
     renderer._directions = ["I"]
@@ -126,6 +126,6 @@ def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
     assert (again[below] != last[below]).any()
 
 
-def test_it_says_what_it_cannot_draw(line: Prepared) -> None:
+def test_another_environment_is_a_type_error(line: Prepared) -> None:
     with pytest.raises(TypeError, match="the picture of a bus network needs a BusBatchedEnv, not object"):
         BusRenderer(line).render(object(), at_end=False)

@@ -1,4 +1,4 @@
-"""Control matters: holding beats never holding, on the same days."""
+"""Holding is better than never holding, on the same days."""
 
 from pathlib import Path
 
@@ -26,8 +26,8 @@ def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("mover", ["always_move", "move_with_service"])
 @pytest.mark.parametrize("scenario", ["line", pytest.param(str(LINE1), marks=pytest.mark.data)])
 def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) -> None:
-    """On wait, headway variation and team reward, by a paired 95% interval over days that excludes 0; also
-    where both go to service alike, so that it is the holding that matters."""
+    """In wait, headway variation and team reward, by paired 95% intervals over days that exclude 0; also if
+    both go to service alike, so that the difference is due to holding."""
     if scenario != "line" and not LINE1.is_dir():
         pytest.skip("the SUNT extract ../shared/data/sunt/line1 is not there")
     moving, holding = _metrics(scenario, mover), _metrics(scenario, "even_headway")
@@ -38,7 +38,7 @@ def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) ->
 
 
 def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_must() -> None:
-    """Hardly any runs out of fuel, and none of those that will be at the depot soon enough goes."""
+    """Hardly any bus runs out of fuel, and none goes that will reach the depot soon enough."""
     prepared = ENTRY.prepare(BusConfig())
     env, rule = ENTRY.make(prepared, 5), ENTRY.rules["move_with_service"].make(prepared)
     observed, net, visits = env.reset(child_seeds(17, "days", 0, 5)), env.network, 0

@@ -1,4 +1,4 @@
-"""The scenario format: what is written reads back, and every fault is named."""
+"""Scenario format: written scenarios can be read back, and every fault is named."""
 
 import json
 import re
@@ -121,7 +121,7 @@ def test_a_blank_in_any_named_column_is_named(tables: Tables, table: str, column
 
 
 def test_a_link_with_times_of_the_night_alone_is_named(tables: Tables) -> None:
-    """Its rows are whole, but of no hour that a service day reads: it would take NaN seconds."""
+    """Its rows are complete, but of hours outside the service day: travel times would be NaN."""
     frame = tables.link_times.copy()
     link = frame["link"].iloc[0]
     frame = frame[(frame["link"] != link) | (frame["hour"] == frame["hour"].min())]
@@ -261,7 +261,7 @@ def test_workers_import_neither_pandas_nor_torch(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "line"), [(None, "is missing"), ("[]", "no JSON object"), ("{", "not valid")]
 )
-def test_meta_that_says_nothing_is_one_line(tmp_path: Path, content: str | None, line: str) -> None:
+def test_empty_meta_data_are_one_line(tmp_path: Path, content: str | None, line: str) -> None:
     write_tables(generate("line", 0), tmp_path)
     meta = tmp_path / "meta.json"
     meta.unlink() if content is None else meta.write_text(content)

@@ -1,4 +1,5 @@
-"""The synthetic district and city: of the sizes and figures that they are fitted to, and whole networks."""
+"""The synthetic district and city have the sizes and statistics they are fitted to, and connected
+networks."""
 
 from collections import Counter
 
@@ -49,7 +50,7 @@ def test_a_seed_gives_the_same_town_and_another_one_another(district: Tables) ->
     assert not district.pattern_stops.equals(other.pattern_stops)
 
 
-def test_links_and_demand_follow_the_fitted_figures(district: Tables) -> None:
+def test_links_and_demand_follow_the_fitted_values(district: Tables) -> None:
     check_tables(district)
     metres = np.log(district.pattern_stops.loc[district.pattern_stops["seq0"] > 0, "leg_m"])
     assert metres.mean() == pytest.approx(LINK_M_LOGNORMAL[0], abs=0.02)

@@ -16,13 +16,13 @@ Begun = Callable[..., BusPublishedBatchedEnv]
 
 @pytest.fixture(scope="session")
 def line() -> Prepared:
-    """Five buses, of which three go along one pattern of the line and two along the other."""
+    """Return the prepared data of five buses, three on one pattern of the line and two on the other."""
     return prepare(BusPublishedConfig(scenario="line"))
 
 
 @pytest.fixture(scope="session")
 def begun(line: Prepared) -> Begun:
-    """(copies, changes of the configuration) -> a batch that has begun, copy i with seed i."""
+    """(copies, changes of the configuration) -> batch after its reset, copy i with seed i."""
 
     def begin(copies: int = 1, **changes: Any) -> BusPublishedBatchedEnv:  # noqa: ANN401 - any argument
         config = BusPublishedConfig(scenario="line", **changes)

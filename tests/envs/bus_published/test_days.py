@@ -1,4 +1,4 @@
-"""Draws, ends of days, rules, faces and what is refused."""
+"""Draws, ends of days, rules, ParallelEnv and errors."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ Begun = Callable[..., BusPublishedBatchedEnv]
 
 
 def _first_days(env: BusPublishedBatchedEnv, rule: Rule) -> dict[str, np.ndarray]:
-    """Metrics of each copy's first day."""
+    """Return the metrics of each copy's first day."""
     observed, first = env.observed(), np.full((env.num_copies, len(env.spec.metrics)), np.nan)
     while np.isnan(first).any():
         outcome, observed = env.step(rule.act(env, observed))
@@ -25,7 +25,7 @@ def _first_days(env: BusPublishedBatchedEnv, rule: Rule) -> dict[str, np.ndarray
     return dict(zip(env.spec.metrics, first.T, strict=True))
 
 
-def test_a_copy_is_what_it_is_whatever_stands_beside_it(begun: Begun, line: Prepared) -> None:
+def test_a_copy_does_not_depend_on_other_copies(begun: Begun, line: Prepared) -> None:
     rng = np.random.default_rng(1)
     actions = rng.integers(0, 3, (400, 5))
     many, alone = begun(4), ENTRY.make(line, 1)
@@ -48,9 +48,9 @@ def test_each_copy_draws_a_centre_and_keeps_it(begun: Begun) -> None:
     np.testing.assert_array_equal(env.world.days["centre"], centres)
 
 
-def test_moving_beats_waiting_and_chance_and_service_beats_moving(begun: Begun) -> None:
-    """The reward pays for the uptime, which a visit to the centre restores for about a minute's reward: so
-    that moving always is not the best, but only what most of the published learners came to."""
+def test_moving_beats_waiting_and_random_actions_and_service_beats_moving(begun: Begun) -> None:
+    """A visit to the centre restores the uptime, which is rewarded at every move, for about one minute's
+    reward. Always moving is therefore not the best, although most published learners converged to it."""
     team = {
         name: _first_days(begun(32), rule.make(None))["team_reward"] for name, rule in ENTRY.rules.items()
     }
@@ -61,7 +61,7 @@ def test_moving_beats_waiting_and_chance_and_service_beats_moving(begun: Begun) 
     assert team["always_wait"] == pytest.approx(-0.1 * 1080 * 5)
 
 
-def test_metrics_count_what_was_done(begun: Begun) -> None:
+def test_metrics_count_the_actions(begun: Begun) -> None:
     metrics = _first_days(begun(2), MoveWithService(None, 0.5))
     assert (metrics["service_visits"] >= 5).all()
     assert (metrics["services_refused"] == 0).all()
@@ -71,14 +71,14 @@ def test_metrics_count_what_was_done(begun: Begun) -> None:
     assert (metrics["uptime"] > 0.6).all()
 
 
-def test_the_rule_with_service_asks_for_none_that_is_refused(begun: Begun) -> None:
-    """Uptime falls below 0.31 when 0.64 of 100 of the fuel is left, which lasts for short ways only."""
+def test_the_rule_with_service_is_never_refused(begun: Begun) -> None:
+    """Uptime falls below 0.31 when 0.64 of 100 fuel units are left, enough for short ways only."""
     metrics = _first_days(begun(32), MoveWithService(None, 0.31))
     assert (metrics["services_refused"] == 0).all()
     assert metrics["service_visits"].sum() > 0
 
 
-def test_a_day_without_end_is_cut_short(begun: Begun) -> None:
+def test_an_endless_day_is_truncated(begun: Begun) -> None:
     env = begun(max_steps=700)
     for _ in range(600):
         env.step(np.zeros((1, 5), np.int64))
@@ -108,7 +108,7 @@ def test_a_shared_reward_is_the_mean(begun: Begun) -> None:
         np.testing.assert_allclose(shared.step(actions)[0].rewards, np.tile(paid[:, None], 5), rtol=1e-5)
 
 
-def test_three_buses_a_route_follow_patterns_in_order(line: Prepared) -> None:
+def test_three_buses_per_route_follow_patterns_in_order(line: Prepared) -> None:
     assert len(line.lines) == 2
     assert line.groups == ("line0",) * 5
     assert line.agents == tuple(f"bus_{n}" for n in range(5))
@@ -125,9 +125,7 @@ def test_three_buses_a_route_follow_patterns_in_order(line: Prepared) -> None:
         ({"scenario": "lime"}, "did you mean 'line'"),
     ],
 )
-def test_what_the_scenario_cannot_give_is_said_in_one_line(
-    arguments: dict[str, object], message: str
-) -> None:
+def test_impossible_scenarios_are_one_error_line(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(HeadwayError, match=message) as caught:
         prepare(BusPublishedConfig(**arguments))
     assert "\n" not in str(caught.value)
@@ -166,7 +164,7 @@ def test_impossible_rewards_are_named(arguments: dict[str, object], message: str
         RewardConfig(**arguments)
 
 
-def test_the_rule_with_service_says_where_it_cannot_play() -> None:
+def test_the_rule_with_service_refuses_other_environments() -> None:
     with pytest.raises(TypeError, match="move_with_service needs a BusPublishedBatchedEnv, not object"):
         MoveWithService(None, 0.5).act(object(), None)
 

@@ -1,4 +1,4 @@
-"""The kernel against the released dynamics as a plain loop over dictionaries of one bus each."""
+"""The kernel compared with a plain loop of the released dynamics, with one dictionary per bus."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +20,7 @@ WEIGHTS = {"occupancy": 0.5, "uptime": 0.7, "regularity": 0.5, "efficiency": 0.6
 
 
 class Plain:
-    """One copy, in stops of the scenario instead of calls."""
+    """One copy as a plain loop, in stops of the scenario instead of calls."""
 
     def __init__(self, net: Network, agents_per_route: int, agents: int, centre: int) -> None:
         stop = net.call_stop
@@ -109,7 +109,7 @@ class Plain:
 @pytest.mark.parametrize(
     "chances", [(0.3, 0.4, 0.3), (0.02, 0.96, 0.02), (0.0, 1.0, 0.0), (0.2, 0.8, 0.0), (0.0, 0.998, 0.002)]
 )
-def test_days_are_as_a_plain_loop_has_them(begun: Begun, chances: tuple[float, float, float]) -> None:
+def test_days_equal_those_of_a_plain_loop(begun: Begun, chances: tuple[float, float, float]) -> None:
     copies = 3
     env = begun(copies, observation="raw")
     observed = env.observed()
@@ -135,7 +135,7 @@ def test_days_are_as_a_plain_loop_has_them(begun: Begun, chances: tuple[float, f
                 assert outcome.metrics[c, 0] == pytest.approx(totals[c])
 
 
-def test_service_without_fuel_is_refused_and_no_time_goes_by(begun: Begun) -> None:
+def test_service_without_fuel_is_refused_and_takes_no_time(begun: Begun) -> None:
     env = begun()
     for _ in range(600):
         env.step(np.zeros((1, 5), np.int64))
@@ -147,16 +147,16 @@ def test_service_without_fuel_is_refused_and_no_time_goes_by(begun: Begun) -> No
 
 
 @pytest.mark.parametrize("centre", [None, 3])
-def test_arrays_of_the_network_are_such_as_a_worker_gets(centre: int | None) -> None:
-    """A worker's copies can be written to and lie row by row; for others the kernel is compiled anew."""
+def test_network_arrays_have_the_layout_of_workers_copies(centre: int | None) -> None:
+    """They must be writable and C-contiguous as in workers, otherwise numba compiles the kernel again."""
     network = prepare(BusPublishedConfig(scenario="line", centre=centre)).network
     for name, array in network._asdict().items():
         assert array.flags.writeable, name
         assert array.flags.c_contiguous, name
 
 
-def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
-    """Mean times of links over the hours, loads over 80 places, and shortest ways by another algorithm."""
+def test_the_network_follows_the_tables(line: Prepared) -> None:
+    """Mean link times over the hours, loads over 80 places, and shortest paths by another algorithm."""
     from headway_envs.bus.scenario.source import scenario_tables
 
     net, tables = line.network, scenario_tables("line", 0)
@@ -199,7 +199,7 @@ def test_the_network_is_that_of_the_tables(line: Prepared) -> None:
 
 
 def _on_board(tables: Tables, stop: int) -> tuple[float, float]:
-    """Share of the 80 places taken in the buses that come to a stop on a weekday, and its boardings."""
+    """Return the weekday occupancy, of 80 places, of buses arriving at a stop, and its boardings."""
     boards: dict[tuple[int, int], list[float]] = {}
     for row in tables.demand.itertuples():
         if row.daytype == "weekday":
@@ -221,7 +221,7 @@ def _on_board(tables: Tables, stop: int) -> tuple[float, float]:
 
 
 def _shortest(ways: dict[int, dict[int, float]], origin: int) -> list[float]:
-    """Least time from a stop to every stop: links are tried until none makes a way shorter."""
+    """Return the shortest times from a stop to every stop, by relaxing links until nothing changes."""
     time = dict.fromkeys(ways, math.inf) | {origin: 0.0}
     open_stops = [origin]
     while open_stops:

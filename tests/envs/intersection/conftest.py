@@ -1,4 +1,4 @@
-"""Crossings that are closed after each test, since a process holds one simulation."""
+"""Intersections that are closed after each test, because a process holds one simulation."""
 
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -13,14 +13,14 @@ Open = Callable[..., Any]
 
 @pytest.fixture(autouse=True)
 def sumo() -> None:
-    """Without SUMO there is nothing to test."""
+    """Skip all tests without SUMO."""
     if find_spec("libsumo") is None:
         pytest.skip("SUMO (headway[sumo]) is not installed")
 
 
 @pytest.fixture
 def crossing() -> Iterator[Open]:
-    """(arguments of the configuration) -> the environment, which is closed in the end."""
+    """(arguments of the configuration) -> environment, closed after the test."""
     from headway_envs.intersection.env import IntersectionBatchedEnv
     from headway_envs.intersection.prepared import prepare
 

@@ -1,4 +1,4 @@
-"""Vehicles come, cross and leave as SUMO says, and nothing is counted twice."""
+"""Vehicles enter, cross and leave as in SUMO, and are counted once."""
 
 import importlib.util
 from collections.abc import Callable
@@ -18,19 +18,19 @@ from headway_envs.intersection.sumo.simulation import libsumo
 FULL, NOTHING = np.full((1, 96, 1), 3, np.float32), np.zeros((1, 96, 1), np.float32)
 SEED = np.array([3], np.uint64)
 WILD = {"av_speed_mode": 0, "hdv_speed_mode": 1}
-"""AVs that heed nobody: many crashes."""
+"""Speed modes without checks, for many crashes."""
 
 
 def _metrics(env: IntersectionBatchedEnv, outcome: StepResult) -> dict[str, float]:
     return dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
 
 
-def test_the_roster_is_what_sumo_has(crossing: Callable[..., Any]) -> None:
+def test_the_roster_equals_sumos_vehicles(crossing: Callable[..., Any]) -> None:
     env, sumo = crossing(horizon=700, **WILD), libsumo()
     env.reset(SEED)
     for _ in range(699):
         env.step(FULL)
-        roster = env.street.roster
+        roster = env.bridge.roster
         assert set(roster.ids) == set(sumo.vehicle.getIDList())
         holders = {slot: vehicle for _, slot, vehicle in roster.automated}
         assert holders == {slot: held for slot, held in enumerate(roster.holder) if held}
@@ -45,15 +45,15 @@ def test_the_roster_is_what_sumo_has(crossing: Callable[..., Any]) -> None:
                 assert roster.traffic.position[row] == pytest.approx(ROAD_M + inside + along, abs=1e-9)
 
 
-def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Callable[..., Any]) -> None:
+def test_every_entered_vehicle_is_present_or_has_left_or_crashed(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=900, **WILD)
     env.reset(SEED)
     crashed = 0
     for _ in range(899):
         env.step(FULL)
-        entered, arrived = env.ledger.entered, env.ledger.arrived
+        entered, arrived = env.counters.entered, env.counters.arrived
         crashed += len(env.crash_places)
-        assert entered - arrived - crashed == len(env.street.roster)
+        assert entered - arrived - crashed == len(env.bridge.roster)
     assert min(crashed, arrived) >= 4
     outcome, _ = env.step(NOTHING)
     metrics = _metrics(env, outcome)
@@ -64,21 +64,21 @@ def test_everybody_who_entered_is_there_or_has_left_or_has_crashed(crossing: Cal
     assert metrics["efficiency"] == pytest.approx(metrics["outflow_vph"] / metrics["inflow_vph"])
 
 
-def test_a_crash_among_humans_is_of_one_step(crossing: Callable[..., Any]) -> None:
-    """No slot is freed by it."""
+def test_a_crash_among_humans_is_reported_in_one_step(crossing: Callable[..., Any]) -> None:
+    """Such a crash frees no slot."""
     env = crossing(vph_per_lane_av=5, hdv_speed_mode=1, av_speed_mode=31)
     env.reset(SEED)
     steps = 0
     for _ in range(1400):
-        before = env.ledger.crashes
+        before = env.counters.crashes
         env.step(NOTHING)
-        assert bool(env.crash_places) == (env.ledger.crashes > before)
+        assert bool(env.crash_places) == (env.counters.crashes > before)
         steps += bool(env.crash_places)
     assert steps >= 2
 
 
 @pytest.mark.parametrize("at_exit", ["truncated", "terminated"])
-def test_whoever_leaves_ends_as_told_with_what_it_observed_last(
+def test_avs_that_leave_end_as_configured_with_their_last_observation(
     at_exit: str, crossing: Callable[..., Any]
 ) -> None:
     env = crossing(horizon=700, at_exit=at_exit, **WILD)
@@ -101,60 +101,60 @@ def test_whoever_leaves_ends_as_told_with_what_it_observed_last(
     assert events == {"arrived", "collided"}
 
 
-def _asked(env: IntersectionBatchedEnv, interval: int, there: frozenset[str]) -> NDArray[np.float32]:
-    """What each vehicle that was `there` is asked for in an interval, whichever slot it has."""
+def _actions_for(env: IntersectionBatchedEnv, interval: int, there: frozenset[str]) -> NDArray[np.float32]:
+    """Return the action of each vehicle in `there` for an interval, independent of its slot."""
     actions = NOTHING.copy()
-    for _, slot, vehicle in env.street.roster.automated:
+    for _, slot, vehicle in env.bridge.roster.automated:
         if vehicle in there:
             actions[0, slot] = generator(int(vehicle.rsplit(".")[-1]), "asked", interval).uniform(-1, 3)
     return actions
 
 
 @pytest.mark.parametrize("kind", ["team", "own", "paper"])
-def test_a_repeated_action_is_the_same_asked_for_step_by_step(
+def test_a_repeated_action_equals_the_same_action_at_every_step(
     kind: str, crossing: Callable[..., Any]
 ) -> None:
-    """Of vehicles that were there when it was asked for; others drive on as they came. One process holds one
-    simulation: the two are played one after the other."""
+    """For vehicles present when it was chosen; later ones keep their speed. The two runs are sequential,
+    because a process holds one simulation."""
     repeat, intervals, ends, places, sums = 5, 130, [], [], []
     reward = RewardConfig(kind="paper") if kind == "paper" else RewardConfig(scope=kind)
     for action_repeat in (repeat, 1):
         env = crossing(horizon=repeat * intervals - 2, action_repeat=action_repeat, reward=reward, **WILD)
         env.reset(SEED)
-        went, rewards, ended = [], [], dict.fromkeys(("arrived", "collided"), 0)
+        traffic, rewards, ended = [], [], dict.fromkeys(("arrived", "collided"), 0)
         for interval in range(intervals):
-            slot_of = {vehicle: slot for _, slot, vehicle in env.street.roster.automated}
+            slot_of = {vehicle: slot for _, slot, vehicle in env.bridge.roster.automated}
             there, paid = frozenset(slot_of), 0.0
             for _ in range(repeat // action_repeat):
-                outcome, _ = env.step(_asked(env, interval, there))
-                # What the team is paid, or all those together who were there.
+                outcome, _ = env.step(_actions_for(env, interval, there))
+                # The team's reward, or the sum over the vehicles present.
                 slots = [0] if kind == "team" else list(slot_of.values())
                 paid += float(outcome.rewards[0, slots].sum())
-                still = {vehicle for _, _, vehicle in env.street.roster.automated}
+                still = {vehicle for _, _, vehicle in env.bridge.roster.automated}
                 slot_of = {vehicle: slot for vehicle, slot in slot_of.items() if vehicle in still}
                 for slot, event in env.events.items():
                     ended[event] += bool(outcome.acting[0, slot])
                 if outcome.episode_ended[0]:
                     break
-            roster = env.street.roster
-            went.append((roster.ids.copy(), roster.traffic.speed[: len(roster)].tolist()))
+            roster = env.bridge.roster
+            traffic.append((roster.ids.copy(), roster.traffic.speed[: len(roster)].tolist()))
             rewards.append(paid)
         assert outcome.episode_ended[0]
-        figures = _metrics(env, outcome)
-        del figures["paper_return"]  # paid to those who acted
-        places.append((went[:-1], figures))
+        metrics = _metrics(env, outcome)
+        del metrics["paper_return"]  # depends on the number of acting AVs
+        places.append((traffic[:-1], metrics))
         sums.append(rewards)
         ends.append(ended)
         env.close()
     assert places[0] == places[1]
     np.testing.assert_allclose(sums[0], sums[1], rtol=1e-5, atol=1e-4)
-    # Who enters and crashes within an interval has never acted.
+    # A vehicle that enters and crashes within an interval has never acted.
     assert 0 < ends[0]["collided"] <= ends[1]["collided"]
     assert 0 < ends[0]["arrived"] <= ends[1]["arrived"]
 
 
 @pytest.mark.parametrize("kind", ["team", "own", "paper"])
-def test_who_leaves_within_a_repeated_action_ends_once_and_its_slot_stays_empty(
+def test_an_av_that_leaves_within_a_repeated_action_ends_once_and_its_slot_stays_empty(
     kind: str, crossing: Callable[..., Any]
 ) -> None:
     reward = RewardConfig(kind="paper") if kind == "paper" else RewardConfig(scope=kind)
@@ -187,7 +187,7 @@ def test_the_horizon_truncates_all_and_the_next_episode_is_another(crossing: Cal
     assert (seen[0] != seen[1]).any()
 
 
-def test_a_collision_ends_the_episode_where_that_is_asked_for(crossing: Callable[..., Any]) -> None:
+def test_a_collision_ends_the_episode_if_configured(crossing: Callable[..., Any]) -> None:
     env = crossing(on_collision="end_episode", **WILD)
     env.reset(SEED)
     outcome, _ = env.step(FULL)
@@ -211,13 +211,13 @@ def test_vehicles_beyond_the_slots_are_driven_by_sumo_and_counted(crossing: Call
     assert metrics["avs"] > metrics["avs_without_slot"]
 
 
-def test_noisy_humans_drive_by_the_seed(crossing: Callable[..., Any]) -> None:
+def test_noise_of_human_drivers_depends_on_the_seed(crossing: Callable[..., Any]) -> None:
     def speeds(noise: float, seed: int) -> list[float]:
         env = crossing(human_noise=noise, horizon=150)
         env.reset(np.array([seed], np.uint64))
         for _ in range(149):
             env.step(NOTHING)
-        given = env.street.roster.traffic.speed[: len(env.street.roster)].tolist()
+        given = env.bridge.roster.traffic.speed[: len(env.bridge.roster)].tolist()
         env.close()
         return given
 
@@ -229,7 +229,7 @@ def test_noisy_humans_drive_by_the_seed(crossing: Callable[..., Any]) -> None:
 def test_a_process_holds_one_simulation(crossing: Callable[..., Any]) -> None:
     first, second = crossing(), crossing()
     first.reset(SEED)
-    with pytest.raises(HeadwayError, match="holds a SUMO simulation already, and it can hold one: close"):
+    with pytest.raises(HeadwayError, match="already holds a SUMO simulation, and can hold only one: close"):
         second.reset(SEED)
     first.step(NOTHING)
     first.close()
@@ -239,14 +239,14 @@ def test_a_process_holds_one_simulation(crossing: Callable[..., Any]) -> None:
         IntersectionBatchedEnv(prepare(IntersectionConfig()), 2)
 
 
-def test_an_environment_that_nobody_has_any_more_holds_nothing(crossing: Callable[..., Any]) -> None:
+def test_a_deleted_environment_releases_the_simulation(crossing: Callable[..., Any]) -> None:
     env = IntersectionBatchedEnv(prepare(IntersectionConfig()), 1)
     env.reset(SEED)
     del env
     crossing().reset(SEED)
 
 
-def test_without_sumo_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_sumo_the_error_names_the_installation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("headway_envs.intersection.sumo.simulation.find_spec", lambda name: None)
     with pytest.raises(HeadwayError) as failure:
         prepare(IntersectionConfig())
@@ -256,8 +256,8 @@ def test_without_sumo_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatc
     assert importlib.util.find_spec("libsumo") is not None
 
 
-def test_resets_do_not_grow(crossing: Callable[..., Any]) -> None:
-    """A small part of the thousand resets of `python -m benchmarks crossing`."""
+def test_resets_do_not_leak_memory(crossing: Callable[..., Any]) -> None:
+    """Small version of the thousand resets in `python -m benchmarks crossing`."""
 
     def resident_kb() -> int:
         with open("/proc/self/status") as status:  # noqa: PTH123 - read while nothing else is allocated

@@ -1,4 +1,4 @@
-"""The PettingZoo faces: vehicles that live once, and slots that stay."""
+"""PettingZoo ParallelEnvs with vehicles or with slots as agents."""
 
 import warnings
 from collections.abc import Callable
@@ -15,9 +15,9 @@ from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.parallel import IntersectionParallelEnv, IntersectionSlotsParallelEnv
 
 
-def test_pettingzoo_finds_nothing() -> None:
-    """With vehicles that live once it asks at an episode's end that every possible agent has lived; so it is
-    given episodes longer than its test, and slots whole ones."""
+def test_pettingzoos_api_test_passes() -> None:
+    """With vehicles as agents its test requires at the end of an episode that every possible agent has lived;
+    episodes are therefore longer than the test, except with slots."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with closing(IntersectionParallelEnv(IntersectionConfig())) as vehicles:
@@ -29,14 +29,14 @@ def test_pettingzoo_finds_nothing() -> None:
 
 
 @pytest.mark.parametrize("face", ["vehicles", "slots"])
-def test_two_at_once_are_the_same_for_the_same_seed(face: str) -> None:
+def test_two_environments_with_one_seed_are_equal(face: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parallel_seed_test(lambda: HostedEnv(face, IntersectionConfig()), num_cycles=3)
 
 
-def test_vehicles_live_once_and_are_the_batchs(crossing: Callable[..., Any]) -> None:
-    """Played again through the batch, every vehicle observes and is paid the same while it lives."""
+def test_vehicles_appear_once_and_equal_those_of_the_batch(crossing: Callable[..., Any]) -> None:
+    """In the batched environment every vehicle has the same observations and rewards."""
     config = IntersectionConfig(horizon=700, av_speed_mode=0, hdv_speed_mode=1)
     lives: dict[str, list[tuple[Any, ...]]] = {}
     events: dict[str, str] = {}
@@ -63,7 +63,7 @@ def test_vehicles_live_once_and_are_the_batchs(crossing: Callable[..., Any]) -> 
     replayed: dict[str, list[tuple[Any, ...]]] = {}
     ended = False
     while not ended:
-        serial = env.street.roster.serial.copy()
+        serial = env.bridge.roster.serial.copy()
         there = np.flatnonzero(observed.alive[0]).tolist()
         outcome, observed = env.step(np.full((1, 96, 1), 2, np.float32))
         ended = bool(outcome.episode_ended[0])
@@ -76,7 +76,7 @@ def test_vehicles_live_once_and_are_the_batchs(crossing: Callable[..., Any]) -> 
     assert replayed == lives
 
 
-def test_a_slot_is_had_by_one_vehicle_after_another() -> None:
+def test_a_slot_is_reused_by_later_vehicles() -> None:
     config = IntersectionConfig(horizon=700, vph_per_lane_av=100)
     with closing(IntersectionSlotsParallelEnv(config)) as face:
         _, infos = face.reset(seed=4)
@@ -111,7 +111,7 @@ def _play(face: IntersectionParallelEnv, steps: int) -> None:
         face.step(dict.fromkeys(face.agents, np.zeros(1, np.float32)))
 
 
-def test_more_vehicles_than_ids_are_told() -> None:
+def test_more_vehicles_than_ids_are_an_error() -> None:
     with closing(IntersectionParallelEnv(IntersectionConfig(), vehicles=2)) as face:
         face.reset(seed=4)
         with pytest.raises(HeadwayError, match="more than 2 automated vehicles entered"):

@@ -1,4 +1,4 @@
-"""The network that is shipped is what netconvert makes, and what we read from it is what SUMO has."""
+"""The packaged network equals netconvert's, and is read as SUMO reads it."""
 
 import re
 from pathlib import Path
@@ -13,21 +13,21 @@ JUNCTIONS = ("priority", "right_before_left", "allway_stop")
 
 
 def _content(path: Path) -> str:
-    """All but the comment, which holds a date and the options."""
+    """Return the content without the comment, which holds a date and options."""
     return ElementTree.canonicalize(
         re.sub(r"<!--.*?-->", "", path.read_text(), flags=re.DOTALL), strip_text=True
     )
 
 
 @pytest.mark.parametrize("junction", JUNCTIONS)
-def test_the_shipped_network_is_what_netconvert_makes(junction: str, tmp_path: Path) -> None:
+def test_the_packaged_network_equals_netconverts(junction: str, tmp_path: Path) -> None:
     sumo = pytest.importorskip("sumo", reason="netconvert (package eclipse-sumo) is not installed")
     made = build(str(Path(sumo.SUMO_HOME, "bin", "netconvert")), junction, tmp_path)
     assert _content(made) == _content(network_file(junction))
 
 
 @pytest.mark.parametrize("junction", JUNCTIONS)
-def test_ways_cross_each_other_and_one_of_them_goes_first(junction: str) -> None:
+def test_conflicts_are_symmetric_and_have_a_right_of_way(junction: str) -> None:
     network = Network.read(network_file(junction))
     np.testing.assert_array_equal(network.foes, network.foes.T)
     assert not (network.yields & ~network.foes).any()
@@ -37,7 +37,7 @@ def test_ways_cross_each_other_and_one_of_them_goes_first(junction: str) -> None
     straight = [4 * approach + LINKS.index(("straight", 0)) for approach in range(4)]
     assert network.foes[straight[0], [straight[1], straight[3]]].all()
     assert not network.foes[straight[0], straight[2]]
-    # From north to south is the major road: its straight ways yield to nobody.
+    # The north-south road has priority: its straight paths never yield.
     assert (
         network.yields[straight].any(axis=1).tolist()
         == {
@@ -48,7 +48,7 @@ def test_ways_cross_each_other_and_one_of_them_goes_first(junction: str) -> None
     )
 
 
-def test_places_lie_on_the_way() -> None:
+def test_positions_lie_on_the_path() -> None:
     network = Network.read(network_file("priority"))
     from_north = LINKS.index(("straight", 0))
     assert network.place(from_north, 0.0) == pytest.approx((-4.8, 200.0))

@@ -1,4 +1,4 @@
-"""One copy a process, end to end: workers of their own, evaluation apart, a killed SUMO replaced."""
+"""One copy per process, end to end: workers, separate evaluation, replacement of a killed SUMO."""
 
 import os
 import signal
@@ -52,7 +52,7 @@ def _copied(trajectory: Trajectory) -> Trajectory:
     return Trajectory(*(getattr(trajectory, field.name).copy() for field in fields(trajectory)))
 
 
-def test_both_backends_play_the_same_and_evaluation_takes_nothing_from_training() -> None:
+def test_backends_are_equal_and_evaluation_does_not_affect_training() -> None:
     plan, given = _plan(copies=1), []
     parameters = _parameters(plan)
     for name in ("serial", "process"):
@@ -71,7 +71,7 @@ def test_both_backends_play_the_same_and_evaluation_takes_nothing_from_training(
         np.testing.assert_array_equal(getattr(one[0], field.name), getattr(other[0], field.name), field.name)
 
 
-def test_seeds_of_a_stack_have_processes_of_their_own_and_see_what_they_see_alone() -> None:
+def test_stacked_seeds_have_own_processes_and_equal_single_seeds() -> None:
     stacked = _plan(copies=1, seeds=(5, 6))
     parameters = _parameters(stacked)
     with _collector(stacked, "process") as collector:
@@ -115,7 +115,7 @@ def test_a_killed_simulation_is_replaced_and_the_run_goes_on() -> None:
 
 @pytest.fixture(scope="module")
 def experience() -> dict[str, tuple[RolloutPlan, Trajectory]]:
-    """Some hundred steps in which vehicles come, crash and leave, paid as a team or each for itself."""
+    """Trajectories of 500 steps in which vehicles enter, crash and leave, by kind of reward."""
     made = {}
     for kind in ("scaled", "paper"):
         plan = _plan(copies=1, steps=500, horizon=420, av_speed_mode=0, reward=RewardConfig(kind=kind))
@@ -162,7 +162,7 @@ def test_nothing_is_learned_from_empty_slots(
 
 
 def _moved(trajectory: Trajectory, slot: int, other: int, after: int) -> Trajectory:
-    """The vehicles that have `slot` after a step have `other` instead, and the other way round."""
+    """Return the trajectory with the slots `slot` and `other` exchanged after a step."""
     moved = _copied(trajectory)
     for field in fields(Trajectory):
         array = getattr(moved, field.name)
@@ -172,11 +172,11 @@ def _moved(trajectory: Trajectory, slot: int, other: int, after: int) -> Traject
 
 
 @pytest.mark.parametrize("critic", ["local", "central"])
-def test_it_does_not_matter_who_had_the_slot_before(
+def test_the_previous_holder_of_a_slot_does_not_matter(
     critic: Literal["local", "central"],
     experience: dict[str, tuple[RolloutPlan, Trajectory]],
 ) -> None:
-    """Two vehicles one after another in a slot learn what they would learn in two slots."""
+    """Two consecutive vehicles in one slot have the advantages that they would have in two slots."""
     plan, seen = experience["paper"]
     over = (seen.terminated | seen.truncated)[:, 0]
     ended = over.all(axis=1)
@@ -184,7 +184,7 @@ def test_it_does_not_matter_who_had_the_slot_before(
         (step, slot, other)
         for step, slot in np.argwhere(over & ~ended[:, None]).tolist()
         for other in range(plan.spec.num_agents)
-        # The other slot is empty while this one's first vehicle leaves and the second comes.
+        # The other slot is empty while the first vehicle leaves this one and the second enters.
         if not seen.alive[: step + 2, 0, other].any() and seen.alive[step + 2 : step + 120, 0, slot].any()
     ]
     assert places

@@ -1,4 +1,4 @@
-"""Pictures show who is there and where it crashed."""
+"""Pictures show vehicles and crashes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +21,7 @@ FULL = np.full((1, 96, 1), 3, np.float32)
 
 
 def _near(picture: Any, colour: Any) -> int:  # noqa: ANN401 - arrays
-    """Pixels of about that colour."""
+    """Return the number of pixels close to a colour."""
     return int((np.abs(picture.astype(int) - np.array(colour)).max(axis=2) < 40).sum())
 
 
@@ -36,7 +36,7 @@ def _frame(x: float, **changes: Any) -> Frame:  # noqa: ANN401 - any field
     return Frame(**{**fields, **changes})
 
 
-def test_a_vehicle_is_where_it_is_in_the_colour_of_its_kind() -> None:
+def test_a_vehicle_is_drawn_at_its_position_in_the_colour_of_its_kind() -> None:
     picture = render(_frame(20.0))
     assert picture.shape == (640, 640, 3)
     assert picture.dtype == np.uint8
@@ -50,7 +50,7 @@ def test_a_vehicle_is_where_it_is_in_the_colour_of_its_kind() -> None:
     assert _near(render(_frame(20.0, crashes=((-9.0, 0.0),))), CRASH) > 50
 
 
-def test_a_face_renders_what_its_environment_holds() -> None:
+def test_a_parallel_env_renders_its_environment() -> None:
     face = IntersectionSlotsParallelEnv()
     face.reset(seed=4)
     empty = face.render()
@@ -65,16 +65,16 @@ def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> N
     env.reset(np.array([3], np.uint64))
     camera, marked, crashed = Camera(env), [], []
     for _ in range(500):
-        before = env.ledger.crashes
+        before = env.counters.crashes
         env.step(FULL)
         marked.append(bool(camera.frame().crashes))
-        crashed.append(env.ledger.crashes > before)
+        crashed.append(env.counters.crashes > before)
     first = crashed.index(True)
     assert marked.index(True) == first
     assert all(marked[first : first + 20])
     assert sum(marked) <= 21 * sum(crashed)
 
 
-def test_it_says_what_it_cannot_draw() -> None:
+def test_another_environment_is_a_type_error() -> None:
     with pytest.raises(TypeError, match="needs an IntersectionBatchedEnv, not object"):
         IntersectionRenderer().render(object(), at_end=False)

@@ -1,4 +1,4 @@
-"""Rules act within bounds, and those that heed the right of way do not crash."""
+"""Rules act within bounds, and those that observe the right of way do not crash."""
 
 from collections.abc import Callable
 from typing import Any
@@ -34,7 +34,7 @@ def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
     assert metrics["avs"] > 5
 
 
-def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
+def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=1200)
     crashes = {}
     for name in ("human", "reservation", "full_throttle"):
@@ -48,26 +48,26 @@ def test_humans_heed_the_right_of_way_and_full_throttle_does_not(crossing: Calla
 
 
 @pytest.mark.parametrize("action_repeat", [1, 10])
-def test_a_signal_that_avs_keep_lets_more_through_than_right_of_way(
+def test_the_virtual_signal_has_more_outflow_than_right_of_way(
     action_repeat: int, crossing: Callable[..., Any]
 ) -> None:
-    """Humans queue behind those who hold, while the minor road, which would wait for long, drives."""
+    """Humans queue behind holding AVs while the minor road, which would otherwise wait long, has green."""
     through, worst, crashes = {}, {}, 0.0
     for name in ("human", "virtual_signal"):
         env = crossing(av_speed_mode=11, action_repeat=action_repeat)
         rule = ENTRY.rules[name].make(env.prepared)
         played = [_played(env, rule, seed) for seed in (1, 2, 3, 4)]
         env.close()
-        through[name] = np.mean([figures["outflow_vph"] for figures in played])
-        worst[name] = np.mean([figures["worst_approach_s"] for figures in played])
-        crashes += sum(figures["collisions"] for figures in played)
+        through[name] = np.mean([metrics["outflow_vph"] for metrics in played])
+        worst[name] = np.mean([metrics["worst_approach_s"] for metrics in played])
+        crashes += sum(metrics["collisions"] for metrics in played)
     assert crashes == 0
     assert through["virtual_signal"] > 1.1 * through["human"]
     assert worst["virtual_signal"] < 0.5 * worst["human"]
 
 
-def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callable[..., Any]) -> None:
-    """Each vehicle does the one or the other always; with none who keeps the signal it is in no action."""
+def test_with_a_share_the_other_avs_drive_as_without_a_signal(crossing: Callable[..., Any]) -> None:
+    """Each vehicle either always complies or never; with a share of 0 the signal has no effect."""
     env = crossing(av_speed_mode=11)
     all_keep, half, none = (
         VirtualSignal(env.prepared),
@@ -79,7 +79,7 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
     for _ in range(1499):
         _, observed = env.step(none.act(env, observed))
         actions = [rule.act(env, observed)[0, :, 0] for rule in (all_keep, half, none)]
-        for _, slot, vehicle in env.street.roster.automated:
+        for _, slot, vehicle in env.bridge.roster.automated:
             keeps, asked, drives = (found[slot] for found in actions)
             if keeps != drives:
                 assert asked in (keeps, drives)
@@ -90,21 +90,21 @@ def test_of_a_share_the_others_drive_as_if_there_were_no_signal(crossing: Callab
     assert 0.3 < np.mean(list(kept.values())) < 0.7
 
 
-def test_who_keeps_the_signal_is_drawn_for_each_in_each_episode() -> None:
-    """Neither every fourth nor the same on all days."""
+def test_compliance_is_drawn_per_vehicle_and_episode() -> None:
+    """It is neither periodic nor the same in all episodes."""
     rule, vehicles = (
         VirtualSignal(None, 0.25),
         [f"av.{lane}.{number}" for lane in range(8) for number in range(50)],
     )
-    days = np.array([[rule._keeps(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
+    days = np.array([[rule._complies(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
     assert days.mean() == pytest.approx(0.25, abs=0.02)
     assert days.mean(axis=0).max() < 0.7
     gaps = np.diff(np.flatnonzero(days[0]))
     assert np.std(gaps) == pytest.approx(np.sqrt(0.75) / 0.25, rel=0.4)  # geometric
 
 
-def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
-    """Among AVs alone: nobody who could hold when its green ended enters before its next."""
+def test_avs_at_red_hold_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
+    """With AVs only: a vehicle that could hold when its green ended does not enter before its next green."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal(None)
     observed = env.reset(np.array([3], np.uint64))
     green_s, half_s = rule.GREEN_S, rule.GREEN_S + rule.CLEAR_S
@@ -113,7 +113,7 @@ def test_who_comes_to_red_holds_far_before_the_stop_line(crossing: Callable[...,
     entered = held = 0
     for step in range(1499):
         _, observed = env.step(rule.act(env, observed))
-        roster, (turn, since) = env.street.roster, divmod(step * STEP_S, half_s)
+        roster, (turn, since) = env.bridge.roster, divmod(step * STEP_S, half_s)
         there = {vehicle: row for row, _, vehicle in roster.automated}
         position, speed = roster.traffic.position, roster.traffic.speed
         if abs(since - green_s) < STEP_S / 2:
@@ -140,23 +140,23 @@ def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -
         actions = rule.act(env, observed) if step >= 150 else np.zeros((1, 96, 1), np.float32)
         _, observed = env.step(actions)
     assert observed.alive.any()
-    for vehicle in env.street.roster.ids:
+    for vehicle in env.bridge.roster.ids:
         assert sumo.vehicle.getTypeID(vehicle) == "hdv"
         assert sumo.vehicle.getSpeedMode(vehicle) == 31
 
 
-def test_who_asked_first_goes_first(crossing: Callable[..., Any]) -> None:
-    """Two automated vehicles on crossing ways never are inside the junction at once."""
+def test_reservations_exclude_conflicts(crossing: Callable[..., Any]) -> None:
+    """Two AVs on conflicting paths are never inside the junction at once."""
     env, rule = crossing(vph_per_lane_hdv=0, horizon=1200), Reservation(None)
     observed, foes = env.reset(np.array([2], np.uint64)), env.prepared.network.foes
     inside_at_once = crossed = 0
     for _ in range(1199):
         _, observed = env.step(rule.act(env, observed))
-        traffic, count = env.street.roster.traffic, len(env.street.roster)
+        traffic, count = env.bridge.roster.traffic, len(env.bridge.roster)
         link, position = traffic.link[:count], traffic.position[:count]
         rows = np.flatnonzero((position > 201) & (position < 200 + env.prepared.network.link_length[link]))
         crossed += len(rows)
         inside_at_once += foes[np.ix_(link[rows], link[rows])].sum()
     assert crossed > 200
     assert inside_at_once == 0
-    assert env.ledger.crashes == 0
+    assert env.counters.crashes == 0

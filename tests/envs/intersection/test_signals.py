@@ -1,4 +1,4 @@
-"""What automated vehicles observe and are paid, against the equations and against SUMO's own answers."""
+"""Observations and rewards of automated vehicles, compared with the equations and with SUMO."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,9 +13,9 @@ from headway_envs.intersection.human_drivers import acceleration
 from headway_envs.intersection.layout import (
     ACCOUNT,
     CROSSING,
-    PAY_OWN,
-    PAY_PAPER,
-    PAY_TEAM,
+    REWARD_OWN,
+    REWARD_PAPER,
+    REWARD_TEAM,
     SCRATCH,
     SUMS,
     TRAFFIC,
@@ -27,16 +27,16 @@ from headway_envs.intersection.sumo.simulation import libsumo
 
 SEED = np.array([3], np.uint64)
 LENGTH = 1796.72
-"""Of all edges of the network, m."""
+"""Total length of the network's edges, m."""
 
 
-def test_the_papers_observation_is_what_sumo_says(crossing: Callable[..., Any]) -> None:
+def test_the_papers_observation_agrees_with_sumo(crossing: Callable[..., Any]) -> None:
     env, sumo = crossing(observation="paper", horizon=900), libsumo()
     observed = env.reset(SEED)
     draw, followed = np.random.default_rng(0), 0
     for step in range(800):
         _, observed = env.step(draw.normal(1, 2, (1, 96, 1)).astype(np.float32))
-        for _, slot, vehicle in env.street.roster.automated if step % 20 == 0 else ():
+        for _, slot, vehicle in env.bridge.roster.automated if step % 20 == 0 else ():
             speed = sumo.vehicle.getSpeed(vehicle)
             leader, follower = sumo.vehicle.getLeader(vehicle, 200), sumo.vehicle.getFollower(vehicle, 200)
             ahead = (sumo.vehicle.getSpeed(leader[0]), leader[1] + 2.5) if leader else (30.0, LENGTH)
@@ -69,9 +69,10 @@ def _random_traffic(seed: int, count: int) -> Traffic:
     return traffic
 
 
-def _seen(traffic: Traffic, count: int, happened: StepEvents, pays: int = PAY_TEAM) -> tuple[np.void, Slots]:
-    """The account, and what concerns each AV, after a step that brought this traffic; every other slot had
-    been asked."""
+def _after_step(
+    traffic: Traffic, count: int, events: StepEvents, reward_kind: int = REWARD_TEAM
+) -> tuple[np.void, Slots]:
+    """Return the account and the arrays by slot after a step to this traffic; every other slot was acting."""
     crossing, memory, account, scratch = (
         np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT, SCRATCH)
     )
@@ -80,28 +81,28 @@ def _seen(traffic: Traffic, count: int, happened: StepEvents, pays: int = PAY_TE
     foes = draw.random((16, 16)) < 0.5
     crossing["link_length"], crossing["total_length"], crossing["weights"] = 20.8, LENGTH, 1
     crossing["foes"], crossing["yields"] = foes | foes.T, foes
-    crossing["extended"], crossing["pays"] = True, pays
+    crossing["extended"], crossing["reward_kind"] = True, reward_kind
     memory["speed"], memory["slot"], memory["link"] = traffic.before, traffic.slot, traffic.link
     around = traffic.around[:count][traffic.slot[:count] >= 0]
-    answers = [column[:count] for column in (traffic.speed, traffic.position, traffic.fuel)]
-    told = np.concatenate([*answers, around.ravel()])
-    kernel.take_in(crossing, memory, account, scratch, *slots, count, told, *happened)
+    readings = [column[:count] for column in (traffic.speed, traffic.position, traffic.fuel)]
+    values = np.concatenate([*readings, around.ravel()])
+    kernel.process_step(crossing, memory, account, scratch, *slots, count, values, *events)
     for read, given in zip(Traffic.of(memory)[:4], traffic[:4], strict=True):
         assert (read == given).all()
     return account[0], slots
 
 
-def test_speeds_asked_for_follow_from_accelerations_within_their_bounds() -> None:
-    """Of AVs in their order: slot 4 belongs to row 0, and so on; nobody drives backwards."""
+def test_target_speeds_follow_from_clipped_accelerations() -> None:
+    """In order of rows: slot 4 belongs to row 0, and so on; no speed is negative."""
     memory = np.zeros(1, TRAFFIC)
     memory["slot"][0, :6], memory["speed"][0, :6] = [4, -1, 0, 3, 1, 2], [0.1, 9.0, 10.0, 12.0, 11.0, 13.0]
     accelerations = np.array([9.0, 0.7, 8.0, -8.0, -2.0], np.float32)
-    acting, wished = np.array([True, True, False, True, True]), np.full(6, 7.0)
-    kernel.wish(accelerations, acting, memory, 6, wished)
+    acting, targets = np.array([True, True, False, True, True]), np.full(6, 7.0)
+    kernel.target_speeds(accelerations, acting, memory, 6, targets)
     tenth = np.float32(0.1)
     change = [np.float32(3) * tenth, np.float32(-3) * tenth, np.float32(0.7) * tenth]
     expected = [0.0, 10.0 + float(change[0]), 12.0 + float(change[1]), 11.0 + float(change[2]), 13.0]
-    assert wished.tolist() == [*expected, 7.0]
+    assert targets.tolist() == [*expected, 7.0]
 
 
 def test_actions_of_another_shape_are_refused(crossing: Callable[..., Any]) -> None:
@@ -113,14 +114,14 @@ def test_actions_of_another_shape_are_refused(crossing: Callable[..., Any]) -> N
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("crashes", [0, 2])
-def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
-    """Equations 7 to 12, with vectors as the paper writes them."""
+def test_the_papers_terms_follow_its_equations(seed: int, crashes: int) -> None:
+    """Equations 7 to 12 of the paper, in its vector form."""
     count, traffic = 17, _random_traffic(seed, 17)
-    paper = _seen(traffic, count, StepEvents(1, crashes, 3, 420.0, 5, 0.5))[0]["paper"]
+    paper = _after_step(traffic, count, StepEvents(1, crashes, 3, 420.0, 5, 0.5))[0]["paper"]
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
-    wished = np.full(count, 20.0)
-    nearness = np.linalg.norm(wished) - np.linalg.norm(v - wished)
-    velocity = max(nearness / (np.linalg.norm(wished) + 1e-5), 0.0)
+    targets = np.full(count, 20.0)
+    nearness = np.linalg.norm(targets) - np.linalg.norm(v - targets)
+    velocity = max(nearness / (np.linalg.norm(targets) + 1e-5), 0.0)
     most = 0.1 * count
     cost = 0.1 * ((30 - v) / 30).sum()
     following = automated & (traffic.around[:count, 0] >= 0) & (v > 0)
@@ -142,7 +143,7 @@ def test_the_papers_terms_are_its_equations(seed: int, crashes: int) -> None:
 def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     count, traffic = 17, _random_traffic(seed, 17)
     v, automated = traffic.speed[:count], traffic.slot[:count] >= 0
-    account, _ = _seen(traffic, count, StepEvents(3, 2, 1, 420.0, 5, 0.5))
+    account, _ = _after_step(traffic, count, StepEvents(3, 2, 1, 420.0, 5, 0.5))
     scaled = dict(zip(TERMS, account["scaled"], strict=True))
     assert max(map(abs, scaled.values())) <= 1
     assert scaled["standstill"] == pytest.approx(-(v < 0.1).mean())
@@ -151,36 +152,36 @@ def test_scaled_terms_lie_between_minus_one_and_one(seed: int) -> None:
     assert scaled["lane_change"] == pytest.approx(-1 / automated.sum())
     assert scaled["throughput"] == 1
     assert scaled["collision"] == -1
-    nobody, _ = _seen(_random_traffic(seed, 0), 0, StepEvents())
-    assert (nobody["scaled"] == 0).all()
-    assert (nobody["paper"] == 0).all()
+    empty, _ = _after_step(_random_traffic(seed, 0), 0, StepEvents())
+    assert (empty["scaled"] == 0).all()
+    assert (empty["paper"] == 0).all()
 
 
-@pytest.mark.parametrize("pays", [PAY_PAPER, PAY_TEAM, PAY_OWN])
-def test_the_papers_and_own_rewards_are_paid_to_who_was_asked_and_is_there(pays: int) -> None:
+@pytest.mark.parametrize("reward_kind", [REWARD_PAPER, REWARD_TEAM, REWARD_OWN])
+def test_paper_and_own_rewards_go_to_acting_avs_on_the_road(reward_kind: int) -> None:
     count, traffic = 17, _random_traffic(2, 17)
-    account, slots = _seen(traffic, count, StepEvents(1, 0, 0, 420.0, 5, 0.5), pays)
+    account, slots = _after_step(traffic, count, StepEvents(1, 0, 0, 420.0, 5, 0.5), reward_kind)
     there = slots.acting & slots.alive
     assert 0 < there.sum() < slots.alive.sum()
     paper = account["paper_return"] / there.sum()
-    returned = paper if pays == PAY_PAPER else account["scaled"].sum()
+    returned = paper if reward_kind == REWARD_PAPER else account["scaled"].sum()
     assert account["team_return"] == pytest.approx(returned)
-    terms = account["paper"] if pays == PAY_PAPER else account["scaled"]
+    terms = account["paper"] if reward_kind == REWARD_PAPER else account["scaled"]
     assert (account["terms"] == terms).all()
-    if pays == PAY_TEAM:
+    if reward_kind == REWARD_TEAM:
         np.testing.assert_allclose(slots.rewards, returned, rtol=1e-6)
         return
     assert (slots.rewards[~there] == 0).all()
-    if pays == PAY_PAPER:
+    if reward_kind == REWARD_PAPER:
         np.testing.assert_allclose(slots.rewards[there], paper, rtol=1e-6)
     else:
         assert len(set(slots.rewards[there])) == there.sum()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: int) -> None:
+def test_an_extended_observation_shows_the_next_vehicles_on_conflicting_paths(seed: int) -> None:
     count, traffic = 25, _random_traffic(seed, 25)
-    (_, slots), draw = _seen(traffic, count, StepEvents()), np.random.default_rng(9)
+    (_, slots), draw = _after_step(traffic, count, StepEvents()), np.random.default_rng(9)
     yields = draw.random((16, 16)) < 0.5
     foes = yields | yields.T
     until = np.minimum(np.maximum(200 - traffic.position, 0) / np.maximum(traffic.speed, 0.1), 20)
@@ -243,9 +244,9 @@ def test_an_extended_observation_shows_who_comes_next_on_ways_that_cross(seed: i
     assert (slots.observations[~slots.alive] == 0).all()
 
 
-def test_the_state_counts_everybody_once() -> None:
+def test_the_state_counts_every_vehicle_once() -> None:
     count, traffic = 30, _random_traffic(1, 30)
-    state = _seen(traffic, count, StepEvents(pending=10, passed=0.25))[0]["state"]
+    state = _after_step(traffic, count, StepEvents(pending=10, progress=0.25))[0]["state"]
     by_approach = state[:-2].reshape(4, 16)
     cells, beyond = by_approach[:, :12].reshape(4, 4, 3), by_approach[:, 12:].reshape(4, 2, 2)
     assert 10 * (cells[..., :2].sum() + beyond[..., 0].sum()) == pytest.approx(count, abs=1e-4)
@@ -258,7 +259,7 @@ def test_the_state_counts_everybody_once() -> None:
 
 
 @pytest.mark.parametrize("kind", ["scaled", "paper"])
-def test_returns_are_sums_of_what_was_paid(kind: str, crossing: Callable[..., Any]) -> None:
+def test_returns_are_sums_of_rewards(kind: str, crossing: Callable[..., Any]) -> None:
     from headway_envs.intersection.config import RewardConfig
 
     env = crossing(reward=RewardConfig(kind=kind), horizon=300)
@@ -284,7 +285,7 @@ def test_returns_are_sums_of_what_was_paid(kind: str, crossing: Callable[..., An
         assert metrics["paper_return"] == pytest.approx(paper, rel=1e-4)
 
 
-def test_own_rewards_are_of_ones_own_driving_and_crash(crossing: Callable[..., Any]) -> None:
+def test_own_rewards_depend_on_own_driving_and_crash(crossing: Callable[..., Any]) -> None:
     from headway_envs.intersection.config import RewardConfig
 
     reward = RewardConfig(scope="own", throughput=3.0, collision=7.0)
@@ -292,14 +293,14 @@ def test_own_rewards_are_of_ones_own_driving_and_crash(crossing: Callable[..., A
     assert not env.spec.shared_reward
     observed, seen = env.reset(SEED), {"arrived": 0, "collided": 0, "behind": 0}
     for _ in range(800):
-        there, before = observed.alive[0].copy(), env.street.roster.holder.copy()
+        there, before = observed.alive[0].copy(), env.bridge.roster.holder.copy()
         outcome, observed = env.step(np.full((1, 96, 1), 2, np.float32))
-        paid, traffic = outcome.rewards[0], env.street.roster.traffic
+        paid, traffic = outcome.rewards[0], env.bridge.roster.traffic
         assert (paid[~there] == 0).all()
         for slot, event in env.events.items():
             seen[event] += 1
             assert paid[slot] == (0.0 if event == "arrived" else -7.0)
-        for row, slot, vehicle in env.street.roster.automated:
+        for row, slot, vehicle in env.bridge.roster.automated:
             if before[slot] != vehicle:
                 continue
             speed, (leader, gap) = traffic.speed[row], traffic.around[row, :2]
@@ -311,7 +312,7 @@ def test_own_rewards_are_of_ones_own_driving_and_crash(crossing: Callable[..., A
     assert min(seen.values()) > 0
 
 
-def test_the_teams_return_is_not_of_own_rewards(crossing: Callable[..., Any]) -> None:
+def test_the_team_return_excludes_own_rewards(crossing: Callable[..., Any]) -> None:
     from headway_envs.intersection.config import RewardConfig
 
     def metrics(scope: str) -> dict[str, float]:
@@ -325,31 +326,31 @@ def test_the_teams_return_is_not_of_own_rewards(crossing: Callable[..., Any]) ->
     assert metrics("own") == metrics("team")
 
 
-def test_the_papers_reward_knows_no_own_scope() -> None:
+def test_the_papers_reward_has_no_own_scope() -> None:
     from headway_envs.intersection.config import RewardConfig
 
-    with pytest.raises(ValueError, match="scope=own is of kind scaled"):
+    with pytest.raises(ValueError, match="scope=own is for kind=scaled"):
         RewardConfig(kind="paper", scope="own")
 
 
-def test_fairness_is_jains_index_of_seconds_for_each_that_went_through() -> None:
+def test_fairness_is_jains_index_of_time_per_av_that_left() -> None:
     assert jain([3.0, 3.0, 3.0]) == pytest.approx(1.0)
     assert jain([5.0, 0.0, 0.0, 0.0]) == pytest.approx(0.25)
     assert jain([]) == 1.0
-    ledger = EpisodeMetrics(
+    counters = EpisodeMetrics(
         IntersectionConfig(), steps=1000, through=[2, 1, 0, 0], travel_s=[20.0, 30.0, 40.0]
     )
     account = np.zeros(1, ACCOUNT)
     account["present"] = 500.0, 400.0, 900.0, 0.0
-    metrics = dict(zip(METRICS, ledger.metrics(account[0]), strict=True))
+    metrics = dict(zip(METRICS, counters.metrics(account[0]), strict=True))
     assert metrics["travel_time_av_s"] == pytest.approx(30)
-    assert metrics["worst_approach_s"] == pytest.approx(90)  # nobody from there went through
+    assert metrics["worst_approach_s"] == pytest.approx(90)  # no AV from there left
     assert metrics["fairness_jain"] == pytest.approx(jain([25.0, 40.0, 90.0]))
 
 
 def test_means_are_over_vehicles_of_their_kind() -> None:
     count, traffic = 12, _random_traffic(3, 12)
-    account, _ = _seen(traffic, count, StepEvents())
+    account, _ = _after_step(traffic, count, StepEvents())
     sums = {name: account[name] for name in SUMS}
     automated = traffic.slot[:count] >= 0
     change = (traffic.speed - traffic.before)[:count] / 0.1
@@ -361,7 +362,7 @@ def test_means_are_over_vehicles_of_their_kind() -> None:
     assert (sums["steps_all"], sums["steps_av"], sums["vehicles"]) == (1, 1, count)
 
 
-def test_the_drivers_model_keeps_its_gap_and_its_speed() -> None:
+def test_the_driver_model_has_the_equilibrium_gap_and_speed() -> None:
     """Equilibrium: at a common speed v the gap is (s0 + v T) / sqrt(1 - (v / v0)^4); alone it is v0."""
     v = np.array([5.0, 15.0, 25.0])
     gap = (2.0 + v) / np.sqrt(1 - (v / 30) ** 4)

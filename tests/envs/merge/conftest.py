@@ -1,4 +1,4 @@
-"""Merges made by name."""
+"""Merging environments by name."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ Make = Callable[..., MergeBatchedEnv]
 
 
 def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeBatchedEnv:  # noqa: ANN401 - any argument
-    """A batch that has begun, copy i with seed i."""
+    """Return a batch after its reset, copy i with seed i."""
     entry = ENTRIES[name]
     env = entry.make(entry.prepare(MergeConfig(**arguments)), copies)
     assert isinstance(env, MergeBatchedEnv)
@@ -24,5 +24,5 @@ def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeB
 
 @pytest.fixture(scope="session")
 def make() -> Make:
-    """(name, copies, arguments of the configuration) -> a batch that has begun."""
+    """(name, copies, arguments of the configuration) -> batch after its reset."""
     return make_merge

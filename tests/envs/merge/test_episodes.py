@@ -1,4 +1,4 @@
-"""How episodes begin and end, and what the presets differ in."""
+"""Starts and ends of episodes, and the differences between the presets."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -18,7 +18,7 @@ Make = Callable[..., MergeBatchedEnv]
 
 @pytest.mark.parametrize("density", [1, 2, 3])
 def test_traffic_is_drawn_by_density(make: Make, density: int) -> None:
-    """Every number of the range comes up, half of each kind on the highway, at places 40 m apart."""
+    """Every number of the range occurs, half of each kind on the highway, at places 40 m apart."""
     env = make(copies=400, density=density)
     episodes, cars = env.world.episodes, env.world.cars
     humans = episodes["cars"] - episodes["cavs"]
@@ -39,7 +39,7 @@ def test_traffic_is_drawn_by_density(make: Make, density: int) -> None:
     assert places == set(range(6))
 
 
-def test_half_of_those_on_two_ramp_lanes_begin_on_the_outer(make: Make) -> None:
+def test_half_of_the_ramp_vehicles_start_on_the_outer_lane(make: Make) -> None:
     env = make("merge_two_lane", copies=400, density=3)
     y = np.concatenate(
         [row["y"][: episode["cars"]] for episode, row in zip(env.world.episodes, env.world.cars, strict=True)]
@@ -54,8 +54,8 @@ def test_the_number_of_cavs_can_be_set(make: Make) -> None:
     assert env.observed().alive.all()
 
 
-def _play_to_the_end(env: MergeBatchedEnv, action: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths, and whether all were terminated or truncated, of each copy's first episode."""
+def _run_to_end(env: MergeBatchedEnv, action: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return of each copy's first episode its length and whether all agents were terminated or truncated."""
     shape = (env.num_copies, env.spec.num_agents)
     lengths = np.zeros(env.num_copies, int)
     over, cut = np.zeros(env.num_copies, bool), np.zeros(env.num_copies, bool)
@@ -68,9 +68,9 @@ def _play_to_the_end(env: MergeBatchedEnv, action: int = 5) -> tuple[np.ndarray,
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_time_truncates_unless_the_preset_says_that_it_terminates(make: Make, name: str) -> None:
+def test_the_time_limit_truncates_or_terminates_by_preset(make: Make, name: str) -> None:
     for preset, terminal in (("clean", False), ("paper", True)):
-        lengths, over, cut = _play_to_the_end(make(name, copies=32, preset=preset))
+        lengths, over, cut = _run_to_end(make(name, copies=32, preset=preset))
         late = lengths == 100
         assert late.mean() > 0.8
         assert (over[late] == terminal).all()
@@ -78,7 +78,7 @@ def test_time_truncates_unless_the_preset_says_that_it_terminates(make: Make, na
 
 
 def test_the_last_step_of_the_paper_has_one_simulation_step(make: Make) -> None:
-    """298 of them in 100 steps, against 300."""
+    """It is 298 in 100 steps instead of 300."""
     final = {}
     for preset in PRESETS:
         env = make(preset=preset, density=1, steps=2)
@@ -91,7 +91,7 @@ def test_the_last_step_of_the_paper_has_one_simulation_step(make: Make) -> None:
 
 
 def test_the_papers_vehicles_turn_less_sharply(make: Make) -> None:
-    """It takes the slip angle, which is about half of it, for the steering angle: farther off in the bend."""
+    """The slip angle, used as steering angle, is about half of it: vehicles deviate further in the bend."""
     off = {}
     for preset in PRESETS:
         env, farthest = make(preset=preset, density=1), 0.0
@@ -127,22 +127,24 @@ def _car(x: float, y: float, heading: float = 0.0) -> np.void:
         (3.6, 0.0, np.pi / 2, False, False),
     ],
 )
-def test_who_touches_whom(x: float, y: float, heading: float, whole: bool, shrunk: bool) -> None:
+def test_contacts_of_exact_and_shrunk_outlines(
+    x: float, y: float, heading: float, whole: bool, shrunk: bool
+) -> None:
     here, there = _car(0, 0), _car(x, y, heading)
     assert outlines(here, there, 5.0, 2.0, 0.0, 0.0)[0] == whole
     assert shrunk_overlap(here, there, False) == shrunk
     assert shrunk_overlap(there, here, False) == shrunk
 
 
-def test_those_about_to_meet_are_pushed_apart() -> None:
-    """The rear one comes 0.5 m closer than there is room: both are to give way by the overlap."""
+def test_vehicles_about_to_intersect_are_pushed_apart() -> None:
+    """The rear vehicle would overlap the front one by 0.5 m, which is the displacement."""
     meets, will_meet, push_x, push_y = outlines(_car(0, 0), _car(5.3, 0), 5.0, 2.0, 0.8, 0.0)
     assert (meets, will_meet) == (False, True)
     assert (push_x, push_y) == pytest.approx((-0.5, 0.0))
 
 
-def test_the_ramp_lanes_lead_to_their_ends() -> None:
-    """The road has no gaps: where a lane ends, the next one begins at the same place."""
+def test_lanes_are_connected() -> None:
+    """The successor of a lane begins where the lane ends."""
     for ramp_lanes in (1, 2):
         net = build(ramp_lanes)
         for lane in net.lanes:
@@ -161,12 +163,12 @@ def test_the_ramp_lanes_lead_to_their_ends() -> None:
         assert net.obstacles.tolist() == [[420.0, 4.0], [420.0, 8.0]][:ramp_lanes]
 
 
-def test_without_the_tie_nobody_leaves_the_outer_ramp_lane(make: Make) -> None:
-    """Both ramp lanes end at the same place, so that a change gains nothing."""
+def test_without_the_tie_gain_few_vehicles_leave_the_outer_ramp_lane(make: Make) -> None:
+    """Both ramp lanes end at the same place, so that a change gains nothing otherwise."""
     merged = {}
     for tie in (0.21, 0.0):
         env = make("merge_two_lane", copies=64, density=1)
-        env.settings["gain_where_equal"] = tie
+        env.settings["tie_gain"] = tie
         outer = [env.world.cars[c]["y"][env.world.episodes[c]["cars"] - 1] == 14.5 for c in range(64)]
         y = np.zeros(64)
         for _ in range(99):

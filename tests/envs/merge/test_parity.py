@@ -1,4 +1,4 @@
-"""Against highway-env. Hundreds of seeds: `python -m tests.trials.merge_parity`."""
+"""Comparison with highway-env. Hundreds of seeds: `python -m tests.trials.merge_parity`."""
 
 import sys
 
@@ -17,23 +17,23 @@ DRIVERS = {"highway-env": False, "study": True}
 @pytest.mark.parametrize("drivers", DRIVERS)
 @pytest.mark.parametrize("play", PLAYS)
 @pytest.mark.parametrize("ramp_lanes", [1, 2])
-def test_every_step_is_highway_envs(ramp_lanes: int, play: str, drivers: str) -> None:
-    """Places to 1e-9, lanes, masks and crashes exactly; every trial here changes lanes."""
+def test_every_step_equals_highway_envs(ramp_lanes: int, play: str, drivers: str) -> None:
+    """Positions to 1e-9, lanes, masks and crashes exactly; every trial here has lane changes."""
     trial = Trial(ramp_lanes, density=3, play=play, seed=4, eager=DRIVERS[drivers], steps=80)
     verdict = compare(trial)
     assert verdict.faults == ()
-    assert verdict.alone <= TOLERANCE
+    assert verdict.free <= TOLERANCE
     assert verdict.lane_changes > 0
 
 
-def test_crashes_and_pushes_are_among_them() -> None:
+def test_crashes_and_displacements_are_compared() -> None:
     verdict = compare(Trial(1, density=3, play="idle", seed=3, steps=90))
     assert verdict.contact
     assert verdict.faults == ()
 
 
-def test_a_difference_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The comparison itself can fail: drivers of another desired gap are told apart."""
+def test_a_difference_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison can fail: drivers with another desired time gap are detected."""
     from tests.trials import merge_oracle
 
     monkeypatch.setattr(merge_oracle.Driver, "TIME_WANTED", 1.4)
@@ -41,8 +41,8 @@ def test_a_difference_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("words", [["many"], ["0"], ["1", "2"]])
-def test_a_number_of_seeds_that_is_none_is_named(words: list[str]) -> None:
-    with pytest.raises(HeadwayError, match=f"one whole number above 0, not '{' '.join(words)}'"):
+def test_an_invalid_number_of_seeds_is_named(words: list[str]) -> None:
+    with pytest.raises(HeadwayError, match=f"must be one whole number above 0, not '{' '.join(words)}'"):
         run(words)
 
 

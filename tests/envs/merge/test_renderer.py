@@ -1,4 +1,4 @@
-"""What `headway render` draws of a merge."""
+"""Pictures of a merge by `headway render`."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.renderer import CAV, CRASHED, HUMAN, MergeRenderer
 
 CAR_PIXELS = 25 * 10
-"""Of a whole vehicle, edges included."""
+"""Number of pixels of a vehicle, including its edges."""
 
 
 def count(picture: np.ndarray, colour: str) -> int:
@@ -42,10 +42,10 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(
     assert count(renderer.render(env, at_end=False), CRASHED) == 0
 
 
-def test_the_end_can_be_drawn_after_the_next_episode_has_been_asked_for(
+def test_the_end_can_be_drawn_after_a_reset(
     make: Callable[..., MergeBatchedEnv],
 ) -> None:
-    """As through the adapter of a ParallelEnv, which resets within its step."""
+    """The adapter of a ParallelEnv resets within its step."""
     env = make(steps=4)
     renderer = MergeRenderer(env.prepared)
     for _ in range(4):
@@ -56,6 +56,6 @@ def test_the_end_can_be_drawn_after_the_next_episode_has_been_asked_for(
     np.testing.assert_array_equal(renderer.render(env, at_end=True), last)
 
 
-def test_it_says_what_it_cannot_draw(make: Callable[..., MergeBatchedEnv]) -> None:
+def test_another_environment_is_a_type_error(make: Callable[..., MergeBatchedEnv]) -> None:
     with pytest.raises(TypeError, match="the picture of a merge needs a MergeBatchedEnv, not object"):
         MergeRenderer(make().prepared).render(object(), at_end=False)

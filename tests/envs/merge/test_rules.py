@@ -1,4 +1,4 @@
-"""The rules, and the supervisor as a factor of its own."""
+"""Rules, and the effect of the supervisor."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ Make = Callable[..., MergeBatchedEnv]
 
 
 def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
-    """The metrics of each copy's first episode."""
+    """Return the metrics of each copy's first episode."""
     rule, observed = RULES[rule_name].make(env.prepared), env.observed()
     first = np.full((env.num_copies, len(env.spec.metrics)), np.nan)
     for _ in range(100):
@@ -28,7 +28,7 @@ def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", ENTRIES)
 @pytest.mark.parametrize("rule", RULES)
 def test_rules_act_within_the_masks(make: Make, name: str, rule: str) -> None:
-    """`idm_mobil` alone asks for something outside of the action space, which the environment knows."""
+    """Only `idm_mobil` returns an action outside the action space, which the environment supports."""
     env = make(name, copies=4)
     player, observed = RULES[rule].make(env.prepared), env.observed()
     for _ in range(100):
@@ -44,8 +44,8 @@ def test_rules_act_within_the_masks(make: Make, name: str, rule: str) -> None:
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_the_rules_are_told_apart(make: Make, name: str) -> None:
-    """Idling always hits the ramp's end; those who drive as humans hardly ever crash, and earn the most."""
+def test_the_rules_differ(make: Make, name: str) -> None:
+    """Idle CAVs always hit the end of the ramp; those driven as humans hardly ever crash, and earn most."""
     metrics = {rule: _metrics(make(name, copies=200), rule) for rule in RULES}
     assert (metrics["idle"]["crash_rate"] == 1).all()
     assert (metrics["idle"]["ramp_merge_rate"] == 0).all()
@@ -63,7 +63,7 @@ def test_the_rules_are_told_apart(make: Make, name: str) -> None:
 @pytest.mark.parametrize("preset", ["clean", "paper"])
 @pytest.mark.parametrize("rule", ["random", "always_left"])
 def test_the_supervisor_prevents_crashes(make: Make, preset: str, rule: str) -> None:
-    """Without it, whoever drives at random or always to the left crashes often; with it, far less often."""
+    """Random and always-left driving crash often without it, and far less often with it."""
     rates = {}
     for supervisor in (False, True):
         metrics = _metrics(make(copies=200, preset=preset, supervisor=supervisor), rule)
@@ -75,15 +75,15 @@ def test_the_supervisor_prevents_crashes(make: Make, preset: str, rule: str) -> 
     assert rates[True] < 0.7 * rates[False]
 
 
-def test_the_supervisor_leaves_what_is_safe_alone(make: Make) -> None:
-    """One CAV, alone on its ramp far from its end: nothing to prevent."""
+def test_the_supervisor_keeps_safe_actions(make: Make) -> None:
+    """A single CAV far from the end of the ramp has no collision to prevent."""
     env = make(copies=16, density=1, cavs=1, supervisor=True)
     for _ in range(5):
         env.step(np.ones((16, 1), np.int64))
     assert (env.world.episodes["interventions"] == 0).all()
 
 
-def test_idm_mobil_says_where_it_cannot_play(make: Make) -> None:
+def test_idm_mobil_refuses_other_environments(make: Make) -> None:
     adapted = ParallelEnvBatch(lambda: ENTRIES["merge"].parallel_env(make().prepared.config), 1, "merge")
     with pytest.raises(TypeError, match="idm_mobil needs a MergeBatchedEnv, not ParallelEnvBatch"):
         RULES["idm_mobil"].make(None).act(adapted, adapted.reset(np.zeros(1, np.uint64)))

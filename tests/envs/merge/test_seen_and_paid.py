@@ -1,4 +1,4 @@
-"""Observations, masks and rewards against their definitions, written down a second time in plain Python."""
+"""Observations, masks and rewards compared with a plain Python implementation of their definitions."""
 
 import math
 from collections.abc import Callable
@@ -42,7 +42,7 @@ SIDES = {
 
 
 def cars_of(env: MergeBatchedEnv, copy: int) -> tuple[list[Car], int, list[str]]:
-    """The vehicles of a copy, how many of them are CAVs, and each one's lane."""
+    """Return the vehicles of a copy, the number of CAVs, and the name of each vehicle's lane."""
     episode = env.world.episodes[copy]
     cars = list(env.world.cars[copy][: episode["cars"]])
     names = NAMES[env.spec.name]
@@ -53,13 +53,13 @@ def velocity(car: Car) -> tuple[float, float]:
     return car["speed"] * math.cos(car["heading"]), car["speed"] * math.sin(car["heading"])
 
 
-def observation(cars: list[Car], me: int) -> list[float]:
-    ego, (vx, vy) = cars[me], velocity(cars[me])
+def observation(cars: list[Car], index: int) -> list[float]:
+    ego, (vx, vy) = cars[index], velocity(cars[index])
     rows = [[1.0, ego["x"] / 150, ego["y"] / 12, vx / 45, vy / 45]]
     others = [
         car
         for i, car in enumerate(cars)
-        if i != me and math.hypot(car["x"] - ego["x"], car["y"] - ego["y"]) < 180
+        if i != index and math.hypot(car["x"] - ego["x"], car["y"] - ego["y"]) < 180
     ]
     for car in sorted(others, key=lambda car: abs(car["x"] - ego["x"]))[:4]:
         ux, uy = velocity(car)
@@ -69,8 +69,8 @@ def observation(cars: list[Car], me: int) -> list[float]:
     return [value for row in rows for value in row]
 
 
-def own_reward(cars: list[Car], lanes: list[str], me: int) -> float:
-    ego, lane = cars[me], lanes[me]
+def own_reward(cars: list[Car], lanes: list[str], index: int) -> float:
+    ego, lane = cars[index], lanes[index]
     ahead = {lane, FOLLOWS.get(lane, lane)}
     gaps = [car["x"] - ego["x"] for car, other in zip(cars, lanes, strict=True) if other in ahead]
     gap = min([60.0, *(gap for gap in gaps if gap > 0)])
@@ -80,29 +80,29 @@ def own_reward(cars: list[Car], lanes: list[str], me: int) -> float:
     return reward + (4 * min(0.0, math.log(gap / (1.2 * ego["speed"]))) if ego["speed"] > 0 else 0.0)
 
 
-def next_to(cars: list[Car], lanes: list[str], me: int) -> list[int]:
-    left, right = SIDES[lanes[me]]
-    if lanes[me] == "ab" and cars[me]["x"] <= 220:
+def next_to(cars: list[Car], lanes: list[str], index: int) -> list[int]:
+    left, right = SIDES[lanes[index]]
+    if lanes[index] == "ab" and cars[index]["x"] <= 220:
         right = None
     found = []
     for lane in (left, right):
-        there = [i for i in range(len(cars)) if lane and i != me and lanes[i] in NEAR[lane]]
-        ahead = [i for i in there if cars[i]["x"] > cars[me]["x"]]
-        behind = [i for i in there if cars[i]["x"] <= cars[me]["x"]]
+        there = [i for i in range(len(cars)) if lane and i != index and lanes[i] in NEAR[lane]]
+        ahead = [i for i in there if cars[i]["x"] > cars[index]["x"]]
+        behind = [i for i in there if cars[i]["x"] <= cars[index]["x"]]
         found += [min(ahead, key=lambda i: cars[i]["x"])] if ahead else []
         found += [max(behind, key=lambda i: cars[i]["x"])] if behind else []
     return found
 
 
-def reward(cars: list[Car], lanes: list[str], cavs: int, me: int, scope: str) -> float:
+def reward(cars: list[Car], lanes: list[str], cavs: int, index: int, scope: str) -> float:
     own = [own_reward(cars, lanes, i) for i in range(cavs)]
     if scope == "global":
         return sum(own) / cavs
     if scope == "own":
-        return own[me] if me < cavs else 0.0
-    if me >= cavs:
+        return own[index] if index < cavs else 0.0
+    if index >= cavs:
         return 0.0
-    region = [own[me], *(own[i] for i in next_to(cars, lanes, me) if i < cavs)]
+    region = [own[index], *(own[i] for i in next_to(cars, lanes, index) if i < cavs)]
     return sum(region) / len(region)
 
 
@@ -117,25 +117,25 @@ def test_rewards_and_observations_are_as_defined(
         for copy in range(env.num_copies):
             cars, cavs, lanes = cars_of(env, copy)
             assert observed.alive[copy].tolist() == [n < cavs for n in range(env.spec.num_agents)]
-            for me in range(cavs):
+            for index in range(cavs):
                 np.testing.assert_allclose(
-                    observed.observations[copy, me], observation(cars, me), rtol=1e-5, atol=1e-6
+                    observed.observations[copy, index], observation(cars, index), rtol=1e-5, atol=1e-6
                 )
             assert (observed.observations[copy, cavs:] == 0).all()
         outcome, observed = env.step(draw.choice(5, (6, 6), p=[0.1, 0.6, 0.1, 0.1, 0.1]))
         for copy in np.flatnonzero(~outcome.episode_ended):
             cars, cavs, lanes = cars_of(env, copy)
             lanes_seen |= set(lanes[:cavs])
-            for me in range(env.spec.num_agents):
-                wanted = reward(cars, lanes, cavs, me, scope)
-                assert outcome.rewards[copy, me] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
+            for index in range(env.spec.num_agents):
+                wanted = reward(cars, lanes, cavs, index, scope)
+                assert outcome.rewards[copy, index] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
     assert lanes_seen == set(NAMES[name])
 
 
 def test_a_crash_costs_its_weight_and_ends_the_episode_for_all(
     make: Callable[..., MergeBatchedEnv],
 ) -> None:
-    """Idling, whoever is on the ramp hits its end."""
+    """Idle CAVs on the ramp hit its end."""
     env = make(copies=8, density=1, reward=RewardConfig(scope="own"))
     idle, crashes = np.ones((8, 3), np.int64), 0
     for _ in range(100):
@@ -165,7 +165,7 @@ def test_the_state_holds_every_vehicle_and_the_time(make: Callable[..., MergeBat
             np.testing.assert_allclose(row[3:5], np.array(velocity(car)) / 45, rtol=1e-5, atol=1e-7)
 
 
-def test_with_two_ramp_lanes_nobody_may_go_right_and_left_leads_home(
+def test_with_two_ramp_lanes_only_changes_to_the_left_are_allowed(
     make: Callable[..., MergeBatchedEnv],
 ) -> None:
     env = make("merge_two_lane", copies=32, density=1)
@@ -177,9 +177,9 @@ def test_with_two_ramp_lanes_nobody_may_go_right_and_left_leads_home(
         assert not masks[..., RIGHT][observed.alive].any()
         for copy in range(32):
             cars, cavs, lanes = cars_of(env, copy)
-            for me in range(cavs):
-                beside = lanes[me] in ("bc1", "bc2") and 320 <= cars[me]["x"] < 425
-                assert masks[copy, me, LEFT] == beside
-                cars_from_outer |= lanes[me] == "bc0" and abs(cars[me]["y"]) > 0.5
+            for index in range(cavs):
+                beside = lanes[index] in ("bc1", "bc2") and 320 <= cars[index]["x"] < 425
+                assert masks[copy, index, LEFT] == beside
+                cars_from_outer |= lanes[index] == "bc0" and abs(cars[index]["y"]) > 0.5
         env.step(np.where(masks[..., LEFT], LEFT, 1))
     assert cars_from_outer

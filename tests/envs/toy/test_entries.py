@@ -1,4 +1,4 @@
-"""The registry of environments is light to import."""
+"""Importing the registry of environments imports no heavy package."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The toy environments are worth what they are said to be worth."""
+"""The toy environments have the returns that they document."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ def seeds(count: int) -> NDArray[np.uint64]:
 def run_rule(
     entry: EnvEntry, config: object, rule_name: str, copies: int, steps: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rewards (T, C, N), and metrics (episodes, M) of the episodes that ended."""
+    """Return rewards (T, C, N) and metrics (episodes, M) of the finished episodes."""
     prepared = entry.prepare(config)
     env: BatchedEnv = entry.make(prepared, copies)
     rule = entry.rules[rule_name].make(prepared)
@@ -59,7 +59,7 @@ def test_the_climbing_game_is_worth_eleven() -> None:
     assert (metrics == 1).all()
 
 
-def test_recall_pays_one_an_episode_for_the_cue_that_only_its_first_step_shows() -> None:
+def test_recall_pays_one_per_episode_for_the_cue_shown_at_its_first_step_only() -> None:
     config = RecallConfig(agents=4, steps=5, cues=3)
     rewards, metrics = run_rule(ENTRIES["recall"], config, "optimal", copies=6, steps=20)
     assert (rewards.reshape(4, 5, 6, 4) == [[[[0]], [[0]], [[0]], [[0]], [[1]]]]).all()
@@ -76,7 +76,7 @@ def test_recall_pays_one_an_episode_for_the_cue_that_only_its_first_step_shows()
 
 
 def least_cost(offset: float, velocity: float, config: TrackingConfig) -> float:
-    """The noiseless optimum as one least-squares problem over all actions: no dynamic programming."""
+    """Return the noiseless optimum from one least-squares problem over all actions."""
     steps = config.steps
     moved = np.tril(np.ones((steps, steps)))
     unmoved = offset + velocity * np.arange(1, steps + 1)
@@ -108,7 +108,7 @@ def test_the_optimal_rule_of_tracking_earns_the_closed_form() -> None:
     expected = (p * offset**2 + 2 * q * offset * velocity + s * velocity**2).sum(axis=-1) + noise
     rewards, _ = run_rule(ENTRIES["tracking"], config, "optimal", copies, config.steps)
     surplus = -rewards.sum(axis=0) - expected
-    # Agents of a copy have their own noise, so all C x N of them are independent.
+    # Noise is independent between agents, so there are C x N independent samples.
     assert abs(surplus.mean()) < 4 * surplus.std() / np.sqrt(surplus.size)
 
 
@@ -153,7 +153,7 @@ def test_visitors_charge_and_count_a_choice_that_is_not_allowed() -> None:
         assert (outcome.rewards[~outcome.acting] == 0).all()
 
 
-def test_visitors_show_every_case_that_masks_are_for() -> None:
+def test_visitors_cover_every_case_of_the_masks() -> None:
     env = ENTRIES["visitors"].make(VisitorsConfig(), 8)
     env.reset(seeds(8))
     returned = idle = retired = terminated = truncated = False

@@ -38,7 +38,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     assert float(rows["return", "rule random"]["95% to"]) < 0
     assert rows["return", "rule optimal"]["minus optimal"] == ""
     assert "train at least" not in shown.err
-    assert "4 days: the intervals take days to differ by a normal law" in shown.err
+    assert "4 episodes: the intervals assume a normal distribution" in shown.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -59,7 +59,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
         (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
         (["env=trackin"], "tracking"),
         ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
-        ([*GAME, "--against", "ippo"], "--against: 'ippo' is no rule here"),
+        ([*GAME, "--against", "ippo"], "--against: there is no rule 'ippo'"),
         ([*GAME, "--metrics", "distanse"], "'distanse' is no metric here; did you mean distance?"),
         ([*GAME, "--episodes", "1"], "must be at least 2"),
     ],

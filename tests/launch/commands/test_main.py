@@ -206,7 +206,7 @@ def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(
 
 
 @pytest.mark.parametrize("name", env_entries())
-def test_arguments_that_the_meanings_of_metrics_name_are_there(name: str) -> None:
+def test_arguments_named_in_metric_descriptions_exist(name: str) -> None:
     entry = env_entry(name)
     known = {description.key for description in describe(entry.config, "env.args")}
     named = {key for what in entry.metrics.values() for key in re.findall(r"env\.args(?:\.\w+)+", what)}

@@ -78,7 +78,7 @@ def test_training_curves_whose_points_lie_at_different_steps_are_drawn(
     assert (tmp_path / "drawn.png").exists()
     _keep_seed(tmp_path, 2, "training/return", {5: 1.0, 6: 1.0})
     assert run([*words, "--metric", "training/return"]) == 2
-    assert "share no step at which they have 'training/return'\n" in capsys.readouterr().err
+    assert "share no step with a value of 'training/return'\n" in capsys.readouterr().err
 
 
 def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(
@@ -95,7 +95,7 @@ def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(
 def test_evaluations_at_different_steps_are_not_put_together(tmp_path: Path) -> None:
     for seed, points in enumerate(({0: 0.0, 2: 2.0}, {1: 3.0, 3: 5.0})):
         _keep_seed(tmp_path, seed, "evaluation_greedy/return", points)
-    with pytest.raises(HeadwayError, match="share no step at which they have 'evaluation_greedy/return'"):
+    with pytest.raises(HeadwayError, match="share no step with a value of 'evaluation_greedy/return'"):
         curves_of(select(tmp_path, study="apart"), "evaluation_greedy/return")
 
 
@@ -161,7 +161,7 @@ def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_ou
         ("algorithm=coma", "--where: no finished run of study is so"),
         ("algo.lrr=1", "--where: no run has the parameter 'algo.lrr'"),
         ("algoritm=mappo", "did you mean algorithm?"),
-        ("mappo", "is no condition"),
+        ("mappo", "is not a condition"),
     ):
         assert run([*words, "--where", condition]) == 2
         told = capsys.readouterr().err

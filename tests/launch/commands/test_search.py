@@ -46,7 +46,7 @@ def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
     root, first = searched
     again = _headway("search", "toy_matrix", "env_steps=2048", "energy=off", f"store.root={root}")
     assert again.returncode == 0, again.stderr
-    assert "2 have finished and are left alone" in again.stderr
+    assert "2 finished and skipped" in again.stderr
     winners = [done.stdout[done.stdout.index("cell\tcandidate") :] for done in (first, again)]
     assert winners[0] == winners[1]
     assert len(RunIndex(root).rows("search_toy_matrix")) == 2
@@ -76,7 +76,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(
             assert float(row[4]) == pytest.approx(float(row[3]) - optimal, abs=1e-3)
             assert float(row[5]) <= float(row[4]) <= float(row[6])
             assert row[7] == "t over episodes"
-    assert "1 seed: the interval is over days" in done.stderr
+    assert "1 seed: the interval is over episodes" in done.stderr
 
 
 def test_no_winner_is_named_while_another_session_trains_a_seed(

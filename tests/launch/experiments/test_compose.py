@@ -25,25 +25,24 @@ def test_overrides_reach_keys_that_no_file_has() -> None:
     assert experiment.config.seed == (0, 1, 2)
 
 
-def test_what_no_named_algorithm_is_can_be_composed() -> None:
+def test_algo_custom_composes_unnamed_algorithms() -> None:
     composed = compose(["env=trivial", "algo=custom", "algo.critic=central"])
     assert composed.algo_config.critic == "central"
-    with pytest.raises(
-        HeadwayError, match=r"ippo has local: .*With V\(s\) it is algo=mappo; algo=custom takes"
-    ):
+    with pytest.raises(HeadwayError, match=r"ippo has local: .*For V\(s\): algo=mappo; algo=custom accepts"):
         compose(["env=trivial", "algo=ippo", "algo.critic=central"])
 
 
 def test_a_preset_of_another_environment_is_named() -> None:
     with pytest.raises(
-        HeadwayError, match=r"preset=bus_tuned is not for this: env\.training_args\.reward\.follower_share is"
+        HeadwayError,
+        match=r"preset=bus_tuned does not fit this experiment: env\.training_args\.reward\.follower_share is",
     ):
         compose(["experiment=merge_study", "preset=bus_tuned"])
     with pytest.raises(HeadwayError, match=r"^env\.args\.state is not a key of merge"):
         compose(["experiment=merge_study", "env.args.state=whole"])
 
 
-def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
+def test_a_preset_overrides_defaults_and_is_overridden_by_options() -> None:
     experiment = compose(["env=trivial", "preset=paper", "algo.clip=0.1", "rollout=short"])
     assert experiment.config.preset == "paper"
     assert compose(["env=trivial"]).config.preset == "none"
@@ -62,25 +61,25 @@ def test_a_preset_stands_above_defaults_and_below_what_is_written() -> None:
         ("steps=50", "rollout.steps or env.args.steps=50"),
     ],
 )
-def test_a_key_without_its_first_parts_is_named_whole(override: str, meant: str) -> None:
+def test_a_key_without_its_first_parts_is_completed(override: str, meant: str) -> None:
     key = override.partition("=")[0]
     with pytest.raises(HeadwayError) as caught:
         compose(["env=merge", "algo=mappo", override, "seed=1"])
     assert str(caught.value) == f"{key} is not a key of the experiment; did you mean {meant}?"
 
 
-def test_the_bus_network_by_itself_takes_values_that_learn_on_it() -> None:
-    """Of an algorithm that has none there, the defaults; and its task is the same with and without."""
-    by_itself, tuned = compose(["env=bus"]), compose(["env=bus", "preset=bus_tuned"])
-    assert by_itself.config.preset == "default_bus"
-    assert by_itself.algo_config == tuned.algo_config
-    assert by_itself.training_env_config == tuned.training_env_config
-    assert by_itself.config.rollout == tuned.config.rollout
+def test_the_bus_environment_has_a_default_preset() -> None:
+    """An algorithm without values in it keeps its defaults; the evaluation environment is the same."""
+    default, tuned = compose(["env=bus"]), compose(["env=bus", "preset=bus_tuned"])
+    assert default.config.preset == "default_bus"
+    assert default.algo_config == tuned.algo_config
+    assert default.training_env_config == tuned.training_env_config
+    assert default.config.rollout == tuned.config.rollout
     assert compose(["env=bus", "algo.clip=0.07"]).algo_config.clip == 0.07
     untuned = compose(["env=bus", "algo=madqn"])
     assert untuned.config.preset == compose(["env=bus", "preset=none"]).config.preset == "none"
     assert untuned.algo_config == compose(["env=trivial", "algo=madqn"]).algo_config
-    tasks = [compose(["env=bus", f"algo={name}"]).reported_on for name in algo_entries() if name != "ddpg"]
+    tasks = [compose(["env=bus", f"algo={name}"]).evaluated_env for name in algo_entries() if name != "ddpg"]
     assert all(task == tasks[0] for task in tasks)
     with pytest.raises(HeadwayError, match="the preset has no values for algo=madqn"):
         compose(["env=bus", "algo=madqn", "preset=bus_tuned"])
@@ -97,11 +96,11 @@ def test_without_an_experiment_one_is_asked_for(overrides: tuple[str, ...]) -> N
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("~algo.lr=3", "~algo.lr=3: nothing sets algo.lr, so its default holds already"),
-        ("~seed=3", "~seed=3: nothing sets seed"),
-        ("~nothing", "~nothing: nothing sets nothing"),
-        ("~env=3", "~env=3: env cannot be taken away; choose another option"),
-        ("~env", "~env: env cannot be taken away"),
+        ("~algo.lr=3", "~algo.lr=3: algo.lr is not set, so its default already applies"),
+        ("~seed=3", "~seed=3: seed is not set"),
+        ("~nothing", "~nothing: nothing is not set"),
+        ("~env=3", "~env=3: env cannot be removed; choose another option"),
+        ("~env", "~env: env cannot be removed"),
         ("~", "'~' is not an override"),
         ("~=3", "'~=3' is not an override"),
         ("=3", "'=3' is not an override"),
@@ -110,14 +109,14 @@ def test_without_an_experiment_one_is_asked_for(overrides: tuple[str, ...]) -> N
         ("+++algo.lr=3", r"'\+\+\+algo.lr=3' is not an override"),
     ],
 )
-def test_what_cannot_be_taken_away_or_set_is_one_line(override: str, line: str) -> None:
+def test_invalid_deletions_and_overrides_print_one_line(override: str, line: str) -> None:
     with pytest.raises(HeadwayError, match=line) as caught:
         compose(["env=trivial", override])
     assert "\n" not in str(caught.value)
 
 
 def test_a_preset_that_was_chosen_is_never_dropped() -> None:
-    """Though it is called as an environment is, or as the default."""
+    """Also if its name is that of an environment, or if it equals the default preset."""
     for words in (["experiment=intersection_paper_ippo"], ["env=bus", "preset=bus_tuned"]):
         with pytest.raises(HeadwayError, match="the preset has no values for algo=madqn"):
             compose([*words, "algo=madqn"])
@@ -130,12 +129,12 @@ def test_no_environment_is_no_option() -> None:
         compose(["env=none"])
 
 
-def test_a_key_without_its_first_parts_is_named_whole_before_an_environment_is() -> None:
+def test_a_key_is_completed_also_without_an_environment() -> None:
     with pytest.raises(HeadwayError, match=r"did you mean algo\.lr=3e-4\?"):
         compose(["algo=ippo", "lr=3e-4"])
 
 
-def test_what_a_file_sets_can_be_taken_away() -> None:
+def test_a_value_from_a_file_can_be_removed() -> None:
     short = compose(["env=trivial", "rollout=short", "~rollout.steps"])
     assert (short.config.rollout.steps, short.config.rollout.copies) == (512, 8)
     assert short == compose(["env=trivial", "rollout=short", "~rollout.steps=128"])
@@ -146,7 +145,7 @@ def test_every_seed_form_works_as_an_override(seeds: str) -> None:
     assert compose(["env=trivial", f"seed={seeds}"]).config.seed == (0, 1, 2)
 
 
-def test_a_key_of_an_earlier_version_is_named_with_what_it_is_now() -> None:
+def test_a_key_of_an_earlier_version_is_named_with_its_replacement() -> None:
     line = r"^env.args.reward.shared: 'shared' is now scope: team \(for true\), line or own \(for false\)$"
     with pytest.raises(HeadwayError, match=line):
         compose(["env=bus", "env.args.reward.shared=false"])
@@ -171,7 +170,7 @@ def test_a_key_of_an_earlier_version_is_named_with_what_it_is_now() -> None:
         ("algo=mapo", ["algo=mapo", "did you mean algo=mappo?"]),
         ("experiment=bus_mapo", ["did you mean experiment=bus_mappo?"]),
         ("env=trivail", ["did you mean env=trivial?"]),
-        ("algo=ippo,mappo", ["one option at a time"]),
+        ("algo=ippo,mappo", ["choose one option"]),
         (
             "algo.critic=local",
             ["algo.critic='local' is not possible, mappo has central", "algo=ippo", "custom"],
@@ -213,13 +212,13 @@ def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> 
         assert part in message
 
 
-def test_a_rule_that_is_not_there_is_refused_before_anything_starts() -> None:
+def test_an_unknown_rule_is_refused_before_anything_starts() -> None:
     experiment = compose(["env=trivial", "evaluation.rules=[optimum]"])
-    with pytest.raises(HeadwayError, match=r"'optimum' is no rule of trivial; did you mean optimal\?"):
+    with pytest.raises(HeadwayError, match=r"'optimum' is not a rule of trivial; did you mean optimal\?"):
         experiment.prepare()
 
 
-def test_training_arguments_lie_over_those_that_are_reported_on() -> None:
+def test_training_arguments_override_environment_arguments() -> None:
     found = compose(["env=bus", "env.args.capacity=50", "env.training_args.reward.scope=own"]).prepare()
     assert found.prepared.config.reward.scope == "team"
     assert found.training.config.reward.scope == "own"
@@ -230,8 +229,8 @@ def test_training_arguments_lie_over_those_that_are_reported_on() -> None:
 
 
 @pytest.mark.parametrize("overrides", [("preset=bus_tuned",), ("env.training_args.reward.scope=own",)])
-def test_without_training_arguments_what_is_reported_on_is_learned_from(overrides: tuple[str, ...]) -> None:
-    """`null` takes away what a preset has, which `{}` cannot: mappings are laid over each other."""
+def test_null_removes_the_training_arguments_of_a_preset(overrides: tuple[str, ...]) -> None:
+    """`{}` would leave them, because mappings are merged."""
     words = ("env=bus", "algo=ippo", *overrides)
     assert compose(words).config.env.training_args
     assert compose([*words, "env.training_args={}"]).config.env.training_args
@@ -242,36 +241,36 @@ def test_without_training_arguments_what_is_reported_on_is_learned_from(override
     assert cell_parameters(resolve(stored)) == cell_parameters(cleared)
 
 
-def test_what_is_reported_on_leaves_out_what_only_learning_sees() -> None:
+def test_the_evaluation_environment_is_independent_of_training_settings() -> None:
     plain = compose(["env=trivial"])
     for words in (
         ["env.training_args.steps=9"],
         ["env.wrappers=[clip_reward_v0]"],
         ["algo=ippo", "rollout=short"],
     ):
-        assert compose(["env=trivial", *words]).reported_on == plain.reported_on
+        assert compose(["env=trivial", *words]).evaluated_env == plain.evaluated_env
     spread = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3"]
-    assert compose([*spread, "env.max_copies_per_process=4"]).reported_on != compose(spread).reported_on
+    assert compose([*spread, "env.max_copies_per_process=4"]).evaluated_env != compose(spread).evaluated_env
     for words in (["env.args.steps=9"], ["env.wrappers=[clip_reward_v0, agent_indicator_v0]"]):
-        assert compose(["env=trivial", *words]).reported_on != plain.reported_on
-    assert compose(["env=matrix"]).reported_on != plain.reported_on
+        assert compose(["env=trivial", *words]).evaluated_env != plain.evaluated_env
+    assert compose(["env=matrix"]).evaluated_env != plain.evaluated_env
 
 
 def test_training_arguments_cannot_change_what_agents_observe() -> None:
     experiment = compose(["env=trivial", "env.training_args.agents=3"])
-    with pytest.raises(HeadwayError, match=r"env\.training_args may change rewards and dynamics, not what"):
+    with pytest.raises(HeadwayError, match=r"env\.training_args may change rewards and dynamics, not obs"):
         experiment.prepare()
 
 
 @pytest.mark.parametrize("study", ["bus", "bus line 2", "étude-1.0_b"])
-def test_names_of_studies_that_are_names_of_folders_are_taken(study: str) -> None:
+def test_study_names_that_are_folder_names_are_accepted(study: str) -> None:
     assert compose(["env=trivial", f"study='{study}'"]).config.study == study
 
 
-def test_without_a_word_on_rules_all_of_the_environment_are_played() -> None:
+def test_by_default_all_rules_of_the_environment_are_played() -> None:
     experiment = compose(["env=trivial"])
     assert experiment.rules == ("random", "optimal")
-    # As they are now: a rule added later changes no stored run.
+    # Written out, so that a rule added later changes no stored run.
     assert full_mapping(experiment, ())["evaluation"]["rules"] == ["random", "optimal"]
     assert compose(["env=trivial", "evaluation.rules=[]"]).rules == ()
     assert compose(["env=trivial", "evaluation.rules=[optimal]"]).rules == ("optimal",)
@@ -287,7 +286,7 @@ def test_a_stored_configuration_gives_the_same_experiment() -> None:
     assert cell_parameters(again) == cell_parameters(experiment)
 
 
-def test_every_key_says_what_it_is() -> None:
+def test_every_key_has_a_docstring() -> None:
     records = [entry.config for entry in (*algo_entries().values(), *env_entries().values())]
     for record in (ExperimentConfig, *records):
         for key in describe(record):
@@ -297,7 +296,7 @@ def test_every_key_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     "algorithm", ["ia2c", "ippo", "itrpo", "maa2c", "coma", "mappo", "matrpo", "happo", "hatrpo"]
 )
-def test_the_papers_preset_knows_the_nine_that_the_paper_compares(algorithm: str) -> None:
+def test_the_papers_preset_has_values_for_its_nine_algorithms(algorithm: str) -> None:
     experiment = compose(["env=trivial", f"algo={algorithm}", "preset=paper"])
     assert experiment.algo_name == algorithm
     assert experiment.algo_config.model.hidden == (128, 128)
@@ -317,7 +316,7 @@ def test_the_merging_study_has_values_for_its_algorithms(algorithm: str, preset:
     assert config.evaluation.every == 20 * 100
     assert config.env_steps == 10_000 * 100
     assert not experiment.env_config.supervisor
-    # Whatever learners are paid, what is reported is the mean of all.
+    # Whatever reward trains them, the evaluation reports the mean of all agents.
     assert experiment.env_config.reward.scope == "global"
     if preset == "merge_paper":
         assert (algo.gamma, algo.model.hidden, algo.model.activation) == (0.99, (128, 128), "relu")
@@ -328,29 +327,29 @@ def test_the_merging_study_has_values_for_its_algorithms(algorithm: str, preset:
         )
 
 
-def test_the_merging_study_has_no_other_protocol_in_one_sweep() -> None:
-    """All its cells in one study: with and without supervisor are environments of their own."""
+def test_one_sweep_covers_the_merging_study() -> None:
+    """All its cells in one study; with and without supervisor are separate environments."""
     words = ["experiment=merge_study", "algo=mappo,maacktr,madqn", "env=merge,merge_two_lane"]
     cells = compose_sweep([*words, "env.args.supervisor=false,true"])
     assert len(cells) == len(distinct(cells)) == 12
     assert {cell.config.study for cell in cells} == {"merge_study"}
-    assert len({json.dumps(cell.reported_on, sort_keys=True) for cell in cells}) == 4
+    assert len({json.dumps(cell.evaluated_env, sort_keys=True) for cell in cells}) == 4
 
 
-def test_a_composition_without_a_name_runs_as_custom() -> None:
-    """HAA2C, for one; and what its order refuses is refused before anything starts."""
+def test_an_unnamed_composition_runs_as_custom() -> None:
+    """HAA2C for example; what its order refuses is refused before anything starts."""
     composed = compose(
         ["env=trivial", "algo=custom", "algo.critic=central", "algo.update=a2c", "algo.order=sequential"]
     )
     composed.prepare()
     with pytest.raises(
-        HeadwayError, match=r"algo\.policies=shared is but one on trivial; use algo\.policies=independent"
+        HeadwayError, match=r"algo\.policies=shared gives only one on trivial; use algo\.policies=independent"
     ):
         compose(["env=trivial", "algo=custom", "algo.order=sequential", "algo.policies=shared"]).prepare()
 
 
 @pytest.mark.parametrize("option", groups()["experiment"])
-def test_every_experiment_composes_and_says_what_it_is(option: str) -> None:
+def test_every_experiment_composes_and_has_a_summary(option: str) -> None:
     assert summary_of("experiment", option).endswith(".")
     assert compose([f"experiment={option}"]).config.study
 

@@ -36,7 +36,7 @@ TINY = (
 
 
 @pytest.fixture(autouse=True)
-def _a_folder_and_two_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _empty_folder_and_two_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("headway_launch.runner.runner.usable_cores", lambda: 2)
 
@@ -55,12 +55,12 @@ def test_a_pettingzoo_environment_composes_by_its_module() -> None:
     assert experiment.prepare().spec.agents == ("agent_0", "agent_1", "agent_2")
     assert _size(compose(["env=mpe2.simple_spread_v3", "env.args.N=2"])) == 12
     args = full_mapping(experiment, [0])["env"]["args"]
-    assert args["local_ratio"] == 0.5  # a default, spelt out
+    assert args["local_ratio"] == 0.5  # a default, written out
     assert "wrappers" not in full_mapping(experiment, [0])["env"]
 
 
 @pytest.mark.parametrize("environment", [("env=trivial",), SPREAD], ids=["native", "PettingZoo"])
-def test_wrappers_are_part_of_what_is_stored_and_of_what_makes_a_cell(environment: tuple[str, ...]) -> None:
+def test_wrappers_are_stored_and_distinguish_cells(environment: tuple[str, ...]) -> None:
     plain, wrapped = compose([*environment, "algo=ippo"]), compose([*environment, "algo=ippo", STACK])
     assert _size(wrapped) == 2 * _size(plain)
     mapping = full_mapping(wrapped, [0])
@@ -145,25 +145,25 @@ def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
         (("env=../../evil.yaml",), "is no public module"),
     ],
 )
-def test_what_cannot_be_used_is_one_line(overrides: tuple[str, ...], message: str) -> None:
+def test_invalid_environments_and_wrappers_print_one_line(overrides: tuple[str, ...], message: str) -> None:
     with pytest.raises(HeadwayError, match=message):
         compose(overrides)
 
 
-def test_what_the_adapter_is_told_is_stored_and_reaches_it() -> None:
-    told = compose(
+def test_adapter_options_are_stored_and_reach_the_adapter() -> None:
+    experiment = compose(
         [*SPREAD, "env.args.local_ratio=0", "env.shared_reward=true", "env.max_copies_per_process=4"]
     )
-    spec = told.prepare().spec
+    spec = experiment.prepare().spec
     assert spec.shared_reward
     assert spec.max_copies_per_process == 4
-    env = full_mapping(told, [0])["env"]
+    env = full_mapping(experiment, [0])["env"]
     assert env["shared_reward"] is True
-    assert resolve(full_mapping(told, [0])).prepare().spec == spec
+    assert resolve(full_mapping(experiment, [0])).prepare().spec == spec
 
 
-def test_what_only_learning_is_given_is_asked_of_learning_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a factory whose signature tells nothing, the arguments that are given are all that is known."""
+def test_training_arguments_reach_the_training_environment_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a factory whose signature is unknown, only the given arguments are known."""
     monkeypatch.setattr("headway.adapters.modules._signature_source", lambda module, name: None)
     for wrappers in ("[]", "[clip_reward_v0]"):
         words = ("env.training_args.local_ratio=0.1", f"env.wrappers={wrappers}")
@@ -189,7 +189,7 @@ def test_what_only_learning_is_given_is_asked_of_learning_only(monkeypatch: pyte
     ],
     ids=["plain", "twins", "SuperSuit", "padded", "Box"],
 )
-def test_a_pettingzoo_environment_trains_beside_random_play(
+def test_a_pettingzoo_environment_trains_with_a_random_rule(
     overrides: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["run", *overrides, *TINY, "evaluation.rules=[random]"]) == 0, capsys.readouterr().err
@@ -199,7 +199,7 @@ def test_a_pettingzoo_environment_trains_beside_random_play(
 
 
 def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
-    """Everything that they are given can be pickled."""
+    """Everything sent to the workers can be pickled."""
     tiny = [word for word in TINY if word != "backend=serial"]
     wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}, agent_indicator_v0]"
     for overrides in ((*SPREAD, wrappers), ("env=trivial", wrappers), ("env=trivial", STACK)):
@@ -208,7 +208,7 @@ def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
     assert [row.status for row in _runs()] == ["FINISHED"] * 3
 
 
-def test_the_price_of_a_wrapper_without_a_twin_is_said_in_one_line(
+def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}]"
@@ -223,7 +223,7 @@ def test_the_price_of_a_wrapper_without_a_twin_is_said_in_one_line(
 def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The stack's memory is in the checkpoint: the curve is that of a run that was never stopped."""
+    """Stacked frames are in the checkpoint: the curve is that of an uninterrupted run."""
     assert run(["run", "env=visitors", STACK, *TINY]) == 0
     row = _runs()[0]
     directory = Path(row.directory)
@@ -238,28 +238,28 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     capsys.readouterr()
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["evaluate", row.run_id, "--episodes", "2"]) == 0
-    shown, told = capsys.readouterr()
-    assert "\repisodes played: 0 of 6\x1b[K" in told
-    assert "\repisodes played: 6 of 6 (rule " in told
+    shown, notices = capsys.readouterr()
+    assert "\repisodes played: 0 of 6\x1b[K" in notices
+    assert "\repisodes played: 6 of 6 (rule " in notices
     assert "episodes played" not in shown
     assert "rule optimal" in shown
     assert "rule random" in shown
 
 
-def test_cells_that_differ_in_what_they_learn_from_are_compared(
+def test_cells_with_different_training_environments_are_compared(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By training arguments and by a wrapper of rewards, which makes another kind of environment. What is
-    played is counted over rules, cells and their seeds."""
+    """They differ by training arguments and by a reward wrapper. The progress counts episodes of rules, cells
+    and their seeds."""
     for words in (("env.wrappers=[clip_reward_v0]",), ("seed=0,1",), ("env.training_args.steps=9",)):
         assert run(["run", "env=trivial", *TINY, "env.args.agents=2", *words]) == 0, capsys.readouterr().err
     capsys.readouterr()
     with monkeypatch.context() as terminal:
         terminal.setattr("sys.stderr.isatty", lambda: True, raising=False)
         assert run(["compare", "default", "--episodes", "2"]) == 0, capsys.readouterr().err
-    shown, told = capsys.readouterr()
-    assert "\repisodes played: 0 of 12\x1b[K" in told  # two rules and four seeds
-    assert "\repisodes played: 12 of 12 (" in told
+    shown, notices = capsys.readouterr()
+    assert "\repisodes played: 0 of 12\x1b[K" in notices  # two rules and four seeds
+    assert "\repisodes played: 12 of 12 (" in notices
     assert "episodes played" not in shown
     rows = [line.split("\t") for line in shown.splitlines() if "\t" in line]
     cells = [row[1] for row in rows[1:] if not row[1].startswith("rule ")]
@@ -272,7 +272,7 @@ def test_cells_that_differ_in_what_they_learn_from_are_compared(
     assert "holds several environments" in capsys.readouterr().err
 
 
-def test_rules_that_wrappers_hide_are_left_out_in_one_line(
+def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hiding = "env.wrappers=[{name: max_observation_v0, memory: 2}]"
@@ -281,14 +281,14 @@ def test_rules_that_wrappers_hide_are_left_out_in_one_line(
     name = _runs()[0].run_id
     for words in (["compare", "default"], ["evaluate", name]):
         assert run([*words, "--episodes", "2"]) == 0, capsys.readouterr().err
-        told = capsys.readouterr()
-        assert "rule random" in told.out
-        assert "rule optimal" not in told.out
-        [line] = [line for line in told.err.splitlines() if "optimal" in line]
+        printed = capsys.readouterr()
+        assert "rule random" in printed.out
+        assert "rule optimal" not in printed.out
+        [line] = [line for line in printed.err.splitlines() if "optimal" in line]
         assert line.startswith("headway: left out: rule 'optimal' of trivial cannot look behind")
 
     def play(*_: object) -> None:
-        raise AssertionError("it played before it knew the rules")
+        raise AssertionError("played before the rules were checked")
 
     monkeypatch.setattr("headway_launch.runner.checkpointed_policy.policy_episodes", play)
     for words in (["compare", "default"], ["evaluate", name]):
@@ -306,21 +306,21 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
     assert "minus random" in shown
     assert "optimal" not in shown
     for words, line in (
-        (["--rules", "optimum"], "--rules: 'optimum' is no rule here; did you mean optimal?"),
+        (["--rules", "optimum"], "--rules: there is no rule 'optimum'; did you mean optimal?"),
         (["--rules", ","], "--rules names none"),
         (["--episodes", "1"], "headway: --episodes 1: must be at least 2, as days are paired\n"),
         (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
-        (["--rules", "random", "--against", "optimum"], "--against: 'optimum' is no rule here"),
+        (["--rules", "random", "--against", "optimum"], "--against: there is no rule 'optimum'"),
     ):
         assert run(["compare", "default", "--episodes", "2", *words]) == 2
         assert line in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["evaluate", "compare", "resume"])
-def test_a_run_of_an_environment_that_observed_otherwise_is_one_line(
+def test_a_checkpoint_with_other_observations_prints_one_line(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As if this version of the environment showed one number less."""
+    """As if this version of the environment had smaller observations."""
     assert run(["run", "env=trivial", *TINY]) == 0
     row = _runs()[0]
     folder = Path(row.directory) / CHECKPOINTS
@@ -333,10 +333,10 @@ def test_a_run_of_an_environment_that_observed_otherwise_is_one_line(
         record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "KILLED"}))
     capsys.readouterr()
     assert run([command, "default" if command == "compare" else row.run_id]) == 2
-    told = capsys.readouterr().err
-    assert f"run {row.run_id} was made by a version of trivial with other observations" in told
-    assert "train it again" in told
-    assert "ValueError" not in told
+    notices = capsys.readouterr().err
+    assert f"run {row.run_id} was made by a version of trivial with other observations" in notices
+    assert "train it again" in notices
+    assert "ValueError" not in notices
 
 
 def test_wrappers_are_listed_with_their_arguments(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""What is learned from and what is reported on are prepared together, and share what is the same."""
+"""Training and evaluation environments are prepared together and share their data."""
 
 import pickle
 
@@ -21,7 +21,7 @@ WRAPPERS = "env.wrappers=[{name: clip_reward_v0, lower_bound: -1, upper_bound: 1
 
 @pytest.fixture
 def generated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """Scenarios that were generated."""
+    """Calls (scenario, seed) of the scenario generator."""
     generate, calls = synthetic.generate, []
 
     def counted(scenario: str, seed: int) -> Tables:
@@ -41,12 +41,14 @@ def test_a_scenario_is_generated_once(generated: list[tuple[str, int]], others: 
         assert reported.network is learned.network
         assert reported.config.reward.scope == "team"
         assert learned.config.reward.scope == ("own" if OWN in others else "team")
-    # And so in a training process: what is shared is pickled once.
+    # Sharing survives the pickling for a training process.
     prepared, training = pickle.loads(pickle.dumps((jobs[0].prepared, jobs[0].training_prepared)))
     assert _inner(prepared).network.running is _inner(training).network.running
 
 
-def test_what_more_than_rewards_changes_is_prepared_anew(generated: list[tuple[str, int]]) -> None:
+def test_other_training_arguments_prepare_a_second_environment(
+    generated: list[tuple[str, int]],
+) -> None:
     (job,) = plan_jobs(
         compose(["env=bus", "preset=none", "algo=ippo", "seed=0", "env.training_args.capacity=50"])
     )
@@ -58,7 +60,7 @@ def test_what_more_than_rewards_changes_is_prepared_anew(generated: list[tuple[s
 
 
 def _inner(prepared: object) -> Prepared:
-    """Without the wrappers, if there are any."""
+    """Return the data of the environment inside any wrappers."""
     inner = prepared.prepared if isinstance(prepared, Wrapped) else prepared
     assert isinstance(inner, Prepared)
     return inner

@@ -1,4 +1,4 @@
-"""The grammar of sweeps: which cells a command line stands for."""
+"""The grammar of sweeps: the cells that a command line describes."""
 
 import pytest
 
@@ -29,11 +29,11 @@ def test_every_combination_is_a_cell_and_seeds_stay_together() -> None:
         ("~algo.lr", None),
     ],
 )  # fmt: skip
-def test_values_as_hydra_writes_them(override: str, values: list[str] | None) -> None:
+def test_values_of_sweep_overrides(override: str, values: list[str] | None) -> None:
     assert combinations([override]) == [(value,) for value in values or [override]]
 
 
-def test_cells_are_experiments_named_by_what_differs() -> None:
+def test_cells_are_named_by_their_differences() -> None:
     experiments = compose_sweep(["env=trivial", "algo=ippo,ia2c", "algo.lr=1e-3,3e-4", "seed=0..4"])
     assert [experiment.config.seed for experiment in experiments] == [(0, 1, 2, 3, 4)] * 4
     assert cell_labels(experiments) == [
@@ -42,7 +42,7 @@ def test_cells_are_experiments_named_by_what_differs() -> None:
     assert cell_labels(experiments[::2]) == ["ippo", "ia2c"]
     assert cell_labels(experiments[:1]) == [""]
     wrapped = compose_sweep(["env=trivial", "algo=ippo", "env.wrappers=[],[clip_reward_v0]"])
-    assert cell_labels(wrapped)[0] == "ippo, without env.wrappers"  # as where the store names cells
+    assert cell_labels(wrapped)[0] == "ippo, without env.wrappers"  # the store's name too
 
 
 def test_cells_of_several_presets_are_named_by_these() -> None:
@@ -56,7 +56,7 @@ def test_cells_of_several_presets_are_named_by_these() -> None:
     assert cell_labels(rates)[-1] == "mappo merge_paper, algo.lr=0.002"
 
 
-def test_a_cell_named_twice_is_one() -> None:
+def test_a_repeated_cell_is_merged() -> None:
     twice = compose_sweep(["env=trivial", "algo=ippo,ippo", "seed=0..4"])
     assert len(distinct(twice)) == 1
 
@@ -64,13 +64,13 @@ def test_a_cell_named_twice_is_one() -> None:
 @pytest.mark.parametrize(
     ("override", "part"),
     [
-        ("store.root=a,b", "store has one value in a sweep"),
-        ("backend.parallel=1,2", "backend.parallel has one value"),
-        ("algo.lr=interval(0,1)", "has no values to go through; write KEY=a,b"),
+        ("store.root=a,b", "store takes one value per sweep"),
+        ("backend.parallel=1,2", "backend.parallel takes one value"),
+        ("algo.lr=interval(0,1)", "has no values to sweep; write KEY=a,b"),
         ("algo=glob(x*)", "matches nothing"),
         ("algo=ippo,mapo", "did you mean algo=mappo?"),
     ],
 )
-def test_what_cannot_be_swept_is_refused(override: str, part: str) -> None:
+def test_invalid_sweeps_are_refused(override: str, part: str) -> None:
     with pytest.raises(HeadwayError, match=part.replace("?", r"\?")):
         compose_sweep(["env=trivial", override])

@@ -1,4 +1,4 @@
-"""The rules beside a cell, kept from one session to the next."""
+"""Stored rule episodes of a cell are reused by later sessions."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +18,10 @@ RULES = ("evaluation.rules=[optimal]", "evaluation.episodes=3", "evaluation.fina
 TINY = ("env=trivial", "algo=ippo", "env.args.agents=2", "env.args.steps=20", "study=kept", *RULES)
 
 
-def test_rules_of_other_days_are_played_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Days are counted from 0 whatever seed they follow from, and cells do not differ by that seed."""
+def test_another_evaluation_seed_plays_the_rules_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Episode seeds count from 0 for every evaluation seed, which is not a parameter of the cell."""
     roots: list[int] = []
     play = cell_module.rule_episodes
 
@@ -29,10 +31,10 @@ def test_rules_of_other_days_are_played_again(tmp_path: Path, monkeypatch: pytes
         rules: Sequence[str],
         root: int,
         episodes: int,
-        so_far: CountedProgress,
+        progress: CountedProgress,
     ) -> dict[str, list[Row]]:
         roots.append(root)
-        return play(experiment, prepared, rules, root, episodes, so_far)
+        return play(experiment, prepared, rules, root, episodes, progress)
 
     monkeypatch.setattr(cell_module, "rule_episodes", counted)
     store = SessionStore(StoreConfig(root=str(tmp_path)))

@@ -1,4 +1,4 @@
-"""Environments of which a process holds few copies are given processes enough, or refused in one line."""
+"""Environments that limit the copies per process get enough processes, or are refused in one line."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +54,7 @@ def test_blocks_shrink_alike_for_any_stack_and_workers_grow(
     assert (fitted.rollout.block, fitted.backend.workers) == expected
 
 
-def test_what_needs_no_change_is_left_alone() -> None:
+def test_a_configuration_within_the_limit_is_unchanged() -> None:
     free = replace(ONE, max_copies_per_process=None)
     for spec, config in (
         (free, _config(8, 4)),
@@ -90,18 +90,18 @@ def test_what_needs_no_change_is_left_alone() -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused_with_settings_that_work(
+def test_impossible_settings_are_refused_with_ones_that_work(
     spec: EnvSpec, config: ExperimentConfig, line: str
 ) -> None:
     with pytest.raises(HeadwayError, match=f"a process can hold {line}") as refusal:
         within_processes(config, spec)
     ways = str(refusal.value).split("; set ")[1].split(", or ")
     for way in ways:
-        within_processes(_following(way, config), spec)
+        within_processes(_with_settings(way, config), spec)
 
 
-def _following(way: str, config: ExperimentConfig) -> ExperimentConfig:
-    """The configuration with settings that a line names."""
+def _with_settings(way: str, config: ExperimentConfig) -> ExperimentConfig:
+    """Return the configuration with the settings that an error line proposes."""
     changed: dict[str, dict[str, Any]] = {"rollout": {}, "backend": {}}
     for setting in way.replace("leave it out", "backend.workers=").split(" and "):
         key, value = setting.split("=")
@@ -114,36 +114,36 @@ def _following(way: str, config: ExperimentConfig) -> ExperimentConfig:
     )
 
 
-def _crowded(*overrides: str) -> Experiment:
-    """On an environment of which a process holds four copies."""
+def _limited(*overrides: str) -> Experiment:
+    """Return an experiment whose environment is limited to four copies per process."""
     bare = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=4")
     return compose([*bare, "algo=ippo", "seed=0,1", "rollout.copies=8", *overrides])
 
 
 def test_jobs_have_the_workers_that_their_own_configuration_needs() -> None:
-    """Not those of the session's first cell, nor its share of few cores."""
+    """Independent of the session's first cell and of the share of cores."""
     plain = compose(["env=trivial", "algo=ippo", "seed=0,1", "backend.workers=1"])
-    asked = compose(["env=trivial", "algo=ippo", "seed=0", "backend.workers=2"])
+    requested = compose(["env=trivial", "algo=ippo", "seed=0", "backend.workers=2"])
     serial = compose(["env=trivial", "algo=ippo", "seed=0", "backend=serial"])
-    crowded = _crowded("rollout.block=8")
-    cells = [new_jobs(each, each.config.seed) for each in (plain, asked, serial, crowded)]
+    limited = _limited("rollout.block=8")
+    cells = [new_jobs(each, each.config.seed) for each in (plain, requested, serial, limited)]
     jobs = [job for cell in cells for job in cell]
     for cores, parallel in ((1, 1), (2, 1), (8, 4)):
         shares = share_cores(plain.config.backend, jobs, cores)
         assert shares.parallel == parallel
         assert [workers_of(job, shares) for job in jobs] == [1, 1, 2, 1, 2, 2]
     assert {job.config.rollout.block for job in cells[-1]} == {4}
-    assert all(job.experiment is crowded for job in cells[-1])  # it is known by what was asked for
+    assert all(job.experiment is limited for job in cells[-1])  # stored as it was requested
 
 
-def test_a_stack_has_a_worker_for_each_part_of_it_that_a_process_can_hold() -> None:
+def test_a_stack_has_one_worker_per_part_that_a_process_can_hold() -> None:
     words = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=1", "algo=ippo"]
     stacked = compose([*words, "seed=0..6", "backend.stack=5", "rollout.copies=2", "rollout.block=2"])
     jobs = plan_jobs(stacked)
     for cores, cluster_cpus, parallel in ((2, None, 1), (3, None, 1), (4, None, 2), (9, 19, 1), (9, 20, 2)):
         shares = share_cores(stacked.config.backend, jobs, cores, cluster_cpus)
-        assert shares.parallel == parallel  # on a cluster each worker keeps its place
-        assert [workers_of(job, shares) for job in jobs] == [10, 4]  # of seven seeds two are left over
+        assert shares.parallel == parallel  # on a cluster every worker counts
+        assert [workers_of(job, shares) for job in jobs] == [10, 4]  # stacks of five and two seeds
 
 
 def test_jobs_use_a_gpu_by_their_own_device() -> None:
@@ -152,7 +152,7 @@ def test_jobs_use_a_gpu_by_their_own_device() -> None:
     assert uses_gpu(replace(job, config=replace(job.config, device="cuda:1")))
 
 
-def test_a_budget_in_which_policies_would_never_part_is_refused() -> None:
+def test_a_budget_in_which_policies_would_never_split_is_refused() -> None:
     """The last of n iterations begins at (n - 1) / n of training."""
     words = ["env=visitors", "algo=ippo", "rollout.copies=2", "rollout.steps=10", "rollout.block=2"]
     for share, enough in ((0.5, 2), (0.7, 4), (0.8, 5), (0.9, 10)):
@@ -163,10 +163,8 @@ def test_a_budget_in_which_policies_would_never_part_is_refused() -> None:
         assert len(plan_jobs(compose([*short[:-1], f"env_steps={20 * enough}"]))) == 1
 
 
-def test_the_disk_must_have_room_for_what_is_replayed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two checkpoints' worth and a third that is being written, of the jobs that run at once."""
+def test_the_disk_must_have_room_for_replay_buffers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three checkpoints per seed (two kept, one being written) of the jobs that run in parallel."""
     monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=2**30))
     words = ["env=trivial", "rollout=replay", "env_steps=1000000", "seed=0..2", "algo=madqn"]
     small, large = (plan_jobs(compose([*words, f"algo.capacity={size}"])) for size in (1000, 1_000_000))
@@ -176,7 +174,7 @@ def test_the_disk_must_have_room_for_what_is_replayed(
     require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)
 
 
-def test_a_store_that_cannot_be_made_is_said_before_its_disk_is_judged(tmp_path: Path) -> None:
+def test_a_store_that_cannot_be_created_is_reported_before_its_free_space(tmp_path: Path) -> None:
     jobs = plan_jobs(compose(["env=trivial", "algo=ippo"]))
     (tmp_path / "file").touch()
     for place in (tmp_path / "file" / "store", Path("/proc/nowhere")):
@@ -196,31 +194,31 @@ def _asynchronous(*overrides: str) -> Experiment:
     [
         (
             (),
-            "a3c has 4 workers (rollout.copies / rollout.block), and a gradient of each rollout of 2 x 512",
+            "a3c has 4 workers (rollout.copies / rollout.block) and computes one gradient per rollout of 2 x",
         ),
         (("rollout=asynchronous",), "a3c has 4 workers"),
         (("rollout.block=8",), "a3c has 1 worker ("),
     ],
 )
-def test_how_many_workers_an_asynchronous_algorithm_has_is_told_once(
+def test_the_number_of_workers_of_an_asynchronous_algorithm_is_printed_once(
     capsys: pytest.CaptureFixture[str], overrides: tuple[str, ...], line: str
 ) -> None:
     plan_jobs(_asynchronous(*overrides))
-    told = "".join(capsys.readouterr())
-    assert told.count("worker") == 1
-    assert f"headway: {line}" in told
-    assert "rollout=asynchronous" not in told
+    shown = "".join(capsys.readouterr())
+    assert shown.count("worker") == 1
+    assert f"headway: {line}" in shown
+    assert "rollout=asynchronous" not in shown
 
 
-def test_with_the_default_rollout_an_asynchronous_algorithm_names_its_own(
+def test_with_the_default_rollout_the_asynchronous_one_is_suggested(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     plan_jobs(compose(["env=tracking", "algo=a3c", "seed=0,1"]))
-    assert "a3c has 2 workers" in (told := "".join(capsys.readouterr()))
-    assert "rollout=asynchronous has more and shorter ones" in told
+    assert "a3c has 2 workers" in (shown := "".join(capsys.readouterr()))
+    assert "rollout=asynchronous sets more and shorter ones" in shown
 
 
-def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> None:
+def test_an_asynchronous_algorithm_has_one_worker_per_block_on_any_number_of_cores() -> None:
     jobs = plan_jobs(_asynchronous())
     assert [job.seeds for job in jobs] == [(0,), (1,)]
     shares = share_cores(jobs[0].config.backend, jobs, cores=2)
@@ -235,11 +233,11 @@ def test_an_asynchronous_algorithm_has_a_worker_a_block_whatever_the_cores() -> 
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("backend.workers=3", "a3c has a worker for each block of copies, 4 here.*leave backend.workers out"),
-        ("backend.stack=2", "a3c trains one seed a process: .*set backend.stack=1"),
+        ("backend.workers=3", "a3c has one worker per block of copies, 4 here.*leave out backend.workers"),
+        ("backend.stack=2", "a3c trains one seed per process, .*set backend.stack=1"),
     ],
 )
-def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(override: str, line: str) -> None:
+def test_invalid_settings_of_an_asynchronous_algorithm_print_one_line(override: str, line: str) -> None:
     with pytest.raises(HeadwayError, match=line) as refusal:
         plan_jobs(_asynchronous(override))
     assert "\n" not in str(refusal.value)
@@ -248,17 +246,17 @@ def test_what_an_asynchronous_algorithm_cannot_have_is_refused_in_one_line(overr
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("backend.workers=1", "a3c has a worker for each block of copies, 2 here.*leave backend.workers out"),
-        ("backend.stack=9", "a3c trains one seed a process: .*set backend.stack=1"),
+        ("backend.workers=1", "a3c has one worker per block of copies, 2 here.*leave out backend.workers"),
+        ("backend.stack=9", "a3c trains one seed per process, .*set backend.stack=1"),
     ],
 )
-def test_advice_for_crowded_processes_is_what_an_asynchronous_algorithm_takes(
+def test_limited_copies_lead_to_the_same_advice_for_an_asynchronous_algorithm(
     override: str, line: str
 ) -> None:
     with pytest.raises(HeadwayError, match=line):
-        plan_jobs(_crowded("algo=a3c", "rollout.block=8", "seed=0..8", override))
+        plan_jobs(_limited("algo=a3c", "rollout.block=8", "seed=0..8", override))
 
 
-def test_blocks_of_an_asynchronous_algorithm_shrink_with_what_a_process_holds() -> None:
-    (job, _) = plan_jobs(_crowded("algo=a3c", "rollout.block=8"))
+def test_blocks_of_an_asynchronous_algorithm_shrink_to_the_limit_of_copies() -> None:
+    (job, _) = plan_jobs(_limited("algo=a3c", "rollout.block=8"))
     assert (job.config.rollout.block, job.config.backend.workers) == (4, 2)

@@ -1,4 +1,4 @@
-"""What a killed training process leaves: only what a checkpoint knows counts, told of or not."""
+"""Results of a killed training process: only steps up to its last checkpoint count, reported or not."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
 
 
 def train(recording: JobRecorder, iterations: int) -> None:
-    """Iterations that are logged durably and reported, each with an evaluation of as much return."""
+    """Log and report iterations, each with an evaluation whose return is the iteration's number."""
     for iteration in range(1, iterations + 1):
         row = {"iteration": iteration, "env_steps": STEPS * iteration, "wall_s": 1.0 * iteration}
         evaluated = {**row, "evaluation_greedy/return": float(iteration)}
@@ -35,18 +35,16 @@ def train(recording: JobRecorder, iterations: int) -> None:
 
 
 @pytest.mark.parametrize("last", [Finished(8, stopped=True), Failed("it broke", "")])
-def test_a_checkpoint_that_was_not_told_of_counts_and_nothing_beyond_it(
-    runs: Sequence[Run], last: Event
-) -> None:
+def test_an_unreported_checkpoint_counts_and_nothing_after_it(runs: Sequence[Run], last: Event) -> None:
     recording = JobRecorder(runs)
     train(recording, 8)
-    save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the other seed's, and a word
+    save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the event
     recording.take(last)
     for run in runs:
         result = seed_result(run, recording, "greedy", {}, {})
         run.finish(recording.status, result.summary)
         assert result.env_steps == 5 * STEPS
-        assert result.final_reward == 5.0  # the last fifth of five; of eight it would be 7.5
+        assert result.final_reward == 5.0  # last 20% of five iterations; of eight it would be 7.5
     for row in RunIndex(runs[0].directory.parents[1]).rows():
         assert (row.iterations, row.env_steps, row.final_reward) == (5, 5 * STEPS, 5.0)
 
@@ -55,7 +53,7 @@ def test_a_checkpoint_that_was_not_told_of_counts_and_nothing_beyond_it(
 def test_a_curve_of_two_points_has_no_area(
     runs: Sequence[Run], evaluations: int, area: float | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Normalised by its own range it would be 0.5, whatever was learnt; a straight line's is, too."""
+    """Normalised by its own range it would always be 0.5, as for any straight line."""
     recording = JobRecorder(runs)
     train(recording, evaluations)
     save_checkpoint(runs[0].directory / CHECKPOINTS, evaluations, {})
@@ -64,9 +62,9 @@ def test_a_curve_of_two_points_has_no_area(
     assert result.auc == (None if area is None else pytest.approx(area))
     assert result.final_reward is not None
     print_cells("study", [("ippo", 1, [result])], {2})
-    meaning = "final reward: the mean of a run's evaluations over the last 20% of its steps\n"
-    line = "no AUC of 1 run: evaluated fewer than 3 times (evaluation.every sets how often)\n"
-    assert capsys.readouterr().err == meaning + (line if area is None else "")
+    definition = "final reward: mean evaluation return over the last 20% of a run's steps\n"
+    line = "no AUC for 1 run: fewer than 3 evaluations (evaluation.every sets the interval)\n"
+    assert capsys.readouterr().err == definition + (line if area is None else "")
 
 
 def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
@@ -78,7 +76,7 @@ def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
 
 
 def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[Run]) -> None:
-    """It was evaluated before training, which is not what it came to."""
+    """The evaluation before training is not a result."""
     log = RunLog(runs[0].directory)
     log.append("curve", [{"iteration": 0, "env_steps": 0, "wall_s": 0.0, "evaluation_greedy/return": 7.0}])
     log.commit(0)
@@ -88,7 +86,7 @@ def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[R
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
 
 
-def test_runs_whose_episodes_began_anew_are_tagged_with_every_time(runs: Sequence[Run]) -> None:
+def test_runs_are_tagged_with_the_iterations_at_which_episodes_restarted(runs: Sequence[Run]) -> None:
     JobRecorder(runs).take(Started(0, ()))
     assert "episodes_restarted" not in runs[0].record.tags
     for iteration in (3, 7):

@@ -1,4 +1,4 @@
-"""Whole sessions in processes of their own: finished, stopped, resumed, killed, failing."""
+"""Sessions in separate processes: finished, stopped, resumed, killed, failing."""
 
 import os
 import re
@@ -40,12 +40,12 @@ TINY = (
 LONG = ("env_steps=1e8",)
 PATIENCE_S = 180.0
 BEGUN = "(training| left)"
-"""In a progress line once training has begun: `training`, or the time left where it is known already."""
+"""Pattern of a progress line once training has begun: `training`, or the time left if it is known."""
 
 
 @dataclass
 class Running:
-    """A `headway` process whose stderr is gathered line by line."""
+    """A `headway` process with its stderr collected line by line."""
 
     process: "subprocess.Popen[str]"
     lines: list[str] = field(default_factory=list)
@@ -65,15 +65,15 @@ class Running:
         return any(re.search(pattern, line) for line in list(self.lines))
 
     def table(self) -> list[dict[str, str]]:
-        """The table of seeds, once it has ended."""
+        """Return the table of seeds, once the process has ended."""
         assert self.process.stdout is not None
         header, *rows = [line.split("\t") for line in self.process.stdout.read().splitlines()]
         return [dict(zip(header, row, strict=True)) for row in rows]
 
     def training(self) -> list[psutil.Process]:
-        """Its training processes and their workers."""
-        everyone = psutil.Process(self.process.pid).children(recursive=True)
-        return [child for child in everyone if "resource_tracker" not in " ".join(child.cmdline())]
+        """Return its training processes and their workers."""
+        processes = psutil.Process(self.process.pid).children(recursive=True)
+        return [child for child in processes if "resource_tracker" not in " ".join(child.cmdline())]
 
 
 @contextmanager
@@ -122,26 +122,26 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(tmp_path: Path) -> None:
     assert table[0][:4] == ["seed", "status", "final reward (1 episode)", "AUC (own range)"]
     assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
     assert [row[0] for row in table[3:5]] == ["mean", "std"]
-    assert any(row[:2] == ["rule optimal", "2"] and float(row[2]) == 20.0 for row in table)  # of two days
+    assert any(row[:2] == ["rule optimal", "2"] and float(row[2]) == 20.0 for row in table)  # two episodes
     assert "headway browse" in done.stderr
-    assert "of the training processes'" not in done.stderr  # too short to be worth a share
+    assert "of the training processes'" not in done.stderr  # too short for a store share
     assert [(row.seed, row.status, row.env_steps) for row in runs(tmp_path)] == [
         (3, "FINISHED", 256),
         (4, "FINISHED", 256),
     ]
 
 
-@pytest.mark.parametrize(("seconds", "told"), [(59.0, False), (200.0, True)])
-def test_what_the_store_took_is_told_of_long_trainings(
-    seconds: float, told: bool, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("seconds", "printed"), [(59.0, False), (200.0, True)])
+def test_the_share_of_the_store_is_printed_for_long_trainings(
+    seconds: float, printed: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = SimpleNamespace(recording=SimpleNamespace(trained_s=seconds, store_s=1.0))
-    Runner._say_what_tracking_took(cast(Runner, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
-    assert capsys.readouterr().err.startswith("the store: ") == told
+    Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
+    assert capsys.readouterr().err.startswith("the store: ") == printed
 
 
-def test_ctrl_c_keeps_everything_and_resume_goes_on(tmp_path: Path) -> None:
-    # Seed 1 waits for seed 0, so that stopping finds one that never began.
+def test_ctrl_c_keeps_everything_and_resume_continues(tmp_path: Path) -> None:
+    # Seed 1 waits for seed 0, so one run never starts.
     with headway(
         "run", *TINY, *LONG, "seed=0,1", "backend.parallel=1", "backend.workers=1", folder=tmp_path
     ) as running:
@@ -177,7 +177,7 @@ def test_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
     assert [row.status for row in runs(tmp_path)] == ["KILLED"]
 
 
-def test_a_training_process_that_dies_is_one_line_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_lost_training_process_prints_one_line_and_the_others_continue(tmp_path: Path) -> None:
     with headway(
         "run", *TINY, "env_steps=4e4", "backend=serial", "seed=0,1", "backend.parallel=2", folder=tmp_path
     ) as running:
@@ -197,18 +197,18 @@ def test_bad_input_starts_nothing(tmp_path: Path, override: str) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_ctrl_c_kills_at_once_and_the_run_can_go_on(tmp_path: Path) -> None:
+def test_a_second_ctrl_c_kills_at_once_and_the_run_can_be_resumed(tmp_path: Path) -> None:
     with headway("run", *TINY, *LONG, "rollout.steps=200000", "backend=serial", folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
         children = running.training()
-        time.sleep(2.0)  # for the first evaluation: now the first iteration is under way, and lasts
+        time.sleep(2.0)  # after the first evaluation, within the long first iteration
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
-        time.sleep(1.1)  # sooner it would be the same request
+        time.sleep(1.1)  # sooner counts as the same request
         running.process.send_signal(signal.SIGINT)
         assert running.process.wait(PATIENCE_S) == 130
         assert not psutil.wait_procs(children, timeout=5)[1]
-    assert running.has_said("what came after the last checkpoint is lost")
+    assert running.has_said("training after the last checkpoint is lost")
     [run] = runs(tmp_path)
     assert run.status == "KILLED"
 
@@ -232,9 +232,8 @@ def test_a_doubled_signal_is_one_request_and_the_checkpoint_is_kept(
     assert shown[0]["env steps"] == str(run.env_steps)
 
 
-def test_only_ctrl_c_that_was_told_of_is_a_second_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever sends SIGTERM again and again, or presses Ctrl-C before anything is said, keeps the promised
-    checkpoint."""
+def test_after_the_announcement_only_ctrl_c_is_a_second_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Repeated SIGTERM, or Ctrl-C before the announcement, still leaves time for the promised checkpoint."""
     moments = iter(range(100, 200, 10))
     monkeypatch.setattr("headway_launch.runner.scheduler.time.monotonic", lambda: next(moments))
     with StopRequests() as requests:
@@ -242,7 +241,7 @@ def test_only_ctrl_c_that_was_told_of_is_a_second_request(monkeypatch: pytest.Mo
             signal.raise_signal(number)
             assert requests.count == 1
         signal.raise_signal(signal.SIGINT)
-        requests.told()
+        requests.acknowledge()
         assert requests.count == 1
         signal.raise_signal(signal.SIGTERM)
         assert requests.count == 1
@@ -250,12 +249,12 @@ def test_only_ctrl_c_that_was_told_of_is_a_second_request(monkeypatch: pytest.Mo
         assert requests.count == 2
 
 
-def test_of_a_killed_run_is_shown_what_is_kept(tmp_path: Path) -> None:
+def test_the_table_shows_what_is_stored_of_a_killed_run(tmp_path: Path) -> None:
     often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
     with headway("run", *TINY, *LONG, *often, folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
         time.sleep(1.0)  # some hundred iterations
-        running.training()[0].send_signal(signal.SIGSTOP)  # it never comes to the promised checkpoint
+        running.training()[0].send_signal(signal.SIGSTOP)  # it cannot write the promised checkpoint
         running.process.send_signal(signal.SIGINT)
         time.sleep(1.5)
         running.process.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Kernels are compiled before training starts, and the user is told when that happens."""
+"""Kernels are compiled before training starts, with a notice if that happens."""
 
 import sys
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ def entry(*preload: str) -> EnvEntry:
     return EnvEntry("toy", object, lambda prepared, copies: None, preload=preload)  # type: ignore[arg-type, return-value]
 
 
-def test_compiling_is_told_once_and_only_when_it_happens(
+def test_compiling_is_reported_once_and_only_if_it_happens(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kernels = ModuleType("kernels_of_a_test")
@@ -36,7 +36,7 @@ def test_compiling_is_told_once_and_only_when_it_happens(
 
 
 @pytest.mark.parametrize("arguments", [{}, {"observation": "published", "state": "aggregate"}])
-def test_what_was_compiled_before_is_all_that_training_needs(arguments: dict[str, str]) -> None:
+def test_the_warm_up_compiles_all_that_training_needs(arguments: dict[str, str]) -> None:
     from headway_envs.bus.kernel import tick
 
     bus = env_entry("bus")
@@ -68,7 +68,7 @@ def test_a_session_compiles_before_anything_is_in_the_store(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_learners_call_is_compiled_with_what_environments_step_by(
+def test_kernels_of_learners_and_environments_are_compiled_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     warmed = []

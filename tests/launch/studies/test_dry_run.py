@@ -1,4 +1,4 @@
-"""What a dry run says: the runs, and what they would take."""
+"""A dry run lists the runs and estimates their cost."""
 
 import time
 from collections.abc import Sequence
@@ -25,26 +25,26 @@ PACE = Pace(
 )  # fmt: skip
 
 
-def test_jobs_take_the_places_that_become_free() -> None:
+def test_jobs_start_as_places_become_free() -> None:
     assert makespan([3.0, 1.0, 1.0, 1.0], 2) == 3.0
     assert makespan([1.0, 1.0, 1.0, 3.0], 2) == 4.0
     assert makespan([], 2) == 0.0
 
 
-def test_a_job_takes_its_start_iterations_and_evaluations() -> None:
+def test_the_cost_of_a_job_is_start_iterations_and_evaluations() -> None:
     config = compose(
         ["env=trivial", "rollout.copies=4", "rollout.steps=25", "env_steps=1000", "evaluation.every=300"]
     ).config
     config = replace(config, evaluation=replace(config.evaluation, episodes=10, final_episodes=30))
     # Ten iterations of 100 steps; evaluations before them (whose CPU seconds are the start's), at 300, 600
     # and 900, and the last of three times the episodes.
-    whole = PACE.of_job(config, 0)
+    whole = PACE.estimate(config, 0)
     assert whole.seconds == pytest.approx(3.0 + 10 * 0.5 + (1 + 3 + 3) * 2.0)
     assert whole.cpu_s == pytest.approx(4.0 + 10 * 1.0 + (3 + 3) * 2.0 * 2.0)
     assert whole.kwh == pytest.approx(whole.cpu_s * 1e-6)
-    rest = PACE.of_job(config, 7)
+    rest = PACE.estimate(config, 7)
     assert rest.seconds == pytest.approx(3.0 + 3 * 0.5 + (1 + 3) * 2.0)
-    assert replace(PACE, kwh=None).of_job(config, 0).kwh is None
+    assert replace(PACE, kwh=None).estimate(config, 0).kwh is None
 
 
 def test_a_dry_run_lists_estimates_and_keeps_nothing(
@@ -63,21 +63,21 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
              "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
     sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
     assert run([*sweep, "--dry-run"]) == 0
-    told = capsys.readouterr()
-    listed, estimated = told.out.split("\n\n")[:2]
+    shown = capsys.readouterr()
+    listed, estimated = shown.out.split("\n\n")[:2]
     header, *rows = [line.split("\t") for line in listed.splitlines()]
-    assert header == ["cell", "seeds", "runs", "what happens"]
-    assert rows == [[algo, "0..2", "3", "begins"] for algo in ("ippo", "ia2c")]
+    assert header == ["cell", "seeds", "runs", "action"]
+    assert rows == [[algo, "0..2", "3", "train"] for algo in ("ippo", "ia2c")]
     header, *rows = [line.split("\t") for line in estimated.splitlines()]
-    assert header == ["cell", "trainings", "s each", "CPU s in all", "kWh in all"]
+    assert header == ["cell", "trainings", "s each", "total CPU s", "total kWh"]
     assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
-    assert {"measuring ippo", "measuring ia2c"} <= set(told.err.splitlines())
-    assert "6 trainings" in told.out
-    assert "a training is a stack" not in told.out
-    assert "with training processes on this machine" not in told.out
-    assert "energy not measured" in told.out
-    assert "rests on" in told.out
+    assert {"measuring ippo", "measuring ia2c"} <= set(shown.err.splitlines())
+    assert "6 trainings" in shown.out
+    assert "trains a stack" not in shown.out
+    assert "measured on this machine; on a cluster" not in shown.out
+    assert "energy not measured" in shown.out
+    assert "The estimate is from" in shown.out
     assert not (tmp_path / "runs").exists()
     assert len(finished) >= 2
     assert all(usage.uses_gpu for usage in finished)
@@ -108,37 +108,37 @@ def test_cells_share_the_processes_that_measure_them(
     assert len(started) == 2
     estimated = capsys.readouterr().out.split("\n\n")[1].splitlines()[1:]
     assert [line.split("\t")[0] for line in estimated] == ["ippo", "ia2c", "mappo", "maa2c", "coma"]
-    # Each has what starting its process took, though only the first of each process waited for torch.
+    # Each cell counts the start of its process, though only the first of each process waited for torch.
     assert len(paces) == 5
     assert len({pace.start_s for pace in paces.values()}) == 2
     assert len({pace.cpu_start_s for pace in paces.values()}) == 2
 
 
 @pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
-def test_whatever_trains_can_be_tried_dry(
+def test_run_and_search_have_a_dry_run(
     words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = tmp_path / "runs"
     assert run([*words, "env_steps=2048", "energy=off", f"store.root={root}", "--dry-run"]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("cell\tseeds\truns\twhat happens\n")
-    assert "begins" in told
-    assert "rests on" in told
+    shown = capsys.readouterr().out
+    assert shown.startswith("cell\tseeds\truns\taction\n")
+    assert "\ttrain\n" in shown
+    assert "The estimate is from" in shown
     assert not root.exists()
 
 
-def test_what_a_training_is_and_where_it_was_measured_is_said(
+def test_the_estimate_explains_stacks_and_the_place_of_measurement(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout=short", "env_steps=1e6", "energy=off"]
     words += ["backend=ray", "backend.stack=3", "evaluation.episodes=1", f"store.root={tmp_path / 'runs'}"]
     assert run([*words, "--dry-run"]) == 0
-    told = capsys.readouterr().out
-    assert "5 runs in 2 trainings: a training is a stack of up to 3 seeds (backend.stack)" in told
-    assert "It was measured with training processes on this machine" in told
+    shown = capsys.readouterr().out
+    assert "5 runs in 2 trainings: each trains a stack of up to 3 seeds (backend.stack)" in shown
+    assert "It was measured on this machine; on a cluster" in shown
 
 
-def test_seeds_that_follow_each_other_are_a_span() -> None:
+def test_consecutive_seeds_are_a_range() -> None:
     assert spans([0, 1, 2, 3, 7]) == "0..3,7"
     assert spans([4, 5]) == "4,5"
     assert spans([3, 2, 1]) == "3,2,1"

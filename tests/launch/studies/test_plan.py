@@ -1,4 +1,4 @@
-"""What the store has of a sweep, and what is left to do."""
+"""Progress of a sweep in the store, and the jobs that remain."""
 
 import json
 from dataclasses import replace
@@ -23,7 +23,7 @@ from headway_launch.studies.session import require_all_ended
 
 BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
 ELSEWHERE = Process("elsewhere", 1, 0.0)
-"""A session that may live."""
+"""A session on another host, which counts as running."""
 
 
 def keep_run(
@@ -55,24 +55,24 @@ def keep_run(
     return run_id
 
 
-def standing(root: Path, *overrides: str) -> StudyProgress:
+def progress(root: Path, *overrides: str) -> StudyProgress:
     [experiment] = compose_sweep([*BASE, f"store.root={root}", *overrides])
     return StudyProgress.of(root, experiment, RunIndex(root).rows("toys"))
 
 
-def test_each_seed_stands_where_its_best_run_does(tmp_path: Path) -> None:
+def test_the_progress_of_a_seed_is_that_of_its_best_run(tmp_path: Path) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo"])
     finished = keep_run(tmp_path, experiment, 0, "FINISHED")
     keep_run(tmp_path, experiment, 0, "KILLED", 9)
     keep_run(tmp_path, experiment, 1, "KILLED", 3)
     farthest = keep_run(tmp_path, experiment, 1, "FAILED", 5)
     held = keep_run(tmp_path, experiment, 2, "RUNNING")
-    found = standing(tmp_path, "algo=ippo", "seed=0..4")
-    assert [each.record.run_id for each in found.finished] == [finished]
-    assert [each.record.run_id for each in found.unfinished] == [farthest]
-    assert [each.record.run_id for each in found.elsewhere] == [held]
-    assert found.new == (3, 4)
-    assert len(found.run_ids) == 5
+    state = progress(tmp_path, "algo=ippo", "seed=0..4")
+    assert [each.record.run_id for each in state.finished] == [finished]
+    assert [each.record.run_id for each in state.unfinished] == [farthest]
+    assert [each.record.run_id for each in state.elsewhere] == [held]
+    assert state.new == (3, 4)
+    assert len(state.run_ids) == 5
 
 
 @pytest.mark.parametrize(
@@ -90,85 +90,81 @@ def test_each_seed_stands_where_its_best_run_does(tmp_path: Path) -> None:
         ("algo=ia2c", False),
     ],
 )
-def test_a_changed_configuration_is_new_and_another_way_to_run_it_is_not(
-    tmp_path: Path, change: str, same: bool
-) -> None:
+def test_only_settings_that_change_the_curves_make_a_new_run(tmp_path: Path, change: str, same: bool) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo"])
     keep_run(tmp_path, experiment, 0, "FINISHED")
-    found = standing(tmp_path, "algo=ippo", change)
-    assert (len(found.finished), len(found.new)) == ((1, 0) if same else (0, 1))
+    state = progress(tmp_path, "algo=ippo", change)
+    assert (len(state.finished), len(state.new)) == ((1, 0) if same else (0, 1))
 
 
 @pytest.mark.parametrize(("before", "after"), [("process", "ray"), ("ray", "process"), ("ray", "ray")])
-def test_where_processes_stopped_actors_go_on_and_the_other_way_round(
-    tmp_path: Path, before: str, after: str
-) -> None:
+def test_processes_and_ray_workers_resume_each_others_runs(tmp_path: Path, before: str, after: str) -> None:
     words = ["algo=ippo", "backend.workers=2", "backend.learners=here"]
     [experiment] = compose_sweep([*BASE, *words, f"backend={before}", "backend.address=old:1"])
     keep_run(tmp_path, experiment, 0, "KILLED", 7)
-    [cell] = plan_cells([standing(tmp_path, *words, f"backend={after}", "backend.address=new:2")])
+    [cell] = plan_cells([progress(tmp_path, *words, f"backend={after}", "backend.address=new:2")])
     (job,) = cell.jobs
     assert (len(job.resumed), job.iteration, job.workers) == (1, 7, 1)
     assert (job.config.backend.name, job.config.backend.address) == (after, "new:2")
 
 
-def test_what_goes_on_takes_the_session_of_the_command_and_the_backend_of_its_checkpoints(
+def test_resumed_runs_take_the_session_settings_but_keep_their_backend(
     tmp_path: Path,
 ) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo"])
     run_id = keep_run(tmp_path, experiment, 0, "KILLED", 7)
     [cell] = plan_cells(
-        [standing(tmp_path, "algo=ippo", "backend=process", "backend.parallel=5", "seed=0,1")]
+        [progress(tmp_path, "algo=ippo", "backend=process", "backend.parallel=5", "seed=0,1")]
     )
-    going_on, new = cell.jobs
-    assert (going_on.resumed, going_on.iteration, going_on.workers) == ((run_id,), 7, 1)
-    assert going_on.experiment.config.backend.name == "serial"
-    assert going_on.experiment.config.backend.parallel == 5
-    assert going_on.experiment.config.store.root == str(tmp_path)
+    resumed, new = cell.jobs
+    assert (resumed.resumed, resumed.iteration, resumed.workers) == ((run_id,), 7, 1)
+    assert resumed.experiment.config.backend.name == "serial"
+    assert resumed.experiment.config.backend.parallel == 5
+    assert resumed.experiment.config.store.root == str(tmp_path)
     assert (new.resumed, new.seeds, new.experiment.config.backend.name) == ((), (1,), "process")
 
 
-def test_smaller_blocks_than_were_asked_for_are_no_other_configuration(tmp_path: Path) -> None:
-    """A run is known by what was asked for, and goes on in the blocks that it began with."""
+def test_smaller_blocks_than_requested_are_the_same_configuration(tmp_path: Path) -> None:
+    """A run is identified by its requested blocks, and resumes with those that it was trained with."""
     limited = ("algo=ippo", "env=pettingzoo", "env.id=mpe2.simple_spread_v3",
                "env.max_copies_per_process=2", "backend=process", "evaluation.rules=[]")  # fmt: skip
-    [cell] = plan_cells([standing(tmp_path, *limited, "seed=0")])
+    [cell] = plan_cells([progress(tmp_path, *limited, "seed=0")])
     store = SessionStore.open(cell.experiment.config.store)
     work = SessionCell(store, cell)
     [run] = work.runs(cell.jobs[0], CoreShares(1, 1))
     run.finish("KILLED", {})
     store.close()
     assert read_json(run.directory / "plan.json")["rollout"]["block"] == 2
-    found = standing(tmp_path, *limited, "seed=0")
-    assert [each.record.run_id for each in found.unfinished] == [run.run_id]
-    [cell] = plan_cells([found])
+    state = progress(tmp_path, *limited, "seed=0")
+    assert [each.record.run_id for each in state.unfinished] == [run.run_id]
+    [cell] = plan_cells([state])
     assert cell.jobs[0].config.rollout.block == 2
     assert workers_of(cell.jobs[0], CoreShares(1, 1)) == 4
     assert cell.experiment.config.rollout.block == 4
 
 
-def test_seeds_of_a_stack_go_on_together_or_begin_together(tmp_path: Path) -> None:
+def test_seeds_of_a_stack_resume_or_start_together(tmp_path: Path) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo", "backend.stack=2"])
-    for seed, status in ((0, "FINISHED"), (1, "KILLED")):  # killed while it ended them
+    for seed, status in ((0, "FINISHED"), (1, "KILLED")):  # killed while ending the stack
         keep_run(tmp_path, experiment, seed, status, 9, (0, 1))  # type: ignore[arg-type]
-    keep_run(tmp_path, experiment, 2, "KILLED", 0, (2, 3))  # killed while it began them
+    keep_run(tmp_path, experiment, 2, "KILLED", 0, (2, 3))  # killed while starting the stack
     for seed in (4, 5):
         keep_run(tmp_path, experiment, seed, "FINISHED", 9, (4, 5))
-    found = standing(tmp_path, "algo=ippo", "backend.stack=2", "seed=0..5")
-    assert sorted(run.record.seed for run in found.unfinished) == [0, 1]
-    assert [run.record.seed for run in found.finished] == [4, 5]
-    assert found.new == (2, 3)
-    [cell] = plan_cells([found])
+    state = progress(tmp_path, "algo=ippo", "backend.stack=2", "seed=0..5")
+    assert sorted(run.record.seed for run in state.unfinished) == [0, 1]
+    assert [run.record.seed for run in state.finished] == [4, 5]
+    assert state.new == (2, 3)
+    [cell] = plan_cells([state])
     assert [(job.seeds, bool(job.resumed)) for job in cell.jobs] == [((0, 1), True), ((2, 3), False)]
 
 
-def test_a_part_of_a_stack_is_refused_with_a_way_to_go_on(tmp_path: Path) -> None:
+def test_a_part_of_a_stack_is_refused_with_a_way_to_resume(tmp_path: Path) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo", "backend.stack=4"])
     for seed in range(4):
         keep_run(tmp_path, experiment, seed, "KILLED", 5, (0, 1, 2, 3))
-    found = standing(tmp_path, "algo=ippo", "backend.stack=4", "seed=0,1")
+    state = progress(tmp_path, "algo=ippo", "backend.stack=4", "seed=0,1")
     with pytest.raises(HeadwayError) as caught:
-        plan_cells([found])
+        plan_cells([state])
     assert "sweep seed=0,1,2,3, or headway resume --study toys" in str(caught.value)
 
 
@@ -182,18 +178,18 @@ def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:
     assert set(kept) == {"ippo", "ia2c"}
     assert sorted(kept["ippo"].config.seed) == [0, 1, 2, 3, 4]
     assert kept["ippo"].config.store.root == str(tmp_path)
-    assert kept["ippo"].config.backend.parallel == 7  # the newest word on it
+    assert kept["ippo"].config.backend.parallel == 7  # of the newest plan
     assert kept["ia2c"].algo_config == experiments[1].algo_config
 
 
-def test_a_broken_plan_is_one_line(tmp_path: Path) -> None:
+def test_a_broken_plan_prints_one_line(tmp_path: Path) -> None:
     plans_folder(tmp_path, "toys").mkdir(parents=True)
     (plans_folder(tmp_path, "toys") / "x.json").write_text('{"cells": [1]}')
-    with pytest.raises(HeadwayError, match=r"x\.json is no plan of a sweep"):
+    with pytest.raises(HeadwayError, match=r"x\.json is not the plan of a sweep"):
         kept_plans(tmp_path, "toys")
 
 
-def test_a_finished_sweep_is_left_alone_and_its_table_shown(
+def test_a_finished_sweep_is_skipped_and_its_table_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sweep = [*BASE, "algo=ippo,ia2c", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
@@ -203,9 +199,9 @@ def test_a_finished_sweep_is_left_alone_and_its_table_shown(
             summary = {"final_reward": 2.0 + seed, "auc": 0.5, "cpu_seconds": 10.0, "kwh": None}
             (tmp_path / "toys" / run_id / "summary.json").write_text(json.dumps(summary))
     assert run(["sweep", *sweep]) == 0
-    told = capsys.readouterr()
-    assert "of 4 runs of study toys, 4 have finished and are left alone\n" in told.err
-    rows = [line.split("\t") for line in told.out.splitlines()]
+    shown = capsys.readouterr()
+    assert "4 runs of study toys: 4 finished and skipped\n" in shown.err
+    rows = [line.split("\t") for line in shown.out.splitlines()]
     assert rows[1][:6] == ["ippo", "2 of 2", "2.5", "0.707107", "0.5", "20"]
     assert rows[2][0] == "ia2c"
     assert len(RunIndex(tmp_path).rows()) == 4
@@ -215,13 +211,13 @@ def test_a_finished_sweep_is_left_alone_and_its_table_shown(
 
 
 HELD = (
-    "headway: 1 run of study toys left to other sessions and not finished (held by process 1 on "
-    "elsewhere): give this command again when these have ended; where one was killed, on its host, or with "
-    '"status": "KILLED" in the run.json of its runs'
+    "headway: 1 run of study toys, left to other sessions: not finished (held by process 1 on elsewhere); "
+    "repeat this command when these sessions have ended; if one was killed, repeat it on that host or set "
+    '"status": "KILLED" in its runs\' run.json'
 )
 
 
-def test_what_a_session_elsewhere_holds_is_refused_with_a_way_to_go_on(
+def test_runs_of_another_session_are_an_error_with_a_way_to_continue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sweep = [*BASE, "algo=ippo", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
@@ -230,10 +226,10 @@ def test_what_a_session_elsewhere_holds_is_refused_with_a_way_to_go_on(
     held = keep_run(tmp_path, experiment, 1, "RUNNING")
     store = ("--store", str(tmp_path))
     assert run(["sweep", *sweep]) == 2
-    counts = "1 have finished and are left alone, 1 are left to the session that trains them"
-    told = capsys.readouterr().err.splitlines()
-    assert f"headway: of 2 runs of study toys, {counts}" in told
-    assert told[-1] == HELD
+    counts = "1 finished and skipped, 1 in other sessions"
+    shown = capsys.readouterr().err.splitlines()
+    assert f"headway: 2 runs of study toys: {counts}" in shown
+    assert shown[-1] == HELD
     assert run(["resume", "--study", "toys", *store]) == 2
     assert capsys.readouterr().err.splitlines()[-1] == HELD
     assert run(["resume", held, *store]) == 2
@@ -243,16 +239,16 @@ def test_what_a_session_elsewhere_holds_is_refused_with_a_way_to_go_on(
     )
     [record] = tmp_path.rglob(f"{held}/run.json")
     record.write_text(record.read_text().replace('"RUNNING"', '"KILLED"'))
-    assert [run.record.run_id for run in standing(tmp_path, "algo=ippo", "seed=1").unfinished] == [held]
+    assert [run.record.run_id for run in progress(tmp_path, "algo=ippo", "seed=1").unfinished] == [held]
     assert run(["sweep", *sweep]) == 0
     assert [row.status for row in RunIndex(tmp_path).rows()] == ["FINISHED", "FINISHED"]
 
 
-def test_what_another_session_has_finished_meanwhile_is_no_error(tmp_path: Path) -> None:
+def test_runs_that_another_session_has_finished_are_no_error(tmp_path: Path) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo"])
     held = keep_run(tmp_path, experiment, 0, "RUNNING")
     [record] = tmp_path.rglob(f"{held}/run.json")
-    with pytest.raises(HeadwayError, match=r"^1 run of study toys left to other sessions and not finished"):
+    with pytest.raises(HeadwayError, match=r"^1 run of study toys, left to other sessions: not finished"):
         require_all_ended("toys", [record.parent])
     assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 2  # of no sweep
     record.write_text(record.read_text().replace('"RUNNING"', '"FINISHED"'))

@@ -1,4 +1,4 @@
-"""Which runs of a study count, what is told of the others, and what its cells are called."""
+"""Which runs of a study count, the line about the others, and the names of its cells."""
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -29,7 +29,7 @@ def keep_run(
     **parameters: str,
 ) -> str:
     run_id, directory = create_run_folder(root, "bus", "cell", seed)
-    elsewhere = replace(Process.current(), host="elsewhere")  # it may live
+    elsewhere = replace(Process.current(), host="elsewhere")  # counts as running
     moment = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(_SECONDS))
     started = started or moment.isoformat(timespec="milliseconds")
     record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started, elsewhere, status, policies)
@@ -37,7 +37,7 @@ def keep_run(
     return run_id
 
 
-def test_runs_left_out_are_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_left_out_are_counted_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     statuses: tuple[Status, ...] = ("FINISHED", "KILLED", "FINISHED", "RUNNING", "KILLED")
     for seed, status in enumerate(statuses):
         keep_run(tmp_path, seed, status)
@@ -55,12 +55,10 @@ def test_a_seed_that_was_trained_twice_is_one_seed(
     keep_run(tmp_path, 3, "FINISHED", "2026-01-02T00:00:00.000+00:00")
     other = keep_run(tmp_path, 3, "FINISHED", "2026-01-04T00:00:00.000+00:00", lr="0.1")
     assert [run.run_id for run in finished_runs(tmp_path, "bus")] == [newest, other]
-    assert "2 of a seed that a newer one trained again" in capsys.readouterr().err
+    assert "2 superseded by a newer run of the same seed" in capsys.readouterr().err
 
 
-def test_nothing_is_told_where_nothing_is_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_printed_if_no_run_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keep_run(tmp_path, 0, "FINISHED")
     finished_runs(tmp_path, "bus")
     assert capsys.readouterr().err == ""
@@ -74,7 +72,7 @@ def test_a_study_without_finished_runs_says_what_it_has(tmp_path: Path) -> None:
         finished_runs(tmp_path, "bsu")
 
 
-def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None:
+def test_cells_of_a_study_are_named_by_their_differences(tmp_path: Path) -> None:
     for seed, policies, rate in (
         (0, "shared", "0.001"),
         (1, "shared", "0.001"),
@@ -93,10 +91,10 @@ def test_cells_of_a_study_are_told_apart_by_what_differs(tmp_path: Path) -> None
     }
 
 
-def test_a_configuration_is_read_without_the_loader_in_c(
+def test_a_configuration_is_read_without_the_c_loader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not every build of PyYAML has it."""
+    """Not every build of PyYAML has the C loader."""
     monkeypatch.delattr(yaml, "CSafeLoader", raising=False)
     (tmp_path / "config.yaml").write_text("algo: {name: ippo}")
     assert configuration(str(tmp_path)) == {"algo": {"name": "ippo"}}
@@ -107,7 +105,7 @@ def test_a_configuration_is_read_without_the_loader_in_c(
 
 
 def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
-    """As a run keeps them: text of a list. What only changes rewards belongs to the controller."""
+    """Wrappers are stored as the text of a list; those that only change rewards belong to the controller."""
     clipped = "{'name': 'clip_reward_v0', 'lower_bound': -inf, 'upper_bound': 10.0}"
     stacked = "{'name': 'frame_stack_v1', 'stack_size': 2, 'stack_dim': -1}"
     keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": f"[{clipped}, {stacked}]"})
@@ -122,7 +120,7 @@ def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
     }
 
 
-def test_what_only_changes_rewards_while_learning_makes_no_task_of_its_own(tmp_path: Path) -> None:
+def test_wrappers_that_only_change_rewards_make_no_separate_task(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": "[{'name': 'scale_reward_v0', 'scale': 0.05}]"})
     keep_run(tmp_path, 0, "FINISHED")
     names = cell_names(RunIndex(tmp_path).rows()).values()
@@ -130,7 +128,7 @@ def test_what_only_changes_rewards_while_learning_makes_no_task_of_its_own(tmp_p
     assert len({name.controller for name in names}) == 2
 
 
-def test_of_many_settings_that_differ_a_name_has_the_first(tmp_path: Path) -> None:
+def test_a_name_lists_the_first_of_many_differing_settings(tmp_path: Path) -> None:
     many = {f"algo.key_{place}": "1" for place in range(9)}
     for parameters in (many, dict.fromkeys(many, "2")):
         keep_run(tmp_path, 0, "FINISHED", policies="shared", **parameters)
@@ -150,7 +148,7 @@ PAPER = {"algo.lr": "0.0005", "algo.gamma": "0.99", "algo.clip": "0.2"}
 
 
 def test_cells_of_several_presets_are_named_by_these(tmp_path: Path) -> None:
-    """Not by what the presets bring, but by what was chosen beside them where that tells cells apart."""
+    """Settings of the presets stay out of the names; others appear if they distinguish cells."""
     keep_run(tmp_path, 0, "FINISHED", preset="merge_tuned", policies="shared", **TUNED)
     keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", policies="independent", **PAPER)
     keep_run(
@@ -174,7 +172,7 @@ def test_one_preset_needs_no_name(tmp_path: Path) -> None:
     assert sorted(name.label for name in names) == ["ippo, algo.lr=1", "ippo, algo.lr=2"]
 
 
-def test_a_cell_of_which_one_run_knows_the_preset_is_named_by_it(tmp_path: Path) -> None:
+def test_a_cell_is_named_by_the_preset_that_one_of_its_runs_records(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", **PAPER)
     keep_run(tmp_path, 1, "FINISHED", preset="merge_paper", **PAPER)
     keep_run(tmp_path, 0, "FINISHED", preset="merge_tuned", **TUNED)
@@ -182,7 +180,7 @@ def test_a_cell_of_which_one_run_knows_the_preset_is_named_by_it(tmp_path: Path)
 
 
 def test_the_cells_of_a_search_are_named_by_its_candidates(tmp_path: Path) -> None:
-    """Not by what these set, but where one candidate's cells differ."""
+    """Settings of a candidate stay out of the names unless its cells differ."""
     for rate in ("1", "2"):
         keep_run(tmp_path, 0, "FINISHED", candidate="short", **{"algo.lr": rate, "algo.clip": "0.1"})
     keep_run(tmp_path, 0, "FINISHED", candidate="long, own reward", **{"algo.lr": "1", "algo.clip": "0.3"})
@@ -191,18 +189,18 @@ def test_the_cells_of_a_search_are_named_by_its_candidates(tmp_path: Path) -> No
         "ippo: short, algo.lr=2",
         "ippo: long, own reward",
     }
-    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "4", "algo.clip": "0.3"})  # of no search
+    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "4", "algo.clip": "0.3"})  # outside the search
     assert "ippo, algo.lr=1, algo.clip=0.1" in labelled_cells(RunIndex(tmp_path).rows())
 
 
-def test_a_cell_of_which_the_newest_run_knows_the_candidate_is_named_by_it(tmp_path: Path) -> None:
+def test_a_cell_is_named_by_the_candidate_that_its_newest_run_records(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", "2020-01-01T00:00:00+00:00", **{"algo.lr": "1"})
     keep_run(tmp_path, 1, "FINISHED", candidate="short", **{"algo.lr": "1"})
     keep_run(tmp_path, 0, "FINISHED", candidate="long", **{"algo.lr": "2"})
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo: long", "ippo: short"]
 
 
-def test_arguments_of_a_task_are_called_as_its_environment_does(tmp_path: Path) -> None:
+def test_arguments_of_a_task_have_the_names_of_its_environment(tmp_path: Path) -> None:
     for supervisor in ("True", "False"):
         keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": supervisor, "env.args.steps": "9"})
     keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": "False"})
@@ -214,13 +212,13 @@ def test_arguments_of_a_task_are_called_as_its_environment_does(tmp_path: Path) 
     }
 
 
-def test_where_the_preset_of_a_cell_is_not_known_settings_are_named(tmp_path: Path) -> None:
+def test_cells_are_named_by_settings_if_a_preset_is_unknown(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "1"})
     keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **{"algo.lr": "2"})
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo, algo.lr=1", "ippo, algo.lr=2"]
 
 
-def test_presets_tell_environments_apart_where_these_have_other_arguments(tmp_path: Path) -> None:
+def test_presets_distinguish_environments_with_different_arguments(tmp_path: Path) -> None:
     """Two presets of the same environment are on one task."""
     aggregate, whole = {"env.args.state": "aggregate"}, {"env.args.state": "whole"}
     keep_run(tmp_path, 0, "FINISHED", preset="bus_tuned", **aggregate)
@@ -233,6 +231,6 @@ def test_presets_tell_environments_apart_where_these_have_other_arguments(tmp_pa
     names = cell_names(RunIndex(tmp_path).rows()).values()
     assert {(name.controller, name.task) for name in names} == {
         ("ippo bus_tuned", "bus, state=aggregate"),
-        ("ippo paper", "bus, state=whole"),  # as it is called by presets elsewhere
+        ("ippo paper", "bus, state=whole"),  # named as elsewhere
         ("ippo bus_tuned_independent", "bus, state=aggregate"),
     }

@@ -1,4 +1,4 @@
-"""How experience is judged: each critic by name, with what it sees and how it learns."""
+"""Critics by name: estimation of advantages, and training of the value networks."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -17,37 +17,41 @@ from headway_algos.on_policy.critics.value import ValueCritic
 
 
 class Critic(Protocol):
-    """Turns experience into advantages, and learns from it to judge better. Whatever it carries from one
-    iteration to the next is in its state."""
+    """Estimates advantages from a trajectory, and is trained on it.
+
+    Everything carried from one iteration to the next is part of its state.
+    """
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
-        """Advantages, and what `fit` learns from; changes nothing. `behaviour` is of the policies that
-        acted; `iteration` is for random draws."""
+        """Return advantages and the data that `fit` needs, without changing the critic.
+
+        `behaviour` are the policies that acted; `iteration` selects the random stream.
+        """
         ...
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
-        """Learn what values should have been. Returns metrics by name, each (R,)."""
+        """Train the critic on the estimated returns; return metrics by name, each (R,)."""
         ...
 
-    def absorb(self, trajectory: Trajectory) -> None:
-        """Add an iteration's inputs to the normalisers' statistics (once an iteration, after learning)."""
+    def update_normalisers(self, trajectory: Trajectory) -> None:
+        """Include an iteration's inputs in the running statistics (once per iteration, after `fit`)."""
         ...
 
     def anneal(self, share: float) -> None:
-        """Take steps of `share` of their configured size from now on."""
+        """Set the learning rate to `share` of its configured value."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """All that it carries on: tensors, numbers, strings, lists and dicts."""
+        """Return everything needed to continue exactly: tensors, numbers, strings, lists and dicts."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; leaves `state` as it is. Raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`, leaving `state` unchanged; RuntimeError if shapes differ."""
         ...
 
 
 MakeCritic = Callable[[AlgoConfig, EnvSpec, Grouping, Sequence[int], torch.device, torch.dtype], Critic]
-"""(config, environment, which agent follows which policy, seeds of the replicas, device, precision)"""
+"""(config, environment, grouping of agents by policy, seeds of the replicas, device, dtype) -> critic."""
 
 CRITICS: dict[str, MakeCritic] = {
     "local": ValueCritic,

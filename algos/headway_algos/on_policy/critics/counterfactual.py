@@ -1,4 +1,4 @@
-"""COMA's critic: what would have come of other actions (Foerster et al. 2018, arXiv:1705.08926)."""
+"""COMA's critic, which compares an agent's actions (Foerster et al. 2018, arXiv:1705.08926)."""
 
 from collections.abc import Sequence
 from copy import deepcopy
@@ -24,19 +24,20 @@ from headway_algos.on_policy.gae import counterfactual_advantages
 
 
 class CounterfactualCritic:
-    """Q(s, u^-a, o^a, id_a) with an output for each own action, and a target network.
+    """Q(s, u^-a, o^a, id_a) with one output per own action, and a target network Q'.
 
-    Advantages weigh the action taken against the policy's own mean over its actions, the others' held
-    fixed. Returns are TD(lambda) targets over the target network's Q of the actions taken,
+    Advantages are `headway_algos.on_policy.gae.counterfactual_advantages`. Returns are TD(lambda) targets
+    over the target network's Q' of the actions taken,
 
         y_t = r_t + gamma ((1 - lambda) Q'(s_t+1, u_t+1) + lambda y_t+1),
 
-    which is Q' plus its generalised advantage, so that ends, absences and a team's return are as for
-    values. Where no action was taken (after the last step, at a final observation) the others' are drawn
-    once from the policies that acted, and the own one is averaged over: sum_u pi(u|o) Q'(s, u).
+    computed as Q' plus its generalised advantage, so that stream ends, absences and team returns are treated
+    as for values. Where no action was taken (after the last step, at a final observation), the others'
+    actions are sampled once from the behaviour policy, and Q' is averaged over the own action:
+    sum_u pi(u|o) Q'(s, u).
 
-    The target network is the critic, its normalisers included, as it was at the last copy: after the first
-    fit, whose forerunner has seen nothing, and after every `target_every`-th from there on.
+    The target network, normalisers included, is copied from the critic after the first fit and after every
+    `target_every`-th fit from there on.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class CounterfactualCritic:
         """Raises ValueError if actions are not Discrete."""
         if not isinstance(spec.action_space, Discrete):
             raise ValueError(
-                f"a counterfactual critic takes Discrete actions, and {spec.name} has others; "
+                f"a counterfactual critic needs Discrete actions, which {spec.name} does not have; "
                 "use critic: local or central"
             )
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
@@ -63,85 +64,87 @@ class CounterfactualCritic:
         self.fits = 0
 
     def action_values(
-        self, networks: ReturnNetworks, scene: CriticBatch, memories: HiddenStates | None = None
+        self, networks: ReturnNetworks, batch: CriticBatch, hidden_states: HiddenStates | None = None
     ) -> NDArray[np.float64]:
-        """Q (M, C, N, A) of each own action, the others' as in the scene; in units of return. `memories`:
-        what these networks remembered, if they do."""
-        return self._by_agent(networks, networks.inputs(*self._rows(scene)), scene, memories)
+        """Return Q (M, C, N, A) of each own action, in units of return, with the batch's other actions.
 
-    def _rows(self, scene: CriticBatch) -> tuple[Tensor, Tensor]:
-        """What is seen, not normalised, (P, B, seen_size), and indicators (P, B, indicator_size)."""
-        return self.layout.rows(self.view.seen(scene)), self.layout.rows(self.view.indicators(scene))
+        `hidden_states`: those of these networks, if they are recurrent.
+        """
+        return self._by_agent(networks, networks.inputs(*self._rows(batch)), batch, hidden_states)
+
+    def _rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor]:
+        """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
+        return self.layout.rows(self.view.features(batch)), self.layout.rows(self.view.indicators(batch))
 
     def _by_agent(
-        self, networks: ReturnNetworks, inputs: Tensor, scene: CriticBatch, memories: HiddenStates | None
+        self, networks: ReturnNetworks, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
     ) -> NDArray[np.float64]:
-        """Q (M, C, N, A) of a scene's network inputs (P, B, input_size)."""
-        memory = None if memories is None else self.layout.rows(scene.remembered(memories))
-        action_values = networks.predict(inputs, memory).transpose(1, 2)
-        return self.layout.by_agent(action_values, len(scene.observations))
+        """Return Q (M, C, N, A), given a batch's network inputs (P, B, input_size)."""
+        hidden = None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
+        action_values = networks.predict(inputs, hidden).transpose(1, 2)
+        return self.layout.by_agent(action_values, len(batch.observations))
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
-        """See `headway_algos.on_policy.critics.Critic`."""
+        """Estimate counterfactual advantages and TD(lambda) targets (see the class)."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        scene = CriticBatch.of_steps(trajectory)
-        assert scene.actions is not None
-        taken = scene.actions[..., None]
-        rows = self._rows(scene)
+        batch = CriticBatch.of_steps(trajectory)
+        assert batch.actions is not None
+        taken = batch.actions[..., None]
+        rows = self._rows(batch)
 
-        def worth(scene: CriticBatch) -> NDArray[np.float64]:
-            drawn = behaviour.drawn(scene, random)
-            action_values = self.action_values(self.target, drawn, target_memories)
-            return np.asarray((behaviour.probabilities(scene) * action_values).sum(axis=-1))
+        def value_of(batch: CriticBatch) -> NDArray[np.float64]:
+            drawn = behaviour.with_drawn_actions(batch, random)
+            action_values = self.action_values(self.target, drawn, target_hidden_states)
+            return np.asarray((behaviour.probabilities(batch) * action_values).sum(axis=-1))
 
         target_inputs = self.target.inputs(*rows)
-        target_memories = self.target.replayed(target_inputs, trajectory, self.view, self.layout)
-        target_values = self._by_agent(self.target, target_inputs, scene, target_memories)
+        target_hidden_states = self.target.replay(target_inputs, trajectory, self.view, self.layout)
+        target_values = self._by_agent(self.target, target_inputs, batch, target_hidden_states)
         target_values = np.take_along_axis(target_values, taken, axis=-1)[..., 0]
-        ahead, present = lambda_advantages(
-            trajectory, self.view, target_values, worth, self.config, self.spec, self.layout.replicas
+        target_advantages, present = lambda_advantages(
+            trajectory, self.view, target_values, value_of, self.config, self.spec, self.layout.replicas
         )
         inputs = self.networks.inputs(*rows)
-        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
-        action_values = self._by_agent(self.networks, inputs, scene, memories)
+        hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
+        action_values = self._by_agent(self.networks, inputs, batch, hidden_states)
         return CriticEstimate(
-            counterfactual_advantages(action_values, scene.actions, behaviour.probabilities(scene), present),
+            counterfactual_advantages(action_values, batch.actions, behaviour.probabilities(batch), present),
             np.take_along_axis(action_values, taken, axis=-1)[..., 0],
-            ahead + target_values,
+            target_advantages + target_values,
             present,
             inputs,
-            self.layout.rows(scene.actions),
-            memories,
-            target_memories,
+            self.layout.rows(batch.actions),
+            hidden_states,
+            target_hidden_states,
         )
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
-        """See `headway_algos.on_policy.critics.Critic`; renews the target network when it is due."""
+        """Train the critic on the TD(lambda) targets, and copy it to the target network if due."""
         metrics = self.regression.fit(estimate, iteration)
-        self.target.carry(estimate.target_memories)
+        self.target.carry(estimate.target_hidden_states)
         if self.fits % self.config.target_every == 0:
             self.target.load_state_dict(self.networks.state_dict())
-            self.target.carry(estimate.memories)
+            self.target.carry(estimate.hidden_states)
         self.fits += 1
         return metrics
 
-    def absorb(self, trajectory: Trajectory) -> None:
-        """See `headway_algos.on_policy.critics.Critic`."""
-        self.regression.absorb(trajectory)
+    def update_normalisers(self, trajectory: Trajectory) -> None:
+        """Include an iteration's inputs in the running statistics."""
+        self.regression.update_normalisers(trajectory)
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.regression.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normalisers, the optimiser, the target network and how often the critic was fitted."""
+        """Return the states of networks, normalisers, optimiser, target network, and the number of fits."""
         state = {**self.regression.state_dict(), "target": self.target.state_dict(), "fits": self.fits}
         if self.config.model.core != "none":
             state["target_memory"] = self.target.carried_state()
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         self.regression.load_state_dict(state)
         self.target.load_state_dict(state["target"])
         self.target.load_carried(state.get("target_memory"))

@@ -1,4 +1,4 @@
-"""What critics look at."""
+"""Network inputs of critics."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -15,138 +15,137 @@ from headway_algos.grouping import Grouping
 
 
 class CriticInputs(Protocol):
-    """What a critic sees from each of W viewpoints: N agents, or 1 for a whole team."""
+    """Inputs of a critic from W viewpoints per copy: N for a critic per agent, 1 for a critic per team."""
 
     grouping: Grouping
-    """Of viewpoints into the networks of one replica."""
+    """Assignment of viewpoints to the critic networks of one replica."""
     viewpoints: int
-    """W"""
+    """W."""
     team: bool
-    """What it values is the team's return, which goes on until the episode ends, whoever is present."""
-    whole: bool
-    """It values the team as one, not as its agents await it: W is 1, and there is always a value."""
-    asks_actions: bool
-    """Its inputs need the actions of a scene."""
-    seen_size: int
+    """The critic estimates the team's return, which continues to the end of the episode."""
+    single: bool
+    """One value per team: W is 1, and the value exists also while no agent is alive."""
+    needs_actions: bool
+    """The inputs include actions."""
+    feature_size: int
     indicator_size: int
 
-    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
-        """Measurements, to be normalised: (M, C, W, seen_size)."""
+    def features(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return the inputs to be normalised, (M, C, W, feature_size)."""
         ...
 
-    def indicators(self, scene: CriticBatch) -> NDArray[np.float32] | None:
-        """What is taken as it is, (M, C, W, indicator_size): actions, and who looks; None where size is 0."""
+    def indicators(self, batch: CriticBatch) -> NDArray[np.float32] | None:
+        """Return the inputs left unnormalised, (M, C, W, indicator_size): actions, agent index; or None."""
         ...
 
 
 class LocalInputs:
-    """V(o): each agent's own observation, one critic a policy."""
+    """V(o): each agent's own observation, one critic per policy."""
 
-    team = whole = asks_actions = False
+    team = single = needs_actions = False
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
         self.grouping, self.viewpoints = grouping, spec.num_agents
-        self.seen_size, self.indicator_size = spec.observation_size, 0
+        self.feature_size, self.indicator_size = spec.observation_size, 0
 
-    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
-        """The observations themselves."""
-        return scene.observations
+    def features(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return the observations (M, C, N, D)."""
+        return batch.observations
 
-    def indicators(self, scene: CriticBatch) -> None:
-        """None."""
+    def indicators(self, batch: CriticBatch) -> None:
+        """Return None: there are no indicators."""
 
 
 class CentralInputs:
-    """V(s): the global state, or all observations in a row where the environment gives none.
+    """V(s): the global state, or all observations concatenated if the environment has no state.
 
-    For a shared team reward there is one critic a replica, with one viewpoint. Otherwise there is one a
-    policy, seen from every agent: each one's own observation follows the state, since a state of totals does
-    not say whose value is asked for (the agent-specific global state of Yu et al. 2022,
-    arXiv:2103.01955). With `critic_actions: others` the actions of the others follow, V(s, u^-a), which
-    differ from agent to agent, so that a team's critic too has every agent's viewpoint.
+    With a shared team reward there is one critic per replica, with one viewpoint. Otherwise there is one
+    critic per policy and a viewpoint per agent: the agent's observation is appended to the state, which alone
+    does not identify the agent (the agent-specific global state of Yu et al. 2022, arXiv:2103.01955). With
+    `critic_actions: others` the other agents' actions are appended, V(s, u^-a); they differ between agents,
+    so a team's critic has a viewpoint per agent too.
     """
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
         self.space, self.team = spec.action_space, spec.shared_reward
-        self.asks_actions = config.critic_actions == "others"
-        self.whole = self.team and not self.asks_actions
-        self.viewpoints = 1 if self.whole else spec.num_agents
+        self.needs_actions = config.critic_actions == "others"
+        self.single = self.team and not self.needs_actions
+        self.viewpoints = 1 if self.single else spec.num_agents
         self.grouping = Grouping(np.arange(self.viewpoints)[None]) if self.team else grouping
         self.has_state = spec.state_size > 0
         self.own_observation = not self.team
-        self.seen_size = _state_size(spec) + (spec.observation_size if self.own_observation else 0)
-        self.indicator_size = spec.num_agents * actor_outputs(spec) if self.asks_actions else 0
+        self.feature_size = _state_size(spec) + (spec.observation_size if self.own_observation else 0)
+        self.indicator_size = spec.num_agents * actor_outputs(spec) if self.needs_actions else 0
 
-    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
-        """The state from every viewpoint, and the own observation where that tells viewpoints apart."""
-        state = _from_everywhere(_state(scene, self.has_state), self.viewpoints)
-        return np.concatenate([state, scene.observations], axis=-1) if self.own_observation else state
+    def features(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return the state for every viewpoint, with the agent's own observation without a team reward."""
+        state = _per_viewpoint(_state(batch, self.has_state), self.viewpoints)
+        return np.concatenate([state, batch.observations], axis=-1) if self.own_observation else state
 
-    def indicators(self, scene: CriticBatch) -> NDArray[np.float32] | None:
-        """The others' actions, if asked for."""
-        return others_actions(scene, self.space) if self.asks_actions else None
+    def indicators(self, batch: CriticBatch) -> NDArray[np.float32] | None:
+        """Return the other agents' actions with `critic_actions: others`, else None."""
+        return others_actions(batch, self.space) if self.needs_actions else None
 
 
 class CounterfactualInputs:
-    """Q(s, u^-a, o^a, id_a): state, own observation, the others' actions and who looks (Foerster et al.
-    2018, arXiv:1705.08926, section 4).
+    """Q(s, u^-a, o^a, id_a): state, own observation, the others' actions and the agent's index (Foerster et
+    al. 2018, arXiv:1705.08926, section 4).
 
-    For a shared team reward there is one critic a replica, whose agents learn from each other's rows, with
-    rewards of their own one a policy.
+    With a shared team reward there is one critic per replica, trained on all agents' rows; with individual
+    rewards, one per policy.
     """
 
-    asks_actions, whole = True, False
+    needs_actions, single = True, False
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
         self.space, self.team, self.viewpoints = spec.action_space, spec.shared_reward, spec.num_agents
         self.grouping = Grouping(np.arange(spec.num_agents)[None]) if self.team else grouping
         self.has_state = spec.state_size > 0
-        self.seen_size = _state_size(spec) + spec.observation_size
+        self.feature_size = _state_size(spec) + spec.observation_size
         self.indicator_size = spec.num_agents * (actor_outputs(spec) + 1)
 
-    def seen(self, scene: CriticBatch) -> NDArray[np.float32]:
-        """State and own observation."""
-        state = _from_everywhere(_state(scene, self.has_state), self.viewpoints)
-        return np.concatenate([state, scene.observations], axis=-1)
+    def features(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return state and own observation for every agent."""
+        state = _per_viewpoint(_state(batch, self.has_state), self.viewpoints)
+        return np.concatenate([state, batch.observations], axis=-1)
 
-    def indicators(self, scene: CriticBatch) -> NDArray[np.float32]:
-        """The others' actions, one-hot, and the agent's index, one-hot."""
+    def indicators(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return the other agents' actions and the agent's index, both one-hot."""
         agents = np.eye(self.viewpoints, dtype=np.float32)
-        index = np.broadcast_to(agents, (*scene.present.shape[:2], *agents.shape))
-        return np.concatenate([others_actions(scene, self.space), index], axis=-1)
+        index = np.broadcast_to(agents, (*batch.present.shape[:2], *agents.shape))
+        return np.concatenate([others_actions(batch, self.space), index], axis=-1)
 
 
 def _state_size(spec: EnvSpec) -> int:
     return spec.state_size or spec.num_agents * spec.observation_size
 
 
-def _state(scene: CriticBatch, has_state: bool) -> NDArray[np.float32]:
-    """(M, C, S)"""
-    return scene.states if has_state else scene.observations.reshape(*scene.observations.shape[:2], -1)
+def _state(batch: CriticBatch, has_state: bool) -> NDArray[np.float32]:
+    """Return states (M, C, S), or concatenated observations (M, C, N x D) without a state."""
+    return batch.states if has_state else batch.observations.reshape(*batch.observations.shape[:2], -1)
 
 
-def _from_everywhere(seen: NDArray[np.float32], viewpoints: int) -> NDArray[np.float32]:
-    """(M, C, S) -> (M, C, W, S), a view."""
-    return np.broadcast_to(seen[:, :, None], (*seen.shape[:2], viewpoints, seen.shape[2]))
+def _per_viewpoint(features: NDArray[np.float32], viewpoints: int) -> NDArray[np.float32]:
+    """Broadcast (M, C, S) to (M, C, W, S), as a view."""
+    return np.broadcast_to(features[:, :, None], (*features.shape[:2], viewpoints, features.shape[2]))
 
 
-def others_actions(scene: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:
-    """(M, C, N, N x A): what each agent's teammates chose, one block of A a teammate: one-hot if Discrete,
-    the action as the environment cuts it if Box. Zeros stand in the agent's own block and in those of
-    absent agents.
+def others_actions(batch: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:
+    """Return the other agents' actions (M, C, N, N x A), one block of A per agent.
 
-    A choice counts even where it was not used (`acting` false): whether it would be is known only after
-    the step, and may be an effect of the very action that is being judged.
+    Discrete actions are one-hot, Box actions clipped to the bounds. The agent's own block and those of absent
+    agents are 0. Actions that the environment did not use (`acting` false) are included: whether an action is
+    used is known only after the step, and may depend on the action being evaluated.
     """
-    assert scene.actions is not None
+    assert batch.actions is not None
     match space:
         case Discrete(n=n):
-            chosen = (scene.actions[..., None] == np.arange(n)).astype(np.float32)
+            chosen = (batch.actions[..., None] == np.arange(n)).astype(np.float32)
         case Box(low=low, high=high):
-            chosen = np.clip(scene.actions, low, high).astype(np.float32)
+            chosen = np.clip(batch.actions, low, high).astype(np.float32)
         case _:
             raise TypeError(f"actions of {space} are not encoded")
-    chosen = zero_where_absent(chosen, scene.present)
+    chosen = zero_where_absent(chosen, batch.present)
     agents = chosen.shape[2]
     blocks = np.repeat(chosen[:, :, None], agents, axis=2)
     blocks[:, :, range(agents), range(agents)] = 0

@@ -1,4 +1,4 @@
-"""What a critic says of an iteration's experience."""
+"""A critic's estimates for one iteration."""
 
 from dataclasses import dataclass
 
@@ -11,22 +11,21 @@ from headway_algos.batches.hidden_states import HiddenStates
 
 @dataclass(frozen=True)
 class CriticEstimate:
-    """Judgement of T steps of C copies from W viewpoints (N agents, or 1 for a whole team), and what the
-    critic is to learn from them."""
+    """Advantages and training data of the critic, for T steps of C copies and W viewpoints."""
 
     advantages: NDArray[np.float64]
-    """(T, C, W): how much better than usual the actions taken were."""
+    """(T, C, W): advantages of the actions taken."""
     values: NDArray[np.float64]
     """(T, C, W): V, or Q of the action taken."""
     returns: NDArray[np.float64]
-    """(T, C, W): what the values should have been."""
+    """(T, C, W): regression targets of the values."""
     present: NDArray[np.bool_]
-    """(T, C, W): where there is a value to speak of."""
+    """(T, C, W): where a value exists."""
     inputs: Tensor
     """Rows (P, B, input_size) of the critic's networks, normalised."""
     taken: Tensor | None = None
-    """(P, B): which of the networks' outputs was meant; None where they have one."""
-    memories: HiddenStates | None = None
-    """What the networks remembered, where they do."""
-    target_memories: HiddenStates | None = None
-    """What a target network remembered, where there is one that does."""
+    """(P, B): index of the action taken, for networks with one output per action; None with one output."""
+    hidden_states: HiddenStates | None = None
+    """Hidden states of the networks, if recurrent."""
+    target_hidden_states: HiddenStates | None = None
+    """Hidden states of the target network, if there is one and it is recurrent."""

@@ -1,4 +1,4 @@
-"""Networks that learn returns, and how: what all critics have in common."""
+"""Value networks and their regression on returns, common to all critics."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -28,7 +28,7 @@ from headway_algos.optim.kfac_regression import KFACRegression
 
 
 class ReturnNetworks(nn.Module):
-    """P networks, their input normalisers, and the moments of the returns that they speak in."""
+    """P value networks, with running statistics of their inputs and of returns."""
 
     def __init__(
         self, config: AlgoConfig, view: CriticInputs, outputs: int, seeds: Sequence[int], layout: Layout
@@ -36,30 +36,33 @@ class ReturnNetworks(nn.Module):
         super().__init__()
         self.config = config
         networks, model = view.grouping.num_policies, config.model
-        sizes = (view.seen_size + view.indicator_size, outputs)
+        sizes = (view.feature_size + view.indicator_size, outputs)
         self.network = make_network(model, seeds, networks, "critic", sizes, 1.0, layout.dtype)
         self.carried: NDArray[Any] | None = None
-        """(C, W, M): what networks that remember did after the last trajectory they learned from."""
-        self.input_moments = RunningStatistics(len(seeds) * networks, view.seen_size)
+        """(C, W, M): hidden states of recurrent networks after the last trajectory."""
+        self.input_moments = RunningStatistics(len(seeds) * networks, view.feature_size)
         self.return_moments = RunningStatistics(len(seeds) * networks, 1)
         self.to(layout.device)
 
-    def inputs(self, seen: Tensor, indicators: Tensor | None) -> Tensor:
-        """(P, B, input_size): what was seen (P, B, seen_size) in units of its running moments, cut at 10,
-        then indicators (P, B, indicator_size) as they are."""
-        if self.config.normalise_observations:
-            seen = self.input_moments.normalised(seen)
-        return seen if indicators is None else torch.cat([seen, indicators], dim=2)
+    def inputs(self, features: Tensor, indicators: Tensor | None) -> Tensor:
+        """Return network inputs (P, B, input_size): normalised features, then indicators unchanged.
 
-    def predict(self, inputs: Tensor, memory: Tensor | None = None) -> Tensor:
-        """Outputs (P, O, B) in units of return, in float64, of inputs (P, B, input_size) and, for networks
-        that remember, of what they do before each row (P, B, M), in pieces that stay in the cache."""
+        Features are (P, B, feature_size), indicators (P, B, indicator_size).
+        """
+        if self.config.normalise_observations:
+            features = self.input_moments.normalised(features)
+        return features if indicators is None else torch.cat([features, indicators], dim=2)
+
+    def predict(self, inputs: Tensor, hidden: Tensor | None = None) -> Tensor:
+        """Return outputs (P, O, B) in units of return, float64, for inputs (P, B, input_size).
+
+        `hidden` (P, B, M): hidden states before each row, for recurrent networks. Computed in pieces that fit
+        the cache.
+        """
         pieces = even_slices(inputs.shape[1], len(inputs), self.config.piece_samples)
         with torch.no_grad():
             parts = [
-                self.network(
-                    inputs[:, piece], None if memory is None else Timeline.of_moments(memory[:, piece])
-                )
+                self.network(inputs[:, piece], None if hidden is None else Timeline.of_rows(hidden[:, piece]))
                 for piece in pieces
             ]
             outputs = torch.cat(parts, dim=2).double()
@@ -67,11 +70,13 @@ class ReturnNetworks(nn.Module):
             outputs = outputs * self.return_moments.std + self.return_moments.mean
         return outputs
 
-    def replayed(
+    def replay(
         self, inputs: Tensor, trajectory: Trajectory, view: CriticInputs, layout: Layout
     ) -> HiddenStates | None:
-        """What networks that remember do along a trajectory, from where the last one left them; of others
-        None. `inputs` (P, B, input_size) are those of its steps."""
+        """Return the hidden states along a trajectory, continued from the last one; None if not recurrent.
+
+        `inputs` (P, B, input_size) are those of its steps.
+        """
         if not isinstance(self.network, RecurrentNetwork):
             return None
         streams = RewardStreams.of(trajectory, view)
@@ -80,26 +85,26 @@ class ReturnNetworks(nn.Module):
         if start is None:
             start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
         begins = streams.begins(trajectory, view)
-        return HiddenStates.replayed(
+        return HiddenStates.replay(
             self.network, inputs, start, begins, keeps, layout, self.config.piece_samples
         )
 
-    def carry(self, memories: HiddenStates | None) -> None:
-        """Go on, at the next trajectory, from what was remembered at the end of this one."""
-        if memories is not None:
-            self.carried = memories.after_the_last_step[0]
+    def carry(self, hidden_states: HiddenStates | None) -> None:
+        """Store the hidden states at the end of this trajectory, from which the next one continues."""
+        if hidden_states is not None:
+            self.carried = hidden_states.after_last_step[0]
 
     def carried_state(self) -> Tensor | None:
-        """For a checkpoint."""
+        """Return the stored hidden states, for a checkpoint."""
         return None if self.carried is None else torch.from_numpy(self.carried)
 
     def load_carried(self, state: Tensor | None) -> None:
-        """Inverse of `carried_state`."""
+        """Restore the result of `carried_state`."""
         self.carried = None if state is None else state.cpu().numpy().copy()
 
 
 class ReturnRegression:
-    """Networks that regress on returns by minibatches, each with its own."""
+    """Regression of stacked value networks on returns, by minibatches."""
 
     def __init__(
         self,
@@ -114,10 +119,10 @@ class ReturnRegression:
         self.optimiser = _optimiser(config, networks.network)
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
-        """Learn the returns where present. `loss`, (R,), is the mean squared error in normalised units;
-        `explained_variance`, (R,), is of the values before.
+        """Train on the returns where present; return metrics (R,).
 
-        With `value_clip` the squared error is cut there, as RLlib's vf_clip_param does.
+        `loss` is the mean squared error in normalised units, cut off at `value_clip` like RLlib's
+        vf_clip_param; `explained_variance` is that of the values before training.
         """
         config, layout = self.config, self.layout
         moments = self.networks.return_moments
@@ -129,8 +134,8 @@ class ReturnRegression:
             moments.include(targets[..., None], selected)
             targets = (targets - moments.mean[..., 0]) / moments.std[..., 0]
         targets = targets.to(layout.dtype)
-        memories, length = estimate.memories, config.model.sequence_length
-        sequences = None if memories is None else memories.sequences(layout, length)
+        hidden_states, length = estimate.hidden_states, config.model.sequence_length
+        sequences = None if hidden_states is None else hidden_states.sequences(layout, length)
         generators = self._generators(iteration)
         compiled: Learn | None = None
         if isinstance(self.optimiser, StackedAdam):
@@ -142,7 +147,7 @@ class ReturnRegression:
         )  # fmt: skip
         learn = compiled or partial(self._learn, estimate=estimate, targets=targets)
         (loss,), _ = gradient_steps(self.optimiser, batches, learn, 1)
-        self.networks.carry(memories)
+        self.networks.carry(hidden_states)
         by_network = loss.double().cpu().numpy().reshape(layout.replicas, -1)
         return {
             "loss": by_network.mean(axis=1),
@@ -168,19 +173,19 @@ class ReturnRegression:
         networks = range(self.layout.grouping.num_policies)
         return [generator(seed, "critic minibatch", k, iteration) for seed in self.seeds for k in networks]
 
-    def absorb(self, trajectory: Trajectory) -> None:
-        """Add an iteration's inputs to the normaliser's statistics."""
+    def update_normalisers(self, trajectory: Trajectory) -> None:
+        """Include an iteration's inputs in the running statistics."""
         if self.config.normalise_observations:
-            seen = self.layout.rows(self.view.seen(CriticBatch.of_steps(trajectory)))
+            features = self.layout.rows(self.view.features(CriticBatch.of_steps(trajectory)))
             selected = self.layout.selection(presence(trajectory.alive[:-1], self.view))
-            self.networks.input_moments.include(seen, selected)
+            self.networks.input_moments.include(features, selected)
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.optimiser.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normalisers, the optimiser, and what is remembered."""
+        """Return the states of networks, normalisers and optimiser, and the hidden states carried on."""
         state: dict[str, Any] = {
             "networks": self.networks.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -190,7 +195,7 @@ class ReturnRegression:
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.networks.load_carried(state.get("memory"))
@@ -209,7 +214,7 @@ def _optimiser(config: AlgoConfig, network: nn.Module) -> StackedAdam | KFACRegr
 
 
 def explained_variance(estimate: CriticEstimate, replicas: int) -> NDArray[np.float64]:
-    """1 - Var(returns - values) / Var(returns) of each replica, (R,); NaN where returns do not vary."""
+    """Return 1 - Var(returns - values) / Var(returns) per replica, (R,); NaN if returns do not vary."""
     result = np.full(replicas, np.nan)
     steps, copies, viewpoints = estimate.present.shape
     shape = (steps, replicas, copies // replicas, viewpoints)

@@ -1,4 +1,4 @@
-"""What a critic's viewpoints are paid, and when that is over."""
+"""Rewards and stream ends of a critic's viewpoints, and lambda-advantages on them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from headway_algos.on_policy.gae import generalised_advantages, with_teammates_v
 
 @dataclass(frozen=True)
 class RewardStreams:
-    """Rewards and their ends, from each of W viewpoints."""
+    """Rewards, stream ends and presence for W viewpoints per copy."""
 
     rewards: NDArray[np.float64]
     """(T, C, W)"""
@@ -29,7 +29,7 @@ class RewardStreams:
 
     @classmethod
     def of(cls, trajectory: Trajectory, view: CriticInputs) -> "RewardStreams":
-        """Each agent's own, or the team's: that goes on until the episode ends, whoever is present."""
+        """Return each agent's streams, or the team's, which lasts until the episode ends."""
         rewards = trajectory.rewards.astype(np.float64)
         terminated, truncated = trajectory.terminated, trajectory.truncated
         if view.team:
@@ -41,7 +41,7 @@ class RewardStreams:
         return cls(rewards, terminated, truncated, presence(trajectory.alive, view))
 
     def begins(self, trajectory: Trajectory, view: CriticInputs) -> NDArray[np.bool_]:
-        """(T + 1, C, W): a stream begins with the step, or, in the last row, with what comes after."""
+        """Return (T + 1, C, W): a stream begins with the step or, in the last row, right after it."""
         first = trajectory.begins
         if view.team:
             first = np.broadcast_to(first.all(axis=2, keepdims=True), (*first.shape[:2], view.viewpoints))
@@ -49,30 +49,32 @@ class RewardStreams:
 
 
 def presence(alive: NDArray[np.bool_], view: CriticInputs) -> NDArray[np.bool_]:
-    """(M, C, N) -> (M, C, W): where there is a value to speak of."""
-    return np.ones((*alive.shape[:2], 1), np.bool_) if view.whole else alive
+    """Return where a value exists, (M, C, W), given the alive mask (M, C, N)."""
+    return np.ones((*alive.shape[:2], 1), np.bool_) if view.single else alive
 
 
 def lambda_advantages(
     trajectory: Trajectory,
     view: CriticInputs,
     values: NDArray[np.float64],
-    worth: Callable[[CriticBatch], NDArray[np.float64]],
+    value_of: Callable[[CriticBatch], NDArray[np.float64]],
     config: AlgoConfig,
     spec: EnvSpec,
     replicas: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Generalised advantages of values (T, C, W), and where there are any, (T, C, W).
+    """Return generalised advantages (T, C, W) for values (T, C, W), and where they exist (T, C, W).
 
-    `worth` values what no step of the trajectory begins with, scenes of (M, C) -> (M, C, W): what comes
-    after the last step, and the final observations of streams that were truncated.
+    `value_of` computes values (M, C, W) of other time points: after the last step, and at the final
+    observations of truncated streams.
     """
     streams = RewardStreams.of(trajectory, view)
-    values = np.concatenate([values, worth(CriticBatch.after_the_last_step(trajectory))])
-    endings = Truncations.of(trajectory, replicas)
+    values = np.concatenate([values, value_of(CriticBatch.after_last_step(trajectory))])
+    truncations = Truncations.of(trajectory, replicas)
     final_values = np.zeros(streams.rewards.shape)
-    if len(endings):
-        final_values = endings.put(worth(CriticBatch.after_endings(trajectory, endings)), final_values.shape)
+    if len(truncations):
+        final_values = truncations.put(
+            value_of(CriticBatch.after_truncations(trajectory, truncations)), final_values.shape
+        )
     present = streams.present
     if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
         values, present = with_teammates_values(values, present, () if spec.shared_reward else spec.groups)

@@ -1,4 +1,4 @@
-"""Critics that value what they see: V(o) or V(s)."""
+"""State-value critics: V(o) or V(s)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,11 +22,11 @@ from headway_algos.on_policy.critics.reward_streams import lambda_advantages, pr
 
 
 class ValueCritic:
-    """A stack of value networks over one view; advantages are generalised ones (arXiv:1506.02438).
+    """Stacked value networks with generalised advantage estimation (arXiv:1506.02438).
 
-    A view that shows the others' actions is bootstrapped with the actions taken at the next step. Where
-    none was taken (after the last step, at a final observation) they are drawn once from the policies that
-    acted, as a worker would have: the mean over such draws is what that next action would have given.
+    Inputs with the others' actions are bootstrapped with the actions taken at the next step. Where none was
+    taken (after the last step, at a final observation), they are sampled once from the behaviour policy, so
+    the bootstrap value is unbiased.
     """
 
     def __init__(
@@ -44,59 +44,64 @@ class ValueCritic:
         self.networks = ReturnNetworks(config, self.view, 1, seeds, self.layout)
         self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
 
-    def rows(self, scene: CriticBatch) -> Tensor:
-        """Network inputs (P, B, input_size)."""
-        indicators = self.view.indicators(scene)
-        shown = None if indicators is None else self.layout.rows(indicators)
-        return self.networks.inputs(self.layout.rows(self.view.seen(scene)), shown)
+    def rows(self, batch: CriticBatch) -> Tensor:
+        """Return network inputs (P, B, input_size)."""
+        indicators = self.view.indicators(batch)
+        indicator_rows = None if indicators is None else self.layout.rows(indicators)
+        return self.networks.inputs(self.layout.rows(self.view.features(batch)), indicator_rows)
 
     def values(
-        self, rows: Tensor, moments: int, memory: Tensor | None = None, viewpoints: int | None = None
+        self, rows: Tensor, points: int, hidden: Tensor | None = None, viewpoints: int | None = None
     ) -> NDArray[np.float64]:
-        """Values (M, C, W), in units of return, of network inputs and what is remembered before them;
-        `viewpoints`: W, where it is fewer than all."""
-        return self.layout.by_agent(self.networks.predict(rows, memory)[:, 0], moments, viewpoints)
+        """Return values (M, C, W), in units of return, for M = `points` time points.
 
-    def _memory(self, scene: CriticBatch, memories: HiddenStates | None) -> Tensor | None:
-        """(P, B, M): what the networks remembered at the moments of a scene, if they do."""
-        return None if memories is None else self.layout.rows(scene.remembered(memories))
+        `rows` (P, B, input_size) are network inputs, `hidden` (P, B, size) the hidden states before them,
+        `viewpoints` is W if fewer than all.
+        """
+        return self.layout.by_agent(self.networks.predict(rows, hidden)[:, 0], points, viewpoints)
+
+    def _hidden(self, batch: CriticBatch, hidden_states: HiddenStates | None) -> Tensor | None:
+        """Return the networks' hidden states (P, B, size) at a batch's time points, if recurrent."""
+        return None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
-        """See `headway_algos.on_policy.critics.Critic`."""
+        """Estimate values and generalised advantages."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        there = presence(trajectory.alive, self.view).shape[2]
-        viewpoints = there if there < self.view.viewpoints else None
+        used = presence(trajectory.alive, self.view).shape[2]
+        viewpoints = used if used < self.view.viewpoints else None
 
-        def worth(scene: CriticBatch) -> NDArray[np.float64]:
-            shown = behaviour.drawn(scene, random) if self.view.asks_actions else scene
-            moments = len(shown.observations)
-            return self.values(self.rows(shown), moments, self._memory(shown, memories), viewpoints)
+        def value_of(batch: CriticBatch) -> NDArray[np.float64]:
+            full = behaviour.with_drawn_actions(batch, random) if self.view.needs_actions else batch
+            points = len(full.observations)
+            return self.values(self.rows(full), points, self._hidden(full, hidden_states), viewpoints)
 
-        scene = CriticBatch.of_steps(trajectory)
-        inputs = self.rows(scene)
-        memories = self.networks.replayed(inputs, trajectory, self.view, self.layout)
-        values = self.values(inputs, len(trajectory.rewards), self._memory(scene, memories), viewpoints)
+        batch = CriticBatch.of_steps(trajectory)
+        inputs = self.rows(batch)
+        hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
+        values = self.values(inputs, len(trajectory.rewards), self._hidden(batch, hidden_states), viewpoints)
         advantages, present = lambda_advantages(
-            trajectory, self.view, values, worth, self.config, self.spec, self.layout.replicas
+            trajectory, self.view, values, value_of, self.config, self.spec, self.layout.replicas
         )
-        return CriticEstimate(advantages, values, advantages + values, present, inputs, memories=memories)
+        return CriticEstimate(
+            advantages, values, advantages + values, present, inputs, hidden_states=hidden_states
+        )
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
-        """See `headway_algos.on_policy.critics.Critic`."""
+        """Train the value networks on the estimated returns."""
         return self.regression.fit(estimate, iteration)
 
-    def absorb(self, trajectory: Trajectory) -> None:
-        """See `headway_algos.on_policy.critics.Critic`."""
-        self.regression.absorb(trajectory)
+    def update_normalisers(self, trajectory: Trajectory) -> None:
+        """Include an iteration's inputs in the running statistics."""
+        self.regression.update_normalisers(trajectory)
 
     def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its base."""
+        """Set the learning rate to `share` of its configured value."""
         self.regression.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normalisers and the optimiser."""
+        """Return the states of networks, normalisers and optimiser."""
         return self.regression.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
+        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         self.regression.load_state_dict(state)

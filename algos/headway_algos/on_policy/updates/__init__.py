@@ -1,4 +1,4 @@
-"""How policies are improved from advantages: each update by name, with the state that it alone keeps."""
+"""Policy updates by name."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, Self
@@ -18,8 +18,10 @@ from headway_algos.on_policy.updates.trpo import TRPO
 
 
 class Update(Protocol):
-    """Improves a stack of policies in place, each by itself. Whatever it carries from one improvement to
-    the next (moments of an optimiser, adaptive coefficients) is its own, and in its state."""
+    """Updates a stack of policies in place and independently.
+
+    Its state is everything carried between updates, such as moments of an optimiser or adaptive coefficients.
+    """
 
     actor: Actor
     config: AlgoConfig
@@ -27,33 +29,34 @@ class Update(Protocol):
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """Move the policies along advantages (P, B), used as they come; generators (P,) are for whatever it
-        shuffles or draws. Rows of policies that remember are told in which sequences they stand.
+        """Update the policies, given advantages (P, B) used unchanged; return metrics, each (P,).
 
-        Policies without a selected row stay as they were, and so does what is carried on for them. Returns
-        info, each (P,).
+        `generators` (P,) are for shuffling and sampling. Recurrent policies need `rows.sequences`. Policies
+        without a selected row, and their state, stay unchanged.
         """
         ...
 
     def anneal(self, share: float) -> None:
-        """Take steps of `share` of their configured size from now on."""
+        """Scale steps to `share` of their configured size."""
         ...
 
     def narrow(self, policies: Tensor) -> Self:
-        """The same update for policies (n,) of the stack alone, on copies of them and of what it carries on
-        for them: an order that gives agents turns improves those whose turn it is, and then `adopt`s them."""
+        """Return this update for copies of `policies` (n,) and their state.
+
+        The sequential order updates policies in such a part, then calls `adopt`.
+        """
         ...
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """Take over what policies (n,), and what is carried on for them, became in `part`."""
+        """Copy `policies` (n,) and their state from `part`, a result of `narrow`."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """All that it carries on, the policies excepted: tensors, numbers, strings, lists and dicts."""
+        """Return the state, without the policies: tensors, numbers, strings, lists and dicts."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`; leaves `state` as it is."""
+        """Restore the result of `state_dict`, leaving `state` unchanged."""
         ...
 
 

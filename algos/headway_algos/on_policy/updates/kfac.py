@@ -1,4 +1,4 @@
-"""The actor's step of ACKTR (Wu et al. 2017, arXiv:1708.05144), for a stack of policies."""
+"""ACKTR's update of a stack of policies (Wu et al. 2017, arXiv:1708.05144)."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -20,16 +20,15 @@ from headway_algos.on_policy.updates.policy_loss import Minibatch
 from headway_algos.optim.kfac import StackedKFAC
 
 Before = list[tuple[WholeBatch, Distribution]]
-"""Pieces of a batch, and what the policies did there."""
+"""Pieces of a batch, with the policies' action distributions before the step."""
 
 
 class KFAC:
-    """One step along the natural gradient of E[log pi(u|o) A] + entropy_coeff H, over all of an iteration's
-    rows, as far as `lr` and the trust region allow (see `StackedKFAC`).
+    """One natural-gradient step on E[log pi(u|o) A] + entropy_coeff H over the whole batch (`StackedKFAC`).
 
-    The Fisher information is of actions drawn anew from the policies, one a row: those that were taken would
-    give another matrix, the empirical one (Martens and Grosse, section 5). Always one step: `epochs` and
-    `minibatches` are the critic's alone.
+    The Fisher information uses actions sampled anew from the policies, one per row; with the actions taken it
+    would be the empirical Fisher matrix, which differs (Martens and Grosse 2015, arXiv:1503.05671, section
+    5). `epochs` and `minibatches` apply to the critic only.
     """
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
@@ -39,10 +38,11 @@ class KFAC:
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """See `headway_algos.on_policy.updates.Update`; the generators draw the Fisher information's actions.
+        """Take one step; `generators` sample the actions of the Fisher information.
 
-        `kl` is the mean KL divergence that the step came to, `predicted_kl` what it was expected to be,
-        damping included, and `step` its eta."""
+        Of the metrics, `kl` is the mean KL divergence of the step, `predicted_kl` its prediction, damping
+        included, and `step` is eta.
+        """
         batch = WholeBatch.of(rows, advantages)
         gradient, entropy, before = self._look(batch, _noise(batch, generators))
         step = self.optimiser.step(gradient, batch.has_rows.cpu().numpy())
@@ -55,8 +55,8 @@ class KFAC:
         }
 
     def _look(self, batch: WholeBatch, noise: Tensor) -> tuple[list[Tensor], Tensor, Before]:
-        """The objective's gradient, in the order of the actor's learnable tensors, and the mean entropy (P,);
-        the Fisher information goes to the optimiser."""
+        """Return the objective's gradient, in the order of the actor's learnable tensors, the mean entropy
+        (P,), and the distributions before the step; pass the Fisher information to the optimiser."""
         gradient = [torch.zeros_like(parameter) for parameter in self.actor.learnable]
         mean_entropy = batch.weight.new_zeros(len(batch.weight))
         before: Before = []
@@ -66,7 +66,7 @@ class KFAC:
             end = start + piece.weight.shape[1]
             linear = LinearisedMLP.of(self.optimiser.network, piece.observations)
             of_outputs, *of_log_std = self._derivatives(piece, linear.outputs)
-            for total, part in zip(gradient, [*of_log_std, *linear.pull(of_outputs)], strict=True):
+            for total, part in zip(gradient, [*of_log_std, *linear.vjp(of_outputs)], strict=True):
                 total += part
             old = self.actor.distribution(linear.outputs, piece.masks).detach()
             mean_entropy += (old.entropy() * piece.weight).sum(1)
@@ -97,33 +97,35 @@ class KFAC:
         return total
 
     def anneal(self, share: float) -> None:
-        """Take steps of `share` of their length from now on."""
+        """Scale steps to `share` of their configured size."""
         self.optimiser.anneal(share)
 
     def narrow(self, policies: Tensor) -> Self:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Return this update for copies of `policies` (n,)."""
         part = copy(self)
         part.actor = self.actor.narrow(policies)
         part.optimiser = self.optimiser.narrow(policies, part.actor.network, part.actor.log_std)
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Copy `policies` (n,) and their optimiser state from `part`."""
         self.actor.adopt(policies, part.actor)
         self.optimiser.adopt(policies, part.optimiser)
 
     def state_dict(self) -> dict[str, Any]:
-        """The optimiser."""
+        """Return the optimiser's state."""
         return {"optimiser": self.optimiser.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
+        """Restore the result of `state_dict`."""
         self.optimiser.load_state_dict(state["optimiser"])
 
 
 def _noise(batch: WholeBatch, generators: Sequence[np.random.Generator]) -> Tensor:
-    """What actions are drawn by, in the shape of actions, (P, W) or (P, W, A), in float64: uniforms for
-    Discrete ones, else standard normals. A policy draws as many as it has rows, with its own generator."""
+    """Draw noise for sampling actions: uniforms (P, W) for Discrete, standard normals (P, W, A) for Box.
+
+    float64. Each policy draws as many as it has rows, with its own generator.
+    """
     noise = np.zeros(batch.actions.shape)
     for mine, count, random in zip(noise, (batch.weight > 0).sum(1).tolist(), generators, strict=True):
         if mine.ndim == 1:

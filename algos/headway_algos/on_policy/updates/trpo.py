@@ -1,4 +1,4 @@
-"""Trust-region policy optimisation (Schulman et al. 2015, arXiv:1502.05477), for a stack of policies."""
+"""Trust-region policy optimisation of a stack of policies (Schulman et al. 2015, arXiv:1502.05477)."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -36,14 +36,14 @@ class Surrogate:
 
 
 class TRPO:
-    """One step along the natural gradient of the surrogate, as long as the trust region allows.
+    """One natural-gradient step on the surrogate within a trust region, over the whole batch.
 
-    The surrogate is L = E[pi / pi_old A] + entropy_coeff H, its gradient g. With F the Fisher information,
-    damped, x = F^-1 g by conjugate gradient; the step is sqrt(2 delta / x^T F x) x, halved until the mean
-    KL(pi_old || pi) is at most delta and L rises by at least `accept_ratio` of the rise expected to first
-    order (appendix C). Each policy of the stack is searched for by itself; one that accepts no step stays
-    exactly as it was. The damping is part of the step's length too, as in the author's code: it bounds the
-    step where F vanishes. `epochs` and `minibatches` are the critic's alone; `kl_coeff` has no part here.
+    The surrogate is L = E[pi / pi_old A] + entropy_coeff H with gradient g. Conjugate gradient solves F x = g
+    for the damped Fisher information F; the step is sqrt(2 delta / x^T F x) x, halved until the mean
+    KL(pi_old || pi) is at most delta and L rises by at least `accept_ratio` of its first-order expectation
+    (appendix C). The line search is per policy; a policy that accepts no step stays exactly unchanged. As in
+    the author's code, damping also enters the step length, which bounds the step where F vanishes. `epochs`
+    and `minibatches` apply to the critic only; `kl_coeff` is not used.
     """
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
@@ -53,7 +53,7 @@ class TRPO:
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """See `headway_algos.on_policy.updates.Update`; there is nothing to shuffle."""
+        """Take one step; `generators` are not used."""
         actor, config = self.actor, self.config
         batch = WholeBatch.of(rows, advantages)
         gradient, surrogate, entropy, batch = self._gradient(batch)
@@ -72,7 +72,7 @@ class TRPO:
         return {"entropy": entropy, "gradient_norm": norm, **info}
 
     def _gradient(self, batch: WholeBatch) -> tuple[Tensor, Tensor, Tensor, WholeBatch]:
-        """Of the surrogate (P, V), its value and the entropy (P,), and the batch with network outputs."""
+        """Return the surrogate's gradient (P, V) and value (P,), entropy (P,), and the batch with outputs."""
         parameters, stack = self.actor.learnable, len(batch.weight)
         gradient = torch.zeros_like(flat(parameter.detach() for parameter in parameters))
         surrogate, entropy = gradient.new_zeros(stack), gradient.new_zeros(stack)
@@ -87,7 +87,7 @@ class TRPO:
         return gradient, surrogate, entropy, batch.with_outputs(kept)
 
     def _surrogate(self, actor: Actor, outputs: Tensor, piece: WholeBatch) -> tuple[Tensor, Tensor]:
-        """A piece's share of the surrogate and of the mean entropy, (P,) each."""
+        """Return a piece's share of the surrogate and of the mean entropy, (P,) each."""
         batch = Minibatch(piece.actions, piece.log_probs, piece.advantages)
         loss, info = self.loss(actor.distribution(outputs, piece.masks), batch)
         return -(loss * piece.weight).sum(1), (info["entropy"] * piece.weight).sum(1)
@@ -100,9 +100,10 @@ class TRPO:
         expected: Tensor,
         bound: float,
     ) -> dict[str, Tensor]:
-        """Halve the steps (P, V) of those that do not accept; the policies take what they accept.
+        """Halve the steps (P, V) of policies that do not accept; update each policy with its accepted step.
 
-        `accepted_step` is the share of the whole step that was taken, 0 for none."""
+        The metric `accepted_step` is the share of the full step that was taken, 0 for none.
+        """
         kl, accepted = torch.zeros_like(surrogate), torch.zeros_like(surrogate)
         going = torch.nonzero(expected > 0)[:, 0]
         for halving in range(self.config.line_search_steps + 1):
@@ -124,7 +125,7 @@ class TRPO:
         return {"kl": kl, "accepted_step": accepted}
 
     def _compare(self, before: Actor, after: Actor, batch: WholeBatch) -> tuple[Tensor, Tensor]:
-        """The surrogate of `after`, and its mean KL divergence from `before`, (P,) each."""
+        """Return the surrogate of `after`, and the mean KL(before || after), (P,) each."""
         surrogate, kl = batch.weight.new_zeros(len(batch.weight)), batch.weight.new_zeros(len(batch.weight))
         for piece in batch.pieces(self.config.piece_samples):
             assert piece.outputs is not None
@@ -136,22 +137,22 @@ class TRPO:
         return surrogate, kl
 
     def anneal(self, share: float) -> None:
-        """Take steps of `share` of their length from now on: the bound is `share` squared of its base."""
+        """Scale steps to `share` of their configured size: the KL bound is multiplied by its square."""
         self.share = share
 
     def narrow(self, policies: Tensor) -> Self:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Return this update for copies of `policies` (n,)."""
         part = copy(self)
         part.actor = self.actor.narrow(policies)
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """See `headway_algos.on_policy.updates.Update`."""
+        """Copy `policies` (n,) from `part`."""
         self.actor.adopt(policies, part.actor)
 
     def state_dict(self) -> dict[str, Any]:
-        """Nothing is carried on."""
+        """Return an empty state."""
         return {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
+        """Do nothing: the state is empty."""

@@ -1,1 +1,1 @@
-"""SUMO: the simulation, its traffic, its vehicles by slot."""
+"""SUMO: the simulation, its vehicles, and their slots."""

@@ -1,37 +1,39 @@
-"""Who is on the road now, and which automated vehicle has which slot."""
+"""Vehicles on the road, and the slots of automated vehicles."""
 
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.intersection.layout import MOST_VEHICLES, TRAFFIC, Traffic, Whole
+from headway_envs.intersection.layout import MAX_VEHICLES, TRAFFIC, Traffic, Whole
 
 
 class Roster:
-    """Vehicles in the order in which they came: rows of `traffic`. Slots are taken lowest first."""
+    """Vehicles in order of entry, as rows of `traffic`. The lowest free slot is assigned first."""
 
     def __init__(self, slots: int) -> None:
-        self.memory: NDArray[np.void] = np.zeros(1, TRAFFIC)
-        self.traffic = Traffic.of(self.memory)
+        self.records: NDArray[np.void] = np.zeros(1, TRAFFIC)
+        self.traffic = Traffic.of(self.records)
         self.ids: list[str] = []
         self.row: dict[str, int] = {}
-        self.entered: Whole = np.zeros(MOST_VEHICLES, np.int64)
-        """Step of the episode; in V rows, as the next."""
-        self.lane: Whole = np.zeros(MOST_VEHICLES, np.int64)
+        self.entered: Whole = np.zeros(MAX_VEHICLES, np.int64)
+        """Step of entry, by row."""
+        self.lane: Whole = np.zeros(MAX_VEHICLES, np.int64)
+        """Last known lane of an AV, for counting lane changes; -1: unknown. By row."""
         self.serial: Whole = np.full(slots, -1, np.int64)
-        """(N,): how many AVs had had a slot before the one that has this one, or had it last."""
+        """(N,) serial number of the AV that holds the slot, or held it last, counted over all AVs with a
+        slot."""
         self._served = 0
         self.holder: list[str | None] = [None] * slots
         self.automated: list[tuple[int, int, str]] = []
-        """(row, slot, id) of who has a slot."""
+        """(row, slot, id) of each AV with a slot."""
         self.automated_ids: list[str] = []
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def clear(self) -> None:
-        """Nobody is there."""
+        """Remove all vehicles."""
         self.ids, self.row = [], {}
         self.holder = [None] * len(self.holder)
         self.serial.fill(-1)
@@ -39,7 +41,7 @@ class Roster:
         self._list_automated()
 
     def free_slot(self, kept: Iterable[int] = ()) -> int:
-        """The lowest slot that is free and not among the `kept`; -1: there is none."""
+        """Return the lowest free slot that is not in `kept`; -1: none."""
         kept = set(kept)
         for slot, holder in enumerate(self.holder):
             if holder is None and slot not in kept:
@@ -49,7 +51,7 @@ class Roster:
     def add(
         self, vehicle: str, link: int, slot: int, place: tuple[float, float], speed: float, step: int
     ) -> None:
-        """A vehicle that entered on `link`; `place`: where it is, and the distance it has been driven."""
+        """Add a vehicle that entered on `link`; `place`: its position and its distance driven, m."""
         row = len(self.ids)
         self.ids.append(vehicle)
         self.row[vehicle] = row
@@ -65,7 +67,7 @@ class Roster:
             self._list_automated()
 
     def remove(self, vehicle: str) -> None:
-        """A vehicle that has gone. Those after it move up."""
+        """Remove a vehicle; later rows move up."""
         row, last = self.row.pop(vehicle), len(self.ids) - 1
         slot = int(self.traffic.slot[row])
         for array in (*self.traffic, self.entered, self.lane):

@@ -1,5 +1,5 @@
-"""SUMO in this process. A process holds one simulation: a second would silently replace the first, so whoever
-has it owns it."""
+"""SUMO in this process. A process can hold one simulation, because libsumo would silently replace it by a
+second; its owner is therefore recorded."""
 
 import weakref
 from contextlib import redirect_stdout
@@ -14,7 +14,7 @@ INSTALL = 'the intersection needs SUMO, which is not installed: pip install "hea
 _COMMON = {
     "collision.check-junctions": "true",
     "collision.mingap-factor": "0",  # physical overlap only
-    "collision.action": "remove",  # one report a crash; `warn` repeats it at every step
+    "collision.action": "remove",  # one report per crash; `warn` repeats it at every step
     "time-to-teleport": "-1",
     "emissions.volumetric-fuel": "true",
     "no-step-log": "true",
@@ -26,16 +26,16 @@ _owner: "weakref.ref[Simulation] | None" = None
 
 
 def require_sumo() -> None:
-    """Raise HeadwayError where libsumo is not installed; nothing is imported."""
+    """Raise HeadwayError if libsumo is not installed, without importing it."""
     if find_spec("libsumo") is None:
         raise HeadwayError(INSTALL)
 
 
-def libsumo() -> Any:  # noqa: ANN401 - it comes without types
-    """The module. Raises HeadwayError where it is not installed or cannot be loaded."""
+def libsumo() -> Any:  # noqa: ANN401 - libsumo has no types
+    """Return the module libsumo. Raises HeadwayError if it is not installed or cannot be loaded."""
     require_sumo()
     try:
-        # It prints a guess about pyarrow, with which it works in either order of import.
+        # libsumo prints a warning about the order of imports with pyarrow, although both orders work.
         with redirect_stdout(StringIO()):
             import libsumo as module
     except ImportError as error:  # another Python, an old C library
@@ -44,24 +44,24 @@ def libsumo() -> Any:  # noqa: ANN401 - it comes without types
 
 
 class Simulation:
-    """One simulation, loaded anew for every episode. Not picklable, and for the thread that begins it."""
+    """One simulation, reloaded for every episode. Not picklable, and bound to the thread that starts it."""
 
     def __init__(self, network: str, routes: str, step_s: float) -> None:
-        """`network`: path of the network file; `routes`: content of a route file."""
+        """`network`: path of the network file; `routes`: content of a SUMO route file."""
         self._routes = routes
         common = [word for name, value in _COMMON.items() for word in (f"--{name}", value)]
         self._options = ["-n", network, "--step-length", str(step_s), *common]
         self.sumo = libsumo()
 
     def begin(self, seed: int) -> None:
-        """Load the network anew. Raises HeadwayError where another environment has this process's simulation,
-        and where SUMO cannot load it."""
+        """Load the network and start an episode. Raises HeadwayError if another environment holds this
+        process's simulation, or if SUMO cannot load the network."""
         global _owner
         owner = _owner() if _owner is not None else None
         if owner is not None and owner is not self:
             raise HeadwayError(
-                "this process holds a SUMO simulation already, and it can hold one: close that environment "
-                "first, or make this one in a process of its own"
+                "this process already holds a SUMO simulation, and can hold only one: close that environment "
+                "first, or create this one in another process"
             )
         _owner = weakref.ref(self)
         with NamedTemporaryFile("w", suffix=".rou.xml", encoding="utf-8") as routes:
@@ -69,7 +69,7 @@ class Simulation:
             routes.flush()
             options = ["-r", routes.name, "--seed", str(seed), *self._options]
             try:
-                # Faster than closing it and starting another.
+                # Reloading is faster than closing and starting again.
                 if self.sumo.simulation.isLoaded():
                     self.sumo.load(options)
                 else:
@@ -79,7 +79,7 @@ class Simulation:
                 raise HeadwayError(f"SUMO cannot load the intersection: {error}") from error
 
     def close(self) -> None:
-        """Let another environment have it."""
+        """Release the simulation for other environments of this process."""
         global _owner
         if _owner is not None and _owner() is self:
             _owner = None

@@ -1,12 +1,13 @@
-"""The compiled simulator.
+"""Compiled simulator.
 
-layout: records; lanes, control, drivers, motion, contact: one simulation step; spawn: the beginning of an
-episode; surroundings, rewards, observe, supervisor: what follows from the state; steps: the entries.
+layout: records; lanes, control, drivers, motion, contact: one simulation step; spawn: start of an episode;
+surroundings, rewards, observe, supervisor: functions of the state; steps: the functions that the environment
+calls.
 """
 
 
 def warm() -> None:
-    """Load every compiled function, from the cache where it holds it, by one step of one copy."""
+    """Compile every function, or load it from the cache, by one step of one copy."""
     import numpy as np
 
     from headway_envs.merge.config import MergeConfig

@@ -1,4 +1,4 @@
-"""How every function of this kernel is compiled."""
+"""Compilers of this kernel's functions."""
 
 from pathlib import Path
 

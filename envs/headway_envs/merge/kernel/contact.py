@@ -1,7 +1,8 @@
-"""Who touches whom.
+"""Contacts between vehicles and with obstacles.
 
-`clean`: outlines are tested by separating axes, now and swept by one step's motion; those about to meet are
-pushed apart at the next step and count as crashed there, as in highway-env 1.12.1. `paper`: nine points.
+Preset `clean`: outlines are tested by separating axes, at their positions and swept by one step's motion;
+vehicles about to intersect are pushed apart at the next step and count as crashed then, as in highway-env
+1.12.1. Preset `paper`: nine points of each vehicle are tested.
 """
 
 import math
@@ -26,14 +27,14 @@ def _interval_gap(low: float, high: float, other_low: float, other_high: float) 
 def outlines(
     a: Record, b: Record, b_length: float, b_width: float, moved_x: float, moved_y: float
 ) -> tuple[bool, bool, float, float]:
-    """Whether the outlines of vehicle a and of b meet now, whether they will once a has moved by (moved_x,
-    moved_y) relative to b, and the shortest displacement of a that parts them then."""
+    """Return whether the outlines of vehicles a and b intersect now, whether they will after a has moved by
+    (moved_x, moved_y) relative to b, and the shortest displacement (x, y) of a that separates them then."""
     meets, will_meet = True, True
     least, push_x, push_y = np.inf, 0.0, 0.0
     apart_x, apart_y = a.x - b.x, a.y - b.y
     for edge in range(8):
         cosine, sine = (a.cosine, a.sine) if edge < 4 else (b.cosine, b.sine)
-        # The normals of the edges in turn: back, right, front, left.
+        # Normals of the edges: back, right, front, left.
         if edge % 4 == 0:
             axis_x, axis_y = -cosine, -sine
         elif edge % 4 == 1:
@@ -69,10 +70,10 @@ def outlines(
 
 
 @compiled
-def _a_point_of(
+def _has_point_inside(
     a: Record, a_length: float, a_width: float, b: Record, b_length: float, b_width: float
 ) -> bool:
-    """Whether one of nine points of a, shrunk, lies in b, shrunk."""
+    """Return whether one of nine points of a, shrunk, lies in b, shrunk."""
     for along in (-1.0, 0.0, 1.0):
         for across in (-1.0, 0.0, 1.0):
             u, w = along * _SHRUNK * a_length / 2.0, across * _SHRUNK * a_width / 2.0
@@ -86,20 +87,20 @@ def _a_point_of(
 
 @compiled_apart
 def shrunk_overlap(a: Record, b: Record, b_is_obstacle: bool) -> bool:
-    """The nine-point test, both ways."""
+    """Return whether a and b overlap by the nine-point test, in both directions."""
     x, y = b.x - a.x, b.y - a.y
     if x * x + y * y > CAR_LENGTH * CAR_LENGTH:
         return False
     length, width = (OBSTACLE_SIZE, OBSTACLE_SIZE) if b_is_obstacle else (CAR_LENGTH, CAR_WIDTH)
-    if _a_point_of(a, CAR_LENGTH, CAR_WIDTH, b, length, width):
+    if _has_point_inside(a, CAR_LENGTH, CAR_WIDTH, b, length, width):
         return True
-    return _a_point_of(b, length, width, a, CAR_LENGTH, CAR_WIDTH)
+    return _has_point_inside(b, length, width, a, CAR_LENGTH, CAR_WIDTH)
 
 
 @compiled_apart
-def touch(k: Record, a: Record, b: Record, b_is_obstacle: bool) -> bool:
-    """Whether vehicle a touches b now, by the rules in force."""
-    if not k.whole_outlines:
+def overlaps(k: Record, a: Record, b: Record, b_is_obstacle: bool) -> bool:
+    """Return whether vehicle a overlaps b, by the test of the preset."""
+    if not k.exact_outlines:
         return shrunk_overlap(a, b, b_is_obstacle)
     reach = _CAR_DIAGONAL / 2.0 + (_OBSTACLE_DIAGONAL if b_is_obstacle else _CAR_DIAGONAL) / 2.0
     x, y = b.x - a.x, b.y - a.y
@@ -135,15 +136,15 @@ def _collide_outlines(a: Record, b: Record, b_is_obstacle: bool) -> None:
 
 
 @compiled
-def collide(k: Record, cars: NDArray[np.void], moving: int, things: int) -> None:
-    """Mark who has crashed, of the first `moving` vehicles and the obstacles up to `things`."""
-    if k.whole_outlines:
+def mark_collisions(k: Record, cars: NDArray[np.void], moving: int, bodies: int) -> None:
+    """Mark crashed vehicles: the first `moving` of `bodies` are vehicles, the others obstacles."""
+    if k.exact_outlines:
         for i in range(moving):
-            for j in range(i + 1, things):
+            for j in range(i + 1, bodies):
                 _collide_outlines(cars[i], cars[j], j >= moving)
         return
     for i in range(moving):
-        for j in range(things):
+        for j in range(bodies):
             if i == j or cars[i].crashed or not shrunk_overlap(cars[i], cars[j], j >= moving):
                 continue
             slower = cars[i].speed if abs(cars[i].speed) <= abs(cars[j].speed) else cars[j].speed

@@ -1,6 +1,6 @@
-"""How a vehicle keeps to its target lane and speed, and what the actions of a CAV change.
+"""Control of target lane and speed, and the effect of a CAV's actions on them.
 
-Source: highway-env (Leurent 2018), whose controller is a cascade of proportional ones.
+Source: highway-env (Leurent 2018), whose controller is a cascade of proportional controllers.
 """
 
 import math
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled
 from headway_envs.merge.kernel.lanes import (
-    after_end,
     can_change_to,
     heading_at,
     lateral,
     not_zero,
+    past_end,
     side_lane,
     wrapped,
 )
@@ -23,9 +23,9 @@ from headway_envs.merge.kernel.layout import (
     FASTER,
     FASTEST_INDEX,
     LEFT,
+    MIN_TARGET_SPEED,
     RIGHT,
     SLOWER,
-    SLOWEST,
     SPEED_STEP,
     Network,
     Record,
@@ -33,7 +33,7 @@ from headway_envs.merge.kernel.layout import (
 
 _SPEED_GAIN, _HEADING_GAIN, _LATERAL_GAIN = 1.0 / 0.6, 1.0 / 0.2, 1.0 / 0.6
 _LOOK_AHEAD_S = 0.1
-_MOST_STEERING = math.pi / 3.0
+_MAX_STEERING = math.pi / 3.0
 
 
 @compiled
@@ -43,13 +43,13 @@ def _clip(value: float, low: float, high: float) -> float:
 
 @compiled
 def speed_index(speed: float) -> int:
-    """Index of the target speed that is closest; of two equally close, the even one."""
-    return int(_clip(np.rint((speed - SLOWEST) / SPEED_STEP), 0.0, float(FASTEST_INDEX)))
+    """Return the index of the closest target speed; ties: the even index."""
+    return int(_clip(np.rint((speed - MIN_TARGET_SPEED) / SPEED_STEP), 0.0, float(FASTEST_INDEX)))
 
 
 @compiled
 def steer(k: Record, lane: Record, car: Record) -> float:
-    """Steering angle to keep to the centre of a lane."""
+    """Return the steering angle that keeps a vehicle at the centre of a lane, rad."""
     along, offset = car.x - lane.x, lateral(lane, car.x, car.y)
     if offset == 0.0 and car.heading == 0.0 and lane.amplitude == 0.0:
         return 0.0
@@ -60,24 +60,24 @@ def steer(k: Record, lane: Record, car: Record) -> float:
     angle = math.asin(_clip(CAR_LENGTH / 2.0 / speed * rate, -1.0, 1.0))
     if k.steering_from_slip:
         angle = math.atan(2.0 * math.tan(angle))
-    return _clip(angle, -_MOST_STEERING, _MOST_STEERING)
+    return _clip(angle, -_MAX_STEERING, _MAX_STEERING)
 
 
 @compiled
-def follow_road(lanes: NDArray[np.void], car: Record) -> None:
-    """At the end of the target lane, go on to the next."""
+def advance_target_lane(lanes: NDArray[np.void], car: Record) -> None:
+    """Set the target lane to its successor at its end."""
     lane = lanes[car.target_lane]
-    if after_end(lane, car.x):
+    if past_end(lane, car.x):
         car.target_lane = lane.successor
 
 
 @compiled
-def decide(net: Network, k: Record, car: Record, action: int) -> None:
-    """Change the targets of a CAV by an action."""
-    follow_road(net.lanes, car)
+def apply_action(net: Network, k: Record, car: Record, action: int) -> None:
+    """Change the target lane or speed of a CAV by an action."""
+    advance_target_lane(net.lanes, car)
     if action in (FASTER, SLOWER):
         index = speed_index(car.speed) + (1 if action == FASTER else -1)
-        car.target_speed = SLOWEST + SPEED_STEP * min(max(index, 0), FASTEST_INDEX)
+        car.target_speed = MIN_TARGET_SPEED + SPEED_STEP * min(max(index, 0), FASTEST_INDEX)
     elif action in (LEFT, RIGHT):
         other = side_lane(net, k, car.target_lane, -1 if action == LEFT else 1)
         if other >= 0 and can_change_to(net.lanes[other], car.x, car.y):
@@ -86,7 +86,7 @@ def decide(net: Network, k: Record, car: Record, action: int) -> None:
 
 @compiled
 def control(net: Network, k: Record, car: Record) -> None:
-    """Steering and acceleration of a CAV towards its targets."""
-    follow_road(net.lanes, car)
+    """Set the steering and acceleration of a CAV towards its targets."""
+    advance_target_lane(net.lanes, car)
     car.steering = steer(k, net.lanes[car.target_lane], car)
     car.acceleration = _SPEED_GAIN * (car.target_speed - car.speed)

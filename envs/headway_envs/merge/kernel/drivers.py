@@ -1,7 +1,7 @@
-"""Human drivers: the intelligent driver model for the speed, MOBIL for changes of lane.
+"""Human drivers: the Intelligent Driver Model (IDM) for the speed, MOBIL for lane changes.
 
 Sources: Treiber, Hennecke and Helbing 2000 (doi 10.1103/PhysRevE.62.1805); Kesting, Treiber and Helbing 2007
-(doi 10.3141/1999-10); constants and what a driver sees as in highway-env 1.12.1.
+(doi 10.3141/1999-10). Constants and the search for neighbours follow highway-env 1.12.1.
 """
 
 import math
@@ -10,30 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
-from headway_envs.merge.kernel.control import follow_road, steer
+from headway_envs.merge.kernel.control import advance_target_lane, steer
 from headway_envs.merge.kernel.lanes import can_change_to, is_on, not_zero, side_lane
 from headway_envs.merge.kernel.layout import Network, Record
 
-_MOST_ACCELERATION, _COMFORT, _BRAKING = 6.0, 3.0, 5.0
+_MAX_ACCELERATION, _COMFORT, _BRAKING = 6.0, 3.0, 5.0
 _STANDING_GAP, _TIME_GAP_S = 10.0, 1.5
-_THINK_EVERY_S = 1.0
+_LANE_CHANGE_INTERVAL_S = 1.0
 _TWICE_ROOT = 2.0 * math.sqrt(_COMFORT * _BRAKING)
 
 
 @compiled_apart
 def neighbours(
-    net: Network, cars: NDArray[np.void], things: int, me: int, lane_index: int
+    net: Network, cars: NDArray[np.void], bodies: int, ego: int, lane_index: int
 ) -> tuple[int, int]:
-    """Who is ahead of and behind a vehicle on a lane, of the first `things` vehicles and obstacles (-1:
-    nobody).
+    """Return the indices of the vehicles or obstacles ahead of and behind a vehicle on a lane (-1: none).
 
-    What stands farther than a vehicle's length beyond the lane's ends is not seen."""
+    Only the first `bodies` records are searched, up to a vehicle's length beyond the lane's ends."""
     lane = net.lanes[lane_index]
-    here = cars[me].x - lane.x
+    here = cars[ego].x - lane.x
     ahead, behind = -1, -1
     gap_ahead, gap_behind = np.inf, -np.inf
-    for other in range(things):
-        if other == me or not is_on(lane, cars[other].x, cars[other].y):
+    for other in range(bodies):
+        if other == ego or not is_on(lane, cars[other].x, cars[other].y):
             continue
         there = cars[other].x - lane.x
         if here <= there and there <= gap_ahead:
@@ -44,17 +43,17 @@ def neighbours(
 
 
 @compiled
-def wanted_gap(ego: Record, ahead: Record) -> float:
-    """Gap that the driver of `ego` wants to the vehicle ahead, centre to centre."""
+def desired_gap(ego: Record, ahead: Record) -> float:
+    """Return the desired gap of `ego` to the vehicle ahead, centre to centre, m."""
     closing = (ego.speed * ego.cosine - ahead.speed * ahead.cosine) * ego.cosine
     closing += (ego.speed * ego.sine - ahead.speed * ahead.sine) * ego.sine
     return float(_STANDING_GAP + ego.speed * _TIME_GAP_S + ego.speed * closing / _TWICE_ROOT)
 
 
 @compiled
-def wanted_acceleration(cars: NDArray[np.void], moving: int, ego_index: int, ahead_index: int) -> float:
-    """Acceleration that a driver wants behind another (-1: nobody); 0 for nobody (-1) and for obstacles,
-    which begin at `moving`."""
+def desired_acceleration(cars: NDArray[np.void], moving: int, ego_index: int, ahead_index: int) -> float:
+    """Return the IDM acceleration of a driver behind `ahead_index` (-1: free road), m/s2. It is 0 if
+    `ego_index` is -1 (no vehicle) or an obstacle (`moving` or above)."""
     if ego_index < 0 or ego_index >= moving:
         return 0.0
     ego = cars[ego_index]
@@ -62,82 +61,83 @@ def wanted_acceleration(cars: NDArray[np.void], moving: int, ego_index: int, ahe
     acceleration = _COMFORT * (1.0 - share * share * share * share)
     if ahead_index >= 0:
         ahead = cars[ahead_index]
-        pressure = wanted_gap(ego, ahead) / not_zero(ahead.x - ego.x)
+        pressure = desired_gap(ego, ahead) / not_zero(ahead.x - ego.x)
         acceleration -= _COMFORT * pressure * pressure
     return float(acceleration)
 
 
 @compiled
-def _would_change(
-    net: Network, k: Record, cars: NDArray[np.void], moving: int, things: int, me: int, lane: int
+def _accepts_change(
+    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int, lane: int
 ) -> bool:
-    """MOBIL, without politeness."""
-    new_ahead, new_behind = neighbours(net, cars, things, me, lane)
-    if wanted_acceleration(cars, moving, new_behind, me) < -k.most_braking:
+    """Return whether MOBIL, with politeness 0, accepts a change to `lane`."""
+    new_ahead, new_behind = neighbours(net, cars, bodies, ego, lane)
+    if desired_acceleration(cars, moving, new_behind, ego) < -k.max_braking:
         return False
-    ahead, _ = neighbours(net, cars, things, me, cars[me].lane)
-    there = wanted_acceleration(cars, moving, me, new_ahead)
-    here = wanted_acceleration(cars, moving, me, ahead)
+    ahead, _ = neighbours(net, cars, bodies, ego, cars[ego].lane)
+    there = desired_acceleration(cars, moving, ego, new_ahead)
+    here = desired_acceleration(cars, moving, ego, ahead)
     gain = there - here
     if k.ramp_lanes == 2 and there == here:
-        gain += k.gain_where_equal
-    return bool(gain >= k.least_gain)
+        gain += k.tie_gain
+    return bool(gain >= k.min_gain)
 
 
 @compiled
-def _give_way(cars: NDArray[np.void], moving: int, me: int) -> None:
-    """Give a change up if somebody not far ahead is already changing to the same lane."""
-    car = cars[me]
+def _cancel_conflicting_change(cars: NDArray[np.void], moving: int, ego: int) -> None:
+    """Cancel a lane change if a vehicle closely ahead is already changing to the same lane."""
+    car = cars[ego]
     for index in range(moving):
         other = cars[index]
-        if index == me or other.lane == car.target_lane or other.target_lane != car.target_lane:
+        if index == ego or other.lane == car.target_lane or other.target_lane != car.target_lane:
             continue
-        if 0.0 < other.x - car.x < wanted_gap(car, other):
+        if 0.0 < other.x - car.x < desired_gap(car, other):
             car.target_lane = car.lane
             return
 
 
 @compiled
-def _think_of_changing(
-    net: Network, k: Record, cars: NDArray[np.void], moving: int, things: int, me: int
+def _consider_lane_change(
+    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int
 ) -> None:
-    car = cars[me]
+    """Cancel an ongoing lane change or, once per second, consider a new one."""
+    car = cars[ego]
     if car.lane != car.target_lane:
         if net.lanes[car.lane].first == net.lanes[car.target_lane].first:
-            _give_way(cars, moving, me)
+            _cancel_conflicting_change(cars, moving, ego)
         return
-    if car.timer <= _THINK_EVERY_S:
+    if car.timer <= _LANE_CHANGE_INTERVAL_S:
         return
     car.timer = 0.0
     for side in (-1, 1):
         lane = side_lane(net, k, car.lane, side)
         if lane < 0 or not can_change_to(net.lanes[lane], car.x, car.y):
             continue
-        if abs(car.speed) >= k.least_change_speed and _would_change(net, k, cars, moving, things, me, lane):
+        if abs(car.speed) >= k.min_change_speed and _accepts_change(net, k, cars, moving, bodies, ego, lane):
             car.target_lane = lane
 
 
 @compiled
-def keep_on(
-    net: Network, k: Record, cars: NDArray[np.void], moving: int, things: int, me: int, as_if: Record
+def follow_target_lane(
+    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int, controlled: Record
 ) -> None:
-    """Steering and acceleration of a human driver that keeps the target lane, written to `as_if`."""
-    car = cars[me]
+    """Write the steering and acceleration of a human driver that follows its target lane to `controlled`."""
+    car = cars[ego]
     steering = steer(k, net.lanes[car.target_lane], car)
-    ahead, _ = neighbours(net, cars, things, me, car.lane)
-    acceleration = wanted_acceleration(cars, moving, me, ahead)
+    ahead, _ = neighbours(net, cars, bodies, ego, car.lane)
+    acceleration = desired_acceleration(cars, moving, ego, ahead)
     if k.follow_both_lanes and car.lane != car.target_lane:
-        ahead, _ = neighbours(net, cars, things, me, car.target_lane)
-        acceleration = min(acceleration, wanted_acceleration(cars, moving, me, ahead))
-    as_if.steering = steering
-    as_if.acceleration = min(max(acceleration, -_MOST_ACCELERATION), _MOST_ACCELERATION)
+        ahead, _ = neighbours(net, cars, bodies, ego, car.target_lane)
+        acceleration = min(acceleration, desired_acceleration(cars, moving, ego, ahead))
+    controlled.steering = steering
+    controlled.acceleration = min(max(acceleration, -_MAX_ACCELERATION), _MAX_ACCELERATION)
 
 
 @compiled_apart
-def drive(net: Network, k: Record, cars: NDArray[np.void], moving: int, things: int, me: int) -> None:
-    """What a human driver does in one simulation step."""
-    if cars[me].crashed:
+def drive_human(net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int) -> None:
+    """Apply a human driver's decisions for one simulation step."""
+    if cars[ego].crashed:
         return
-    follow_road(net.lanes, cars[me])
-    _think_of_changing(net, k, cars, moving, things, me)
-    keep_on(net, k, cars, moving, things, me, cars[me])
+    advance_target_lane(net.lanes, cars[ego])
+    _consider_lane_change(net, k, cars, moving, bodies, ego)
+    follow_target_lane(net, k, cars, moving, bodies, ego, cars[ego])

@@ -1,4 +1,4 @@
-"""Where a vehicle is on a lane. Distances along a lane are along x, from its beginning."""
+"""Positions relative to lanes. Distances along a lane are measured along x, from its start."""
 
 import math
 
@@ -11,7 +11,7 @@ from headway_envs.merge.kernel.layout import CAR_LENGTH, LANE_WIDTH, Network, Re
 
 @compiled
 def not_zero(value: float) -> float:
-    """`value`, or 0.01 with its sign where it is smaller."""
+    """Return `value`, or 0.01 with its sign if its magnitude is at most 0.01."""
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0.0 else -1e-2
@@ -19,7 +19,7 @@ def not_zero(value: float) -> float:
 
 @compiled
 def wrapped(angle: float) -> float:
-    """The same angle between -pi and pi."""
+    """Return the equivalent angle in [-pi, pi)."""
     if -math.pi <= angle < math.pi:
         return angle
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
@@ -27,7 +27,7 @@ def wrapped(angle: float) -> float:
 
 @compiled
 def lateral(lane: Record, x: float, y: float) -> float:
-    """Offset to the right of the lane's centre."""
+    """Return the offset to the right of the lane's centre, m."""
     offset = y - lane.y
     if lane.amplitude != 0.0:
         offset -= lane.amplitude * math.sin(lane.pulsation * (x - lane.x) + lane.phase)
@@ -36,21 +36,21 @@ def lateral(lane: Record, x: float, y: float) -> float:
 
 @compiled
 def heading_at(lane: Record, along: float) -> float:
-    """Heading of the lane's centre at a distance along it."""
+    """Return the heading of the lane's centre at a distance along it, rad."""
     if lane.amplitude == 0.0:
         return 0.0
     return math.atan(lane.amplitude * lane.pulsation * math.cos(lane.pulsation * along + lane.phase))
 
 
 @compiled
-def after_end(lane: Record, x: float) -> bool:
-    """Whether x is half a vehicle's length before the lane's end, or farther."""
+def past_end(lane: Record, x: float) -> bool:
+    """Return whether x is less than half a vehicle's length before the lane's end, or past it."""
     return bool(x - lane.x > lane.length - CAR_LENGTH / 2.0)
 
 
 @compiled
 def is_on(lane: Record, x: float, y: float) -> bool:
-    """Whether a place counts as on the lane for those who look for vehicles there, with 1 m of margin."""
+    """Return whether a position counts as on the lane in the search for neighbours, with a margin of 1 m."""
     along = x - lane.x
     if along < -CAR_LENGTH or along >= lane.length + CAR_LENGTH:
         return False
@@ -59,7 +59,7 @@ def is_on(lane: Record, x: float, y: float) -> bool:
 
 @compiled
 def can_change_to(lane: Record, x: float, y: float) -> bool:
-    """Whether a vehicle may change to the lane from here."""
+    """Return whether a vehicle at (x, y) may change to the lane."""
     along = x - lane.x
     if lane.closed or along < 0.0 or along >= lane.length + CAR_LENGTH:
         return False
@@ -67,8 +67,9 @@ def can_change_to(lane: Record, x: float, y: float) -> bool:
 
 
 @compiled_apart
-def closest(lanes: NDArray[np.void], x: float, y: float, heading: float) -> int:
-    """The lane that a vehicle is on: of the least sum of lateral offset, distance to its ends and angle."""
+def closest_lane(lanes: NDArray[np.void], x: float, y: float, heading: float) -> int:
+    """Return the lane of a vehicle: the one with the least sum of lateral offset and distance beyond its
+    ends, m, and angle, rad."""
     least, found = np.inf, 0
     turned = abs(wrapped(heading))
     for index in range(lanes.shape[0]):
@@ -88,8 +89,8 @@ def closest(lanes: NDArray[np.void], x: float, y: float, heading: float) -> int:
 
 @compiled
 def side_lane(net: Network, k: Record, lane: int, side: int) -> int:
-    """The lane to the left (-1) or right (1) of one on the same road, or -1. With two ramp lanes nobody
-    changes to the right: the inner one is open to those on the outer one only."""
+    """Return the lane to the left (side -1) or right (side 1) on the same road; -1: none. With two ramp lanes
+    there are no changes to the right: the inner one is open to vehicles on the outer one only."""
     other = lane + side
     if other < net.lanes[lane].first or other > net.lanes[lane].last:
         return -1

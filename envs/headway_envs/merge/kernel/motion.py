@@ -6,25 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
-from headway_envs.merge.kernel.contact import collide
+from headway_envs.merge.kernel.contact import mark_collisions
 from headway_envs.merge.kernel.control import control
-from headway_envs.merge.kernel.drivers import drive
-from headway_envs.merge.kernel.lanes import closest
+from headway_envs.merge.kernel.drivers import drive_human
+from headway_envs.merge.kernel.lanes import closest_lane
 from headway_envs.merge.kernel.layout import CAR_LENGTH, Network, Record
 
-_FASTEST = 40.0
+_MAX_SPEED = 40.0
 
 
 @compiled
-def roll(net: Network, car: Record, dt: float) -> None:
-    """Move one vehicle by the kinematic bicycle model, all from the speed and heading at the step's begin."""
+def move(net: Network, car: Record, dt: float) -> None:
+    """Move one vehicle by the kinematic bicycle model, with speed and heading of the step's start."""
     if car.crashed:
         car.steering = 0.0
         car.acceleration = -car.speed
-    if car.speed > _FASTEST:
-        car.acceleration = min(car.acceleration, _FASTEST - car.speed)
-    elif car.speed < -_FASTEST:
-        car.acceleration = max(car.acceleration, -_FASTEST - car.speed)
+    if car.speed > _MAX_SPEED:
+        car.acceleration = min(car.acceleration, _MAX_SPEED - car.speed)
+    elif car.speed < -_MAX_SPEED:
+        car.acceleration = max(car.acceleration, -_MAX_SPEED - car.speed)
     if car.steering == 0.0:
         car.x += car.speed * car.cosine * dt
         car.y += car.speed * car.sine * dt
@@ -40,18 +40,18 @@ def roll(net: Network, car: Record, dt: float) -> None:
         car.pushed = 0
         car.crashed = 1
     car.speed += car.acceleration * dt
-    car.lane = closest(net.lanes, car.x, car.y, car.heading)
+    car.lane = closest_lane(net.lanes, car.x, car.y, car.heading)
 
 
 @compiled_apart
-def simulate(net: Network, k: Record, cars: NDArray[np.void], moving: int, things: int, dt: float) -> None:
-    """Everybody decides in turn, then everybody moves, then contacts are looked for."""
+def simulate(net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, dt: float) -> None:
+    """Simulate one step: all vehicles decide in turn, then all move, then contacts are detected."""
     for i in range(moving):
         if cars[i].human:
-            drive(net, k, cars, moving, things, i)
+            drive_human(net, k, cars, moving, bodies, i)
         else:
             control(net, k, cars[i])
     for i in range(moving):
-        roll(net, cars[i], dt)
+        move(net, cars[i], dt)
         cars[i].timer += dt
-    collide(k, cars, moving, things)
+    mark_collisions(k, cars, moving, bodies)

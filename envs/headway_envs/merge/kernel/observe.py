@@ -1,4 +1,4 @@
-"""What CAVs and critics see."""
+"""Observations, action masks and states."""
 
 import math
 
@@ -13,10 +13,10 @@ from headway_envs.merge.kernel.layout import (
     FASTEST_INDEX,
     IDLE,
     LEFT,
+    MIN_TARGET_SPEED,
+    OBSERVED_VEHICLES,
     RIGHT,
-    SEEN,
     SLOWER,
-    SLOWEST,
     SPEED_STEP,
     Network,
     Outputs,
@@ -25,31 +25,31 @@ from headway_envs.merge.kernel.layout import (
 )
 
 _X, _Y, _SPEED = 150.0, 12.0, 45.0
-"""What lengths along and across and speeds are divided by."""
-_SEEN_WITHIN = 180.0
+"""Divisors of x, y and speeds in observations, m and m/s."""
+_OBSERVED_WITHIN_M = 180.0
 
 
 @compiled
-def _observe_one(cars: NDArray[np.void], moving: int, me: int, row: NDArray[np.float32]) -> None:
-    """Presence, x, y and the velocity of a CAV, then of the vehicles within 180 m that are closest along the
-    road, relative to it; zeros where there are fewer."""
-    car = cars[me]
+def _observe_one(cars: NDArray[np.void], moving: int, ego: int, row: NDArray[np.float32]) -> None:
+    """Fill a CAV's observation: 1, x, y and velocity of the CAV, then of the `OBSERVED_VEHICLES` closest
+    vehicles along the road within 180 m, relative to the CAV; zeros if there are fewer."""
+    car = cars[ego]
     vx, vy = car.speed * car.cosine, car.speed * car.sine
     row[:] = 0.0
     row[0] = 1.0
     row[1], row[2], row[3], row[4] = car.x / _X, car.y / _Y, vx / _SPEED, vy / _SPEED
     last_gap, last = -1.0, -1
-    for place in range(1, SEEN + 1):
-        # The next in order of distance; of equally far ones the first comes first.
+    for place in range(1, OBSERVED_VEHICLES + 1):
+        # Select the next vehicle in order of distance, ties by index.
         least, found = np.inf, -1
         for other in range(moving):
             dx, dy = cars[other].x - car.x, cars[other].y - car.y
             gap = abs(dx)
-            if other == me or gap > least or (gap == least and found >= 0):
+            if other == ego or gap > least or (gap == least and found >= 0):
                 continue
             if gap < last_gap or (gap == last_gap and other <= last):
                 continue
-            if math.sqrt(dx * dx + dy * dy) < _SEEN_WITHIN:
+            if math.sqrt(dx * dx + dy * dy) < _OBSERVED_WITHIN_M:
                 least, found = gap, other
         if found < 0:
             return
@@ -63,26 +63,26 @@ def _observe_one(cars: NDArray[np.void], moving: int, me: int, row: NDArray[np.f
 
 
 @compiled
-def allow(net: Network, k: Record, car: Record, allowed: NDArray[np.bool_]) -> None:
-    """Which actions a CAV may take: lanes that it can change to from here, target speeds that exist."""
+def fill_action_mask(net: Network, k: Record, car: Record, allowed: NDArray[np.bool_]) -> None:
+    """Fill the action mask of a CAV: changes to lanes open from here, and target speeds that exist."""
     left, right = side_lane(net, k, car.lane, -1), side_lane(net, k, car.lane, 1)
     allowed[IDLE] = True
     allowed[LEFT] = left >= 0 and can_change_to(net.lanes[left], car.x, car.y)
     allowed[RIGHT] = right >= 0 and can_change_to(net.lanes[right], car.x, car.y)
-    allowed[FASTER] = car.target_speed < SLOWEST + SPEED_STEP * FASTEST_INDEX
-    allowed[SLOWER] = car.target_speed > SLOWEST
+    allowed[FASTER] = car.target_speed < MIN_TARGET_SPEED + SPEED_STEP * FASTEST_INDEX
+    allowed[SLOWER] = car.target_speed > MIN_TARGET_SPEED
 
 
 @compiled
-def look(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
-    """Fill what the agents and critics of copy c face now."""
+def observe(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
+    """Fill observations, alive mask, action masks and state of copy c."""
     episode, cars = world.episodes[c], world.cars[c]
     slots = outputs.alive.shape[1]
     for n in range(slots):
         outputs.alive[c, n] = n < episode.cavs
         if n < episode.cavs:
             _observe_one(cars, episode.cars, n, outputs.observations[c, n])
-            allow(net, k, cars[n], outputs.masks[c, n])
+            fill_action_mask(net, k, cars[n], outputs.masks[c, n])
         else:
             outputs.observations[c, n] = 0.0
             outputs.masks[c, n] = True

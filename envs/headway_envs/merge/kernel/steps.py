@@ -1,4 +1,4 @@
-"""The entries of the kernel: begin and step."""
+"""Functions of the kernel that the environment calls: begin and step."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
-from headway_envs.merge.kernel.control import decide
+from headway_envs.merge.kernel.control import apply_action
 from headway_envs.merge.kernel.layout import (
     AS_HUMAN,
     STEP_S,
@@ -18,8 +18,8 @@ from headway_envs.merge.kernel.layout import (
     World,
 )
 from headway_envs.merge.kernel.motion import simulate
-from headway_envs.merge.kernel.observe import look
-from headway_envs.merge.kernel.rewards import close_books, pay
+from headway_envs.merge.kernel.observe import observe
+from headway_envs.merge.kernel.rewards import compute_rewards, fill_metrics
 from headway_envs.merge.kernel.spawn import begin_episode
 from headway_envs.merge.kernel.supervisor import supervise
 
@@ -31,7 +31,7 @@ def begin(
     """Begin episode 0 of every copy."""
     for c in range(seeds.shape[0]):
         begin_episode(net, settings[0], world, c, seeds[c], 0)
-        look(net, settings[0], world, outputs, c)
+        observe(net, settings[0], world, outputs, c)
 
 
 @compiled
@@ -43,8 +43,10 @@ def _cavs_crashed(world: World, c: int) -> int:
 
 
 @compiled
-def take(net: Network, k: Record, cars: NDArray[np.void], cavs: int, actions: NDArray[np.int64]) -> None:
-    """Let the CAVs take their actions (N,)."""
+def apply_actions(
+    net: Network, k: Record, cars: NDArray[np.void], cavs: int, actions: NDArray[np.int64]
+) -> None:
+    """Apply the actions (N,) of the CAVs."""
     for i in range(cavs):
         car = cars[i]
         if actions[i] == AS_HUMAN:
@@ -52,13 +54,13 @@ def take(net: Network, k: Record, cars: NDArray[np.void], cavs: int, actions: ND
             car.target_speed = car.desired_speed
         else:
             car.human = 0
-            decide(net, k, car, actions[i])
+            apply_action(net, k, car, actions[i])
 
 
 @compiled
 def _advance(net: Network, k: Record, world: World, c: int, actions: NDArray[np.int64]) -> None:
     episode, cars = world.episodes[c], world.cars[c]
-    take(net, k, cars, episode.cavs, actions)
+    apply_actions(net, k, cars, episode.cavs, actions)
     episode.step += 1
     for _ in range(SUBSTEPS):
         simulate(net, k, cars, episode.cars, episode.cars + net.obstacles.shape[0], STEP_S)
@@ -70,7 +72,7 @@ def _advance(net: Network, k: Record, world: World, c: int, actions: NDArray[np.
 
 @compiled
 def _end(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> None:
-    """Close the books of a copy whose episode has ended, and begin its next."""
+    """Fill the final arrays and metrics of a copy whose episode has ended, and begin its next episode."""
     episode = world.episodes[c]
     over = episode.crash or k.time_is_terminal
     outputs.ended[c] = True
@@ -84,9 +86,9 @@ def _end(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> Non
     outputs.final_episodes[c] = episode
     for i in range(world.cars.shape[1]):
         outputs.final_cars[c, i] = world.cars[c, i]
-    close_books(world, c, outputs.metrics[c])
+    fill_metrics(world, c, outputs.metrics[c])
     begin_episode(net, k, world, c, episode.seed, episode.number + 1)
-    look(net, k, world, outputs, c)
+    observe(net, k, world, outputs, c)
 
 
 @compiled_apart
@@ -98,7 +100,7 @@ def step(
     outputs: Outputs,
     actions: NDArray[np.int64],
 ) -> None:
-    """Advance every copy by one step of the agents; actions (C, N), which the supervisor may replace."""
+    """Advance every copy by one step of the agents; the supervisor may replace entries of actions (C, N)."""
     k = settings[0]
     for c in range(actions.shape[0]):
         outputs.ended[c] = False
@@ -109,7 +111,7 @@ def step(
         if k.supervisor:
             supervise(net, k, world, c, work, actions[c])
         _advance(net, k, world, c, actions[c])
-        pay(net, k, world, c, outputs.rewards[c], work.own)
-        look(net, k, world, outputs, c)
+        compute_rewards(net, k, world, c, outputs.rewards[c], work.own)
+        observe(net, k, world, outputs, c)
         if world.episodes[c].crash or world.episodes[c].step >= k.steps:
             _end(net, k, world, outputs, c)

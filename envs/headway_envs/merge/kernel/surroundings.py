@@ -1,20 +1,20 @@
-"""Who is next to a CAV."""
+"""Vehicles next to a CAV."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
-from headway_envs.merge.kernel.layout import SIGHT, Network
+from headway_envs.merge.kernel.layout import MAX_GAP, Network
 
 
 @compiled_apart
-def gap_ahead(net: Network, cars: NDArray[np.void], moving: int, me: int) -> float:
-    """Distance along x, centre to centre and 60 m at most, to the next vehicle ahead that is on the same lane
-    or, unless that ends, on the one that follows."""
-    car = cars[me]
+def gap_ahead(net: Network, cars: NDArray[np.void], moving: int, ego: int) -> float:
+    """Return the distance along x, centre to centre and at most 60 m, to the next vehicle ahead on the same
+    lane or, unless that lane ends, on its successor."""
+    car = cars[ego]
     lane = net.lanes[car.lane]
     follows = car.lane if lane.merging else lane.successor
-    gap = SIGHT
+    gap = MAX_GAP
     for other in range(moving):
         ahead = cars[other].x - car.x
         if 0.0 < ahead < gap and (cars[other].lane == car.lane or cars[other].lane == follows):
@@ -23,16 +23,18 @@ def gap_ahead(net: Network, cars: NDArray[np.void], moving: int, me: int) -> flo
 
 
 @compiled_apart
-def next_on(net: Network, cars: NDArray[np.void], moving: int, me: int, lane: int) -> tuple[int, int]:
-    """The vehicles ahead and behind, by x, on a lane or those it leads from and to; -1: nobody."""
+def adjacent_vehicles(
+    net: Network, cars: NDArray[np.void], moving: int, ego: int, lane: int
+) -> tuple[int, int]:
+    """Return the nearest vehicles ahead and behind, by x, on `lane` or lanes connected to it; -1: none."""
     ahead, behind = -1, -1
     gap_ahead, gap_behind = np.inf, np.inf
     if lane < 0:
         return ahead, behind
     for other in range(moving):
-        if other == me or not net.near[lane, cars[other].lane]:
+        if other == ego or not net.near[lane, cars[other].lane]:
             continue
-        gap = cars[other].x - cars[me].x
+        gap = cars[other].x - cars[ego].x
         if gap > 0.0:
             if gap < gap_ahead:
                 ahead, gap_ahead = other, gap
@@ -42,7 +44,7 @@ def next_on(net: Network, cars: NDArray[np.void], moving: int, me: int, lane: in
 
 
 @compiled
-def right_of(net: Network, cars: NDArray[np.void], me: int) -> int:
-    """The right one of the two lanes whose vehicles are next to a vehicle; -1: there is none."""
-    lane = net.lanes[cars[me].lane]
-    return int(lane.right) if cars[me].x > lane.beside_from else -1
+def right_neighbour_lane(net: Network, cars: NDArray[np.void], ego: int) -> int:
+    """Return the right one of a vehicle's pair of neighbouring lanes; -1: none."""
+    lane = net.lanes[cars[ego].lane]
+    return int(lane.right) if cars[ego].x > lane.beside_from else -1

@@ -1,4 +1,4 @@
-"""The Ray cluster on which one session has its rollout workers, or its training processes whole."""
+"""The Ray cluster that runs a session's rollout workers, or its complete training processes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,29 +17,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SessionCluster:
-    """One for all training processes; or none, where no experiment asks for Ray."""
+    """The Ray cluster shared by all training processes of a session; empty if no backend is Ray."""
 
     address: str | None = None
-    """HOST:PORT of its head."""
+    """HOST:PORT of the head node; None without a cluster."""
     shared_out: bool = False
-    """It is this machine, whose cores are shared out by the session."""
+    """Whether the cluster is this machine only, so that the session divides the cores itself."""
     cpus: int | None = None
-    """Of all its machines; None: the cores of this machine."""
+    """CPUs of all nodes; None: use the cores of this machine."""
     node_cpus: int | None = None
-    """Of its largest machine; None as for `cpus`."""
+    """CPUs of the largest node; None as for `cpus`."""
     learners: bool = False
-    """Runs train on it, instead of only their workers."""
+    """Whether complete training processes run on the cluster, not only their rollout workers."""
 
     @classmethod
     def open(cls, backends: Sequence[BackendConfig]) -> Self:
-        """Connect to the cluster that experiments ask for, or start it. Raises HeadwayError where that
-        fails."""
-        asking = [backend for backend in backends if backend.name == "ray"]
-        if not asking:
+        """Connect to the cluster that the backends request, or start one on this machine. Raises HeadwayError
+        if that fails."""
+        on_ray = [backend for backend in backends if backend.name == "ray"]
+        if not on_ray:
             return cls()
-        asked, learners = asking[0].address, asking[0].learners
-        address = connect(asked)
-        if asked == "local":
+        requested, learners = on_ray[0].address, on_ray[0].learners
+        address = connect(requested)
+        if requested == "local":
             return cls(address, shared_out=True, learners=learners == "cluster")
         import ray
 
@@ -48,35 +48,34 @@ class SessionCluster:
         if cpus == 0:
             disconnect()
             raise HeadwayError(f"the Ray cluster at {address} has no CPUs; start nodes with `ray start`")
-        on_it = learners == "cluster" or (learners is None and len(asking) > 1)
-        return cls(address, cpus=cpus, node_cpus=int(max(nodes)), learners=on_it)
+        learners_on_cluster = learners == "cluster" or (learners is None and len(on_ray) > 1)
+        return cls(address, cpus=cpus, node_cpus=int(max(nodes)), learners=learners_on_cluster)
 
     def backend(self, asked: BackendConfig) -> BackendConfig:
-        """The backend of a training process: on this cluster."""
+        """Return the backend of a training process with the address of this cluster."""
         if self.address is None or asked.name != "ray":
             return asked
         cpus = 0.0 if asked.worker_cpus is None and self.shared_out else asked.worker_cpus
         return replace(asked, address=self.address, worker_cpus=cpus)
 
     def share_cores(self, backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> CoreShares:
-        """See `headway_launch.runner.jobs.share_cores`; `cores` are this machine's. A run that is placed
-        whole takes cores as one on this machine does, and no more than a machine of the cluster has: as
-        workers, if it does not say how many it needs, and as a place, if it does."""
+        """Return how the cores are shared, as `headway_launch.runner.jobs.share_cores`. `cores`: of this
+        machine. Training processes on the cluster take at most the CPUs of one node each."""
         if not self.learners or self.cpus is None:
             return share_cores(backend, jobs, cores, self.cpus)
         return share_cores(backend, jobs, self.cpus, node_cpus=self.node_cpus)
 
     def open_training(self, job: "TrainingJob") -> Training:
-        """Start a training process, here or, with workers beside it as processes, on the cluster."""
+        """Start a training process here, or on a cluster node, together with its rollout workers."""
         backend = job.config.backend
         if not self.learners or backend.name != "ray":
             return TrainingProcess(job)
         from headway_launch.runner.cluster.ray_training import RayTraining
 
-        whole = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
-        return RayTraining(whole, self.node_cpus)
+        on_node = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
+        return RayTraining(on_node, self.node_cpus)
 
     def close(self) -> None:
-        """Disconnect; a cluster that this session started ends."""
+        """Disconnect, which ends a cluster that this session started."""
         if self.address is not None:
             disconnect()

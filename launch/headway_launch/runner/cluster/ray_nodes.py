@@ -1,4 +1,4 @@
-"""Wait until a Ray cluster has so many nodes:
+"""Wait until a Ray cluster has a number of nodes:
 `python -m headway_launch.runner.cluster.ray_nodes HOST:PORT NUMBER`."""
 
 import argparse
@@ -14,8 +14,8 @@ _POLL_S = 0.5
 
 
 def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -> None:
-    """Return as soon as the cluster has so many nodes. Raises HeadwayError where it has not for so long, with
-    why it cannot be used, or at once where Ray is not installed."""
+    """Wait until the cluster has `number` live nodes. Raises HeadwayError with the reason after `patience_s`
+    seconds, or at once if Ray is not installed."""
     require_ray()
     deadline = time.monotonic() + patience_s
     while True:
@@ -33,7 +33,7 @@ def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -
 
 
 def _nodes_of(address: str) -> int:
-    """How many live nodes there are. Raises HeadwayError as `connect` does."""
+    """Return the number of live nodes. Raises HeadwayError if the cluster cannot be reached."""
     connect(address)
     import ray
 
@@ -44,10 +44,10 @@ def _nodes_of(address: str) -> int:
 
 
 def main() -> None:
-    """See the module."""
-    parser = argparse.ArgumentParser(description="Wait until a Ray cluster has so many nodes.")
+    """Run the command line of this module."""
+    parser = argparse.ArgumentParser(description="Wait until a Ray cluster has NUMBER nodes.")
     parser.add_argument("address", metavar="HOST:PORT")
-    parser.add_argument("number", type=int)
+    parser.add_argument("number", metavar="NUMBER", type=int)
     arguments = parser.parse_args()
     try:
         wait_for_nodes(arguments.address, arguments.number)

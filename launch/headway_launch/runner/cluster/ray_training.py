@@ -1,7 +1,7 @@
-"""One training process somewhere in a Ray cluster, as its session sees it: a twin of `TrainingProcess`.
+"""A training process on a node of a Ray cluster, with the interface of `TrainingProcess`.
 
-It has its rollout workers beside it, as processes of its machine, and writes its run folders itself, so these
-must lie on a file system that all machines share.
+Its rollout workers are processes of the same node. It writes its run folders itself, so the store must be on
+a file system that all nodes share.
 """
 
 import pickle
@@ -29,48 +29,49 @@ from headway.training.loop import TrainingJob
 from headway_launch.console.output import print_line
 from headway_launch.console.threads import ONE_THREAD
 from headway_launch.runner.jobs import cores_taken, gpus_of
-from headway_launch.runner.training_process import train_and_tell
+from headway_launch.runner.training_process import train_and_report
 
 _WAIT_S = 1.0
 
 
 class TrainingHost:
-    """What runs in the cluster."""
+    """The Ray actor that trains on a node of the cluster."""
 
     def __init__(self) -> None:
         self.events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         self.stop = threading.Event()
 
     def place(self) -> Place:
-        """Where it is."""
+        """Return the node on which it runs."""
         return Place.here()
 
     def train(self, pickled: bytes) -> None:
-        """Train the job; what happens is told by `next_events`."""
+        """Train the job; `next_events` returns its events."""
         try:
             job: TrainingJob = pickle.loads(pickled)
             missing = [folder for folder in job.directories if not Path(folder).is_dir()]
             if missing:
                 line = (
                     f"{Place.here().host} has no folder {missing[0]}: a sweep over a cluster needs "
-                    "store.root on a file system that all machines share, or backend.learners=here"
+                    "store.root on a file system that all nodes share, or backend.learners=here"
                 )
                 self.events.put(Failed(line, ""))
                 return
-            train_and_tell(job, self._tell, self.stop.is_set)
+            train_and_report(job, self._put, self.stop.is_set)
         except Exception as error:
             self.events.put(Failed(f"{type(error).__name__}: {error}".splitlines()[0], ""))
         finally:
             self.events.put(None)
 
-    def _tell(self, event: Event) -> None:
-        """A failure also to Ray's log on this machine: its session may have lost it, and hear nothing."""
+    def _put(self, event: Event) -> None:
+        """Queue an event for the session."""
         if isinstance(event, Failed):
+            # Into Ray's log on this node as well: the session may have lost the connection.
             print_line(f"headway: {event.line}")
         self.events.put(event)
 
     def next_events(self) -> list[Event | None]:
-        """What has happened since the last call, after a moment where that is nothing; None: all is told."""
+        """Return the events since the last call, after waiting up to `_WAIT_S`; None marks the end."""
         found: list[Event | None] = []
         try:
             found.append(self.events.get(timeout=_WAIT_S))
@@ -80,71 +81,73 @@ class TrainingHost:
             return found
 
     def ask_to_stop(self) -> None:
-        """Ask for a checkpoint and an end."""
+        """Request a checkpoint and an orderly end."""
         self.stop.set()
 
 
 @dataclass(frozen=True)
 class Placement:
-    """What a training process asks of the cluster."""
+    """Resources that a training process requests from the cluster."""
 
     cpus: float
     gpus: float = 0.0
 
     @classmethod
-    def of(cls, job: TrainingJob, node_cpus: int | None, there: float) -> "Placement":
-        """CPUs as `cores_taken` says, at most `node_cpus`, those of the largest node; where that is None, on
-        this machine, whose cores are shared out already, none. A GPU where it trains on one, if so many are
-        `there`."""
+    def of(cls, job: TrainingJob, node_cpus: int | None, cluster_gpus: float) -> "Placement":
+        """Return the request for a job: CPUs as `cores_taken` counts them, and a GPU if it trains on one.
+
+        `node_cpus`: CPUs of the largest node, an upper limit; None: request none, because the cluster is this
+        machine and the session divides its cores. `cluster_gpus`: GPUs of the cluster.
+        """
         taken, block = 0, job.config.rollout.block
         if node_cpus is not None:
             taken = cores_taken(job.spec, len(job.seeds), block, job.workers, node_cpus)
-        return cls(float(taken), gpus_of(job.config.device, there))
+        return cls(float(taken), gpus_of(job.config.device, cluster_gpus))
 
 
 class RayTraining:
-    """See `headway_launch.runner.scheduler.Training`."""
+    """The session's handle of a `TrainingHost`; implements `headway_launch.runner.scheduler.Training`."""
 
     def __init__(self, job: TrainingJob, node_cpus: int | None) -> None:
-        """`node_cpus`: see `Placement.of`."""
-        asks = Placement.of(job, node_cpus, ray.cluster_resources().get("GPU", 0.0))
-        made = ray.remote(TrainingHost).options(
-            num_cpus=asks.cpus,
-            num_gpus=asks.gpus,
+        """Start training on the cluster; `node_cpus`: as in `Placement.of`."""
+        resources = Placement.of(job, node_cpus, ray.cluster_resources().get("GPU", 0.0))
+        host = ray.remote(TrainingHost).options(
+            num_cpus=resources.cpus,
+            num_gpus=resources.gpus,
             runtime_env={"env_vars": ONE_THREAD},
             scheduling_strategy="SPREAD",
             max_restarts=0,
             max_task_retries=0,
-            max_concurrency=4,  # one trains, the others answer
+            max_concurrency=4,  # `train` takes one, the other calls the rest
         )
-        self._asks, self._host = asks, made.remote()
-        self._events, self._told = Pipe(duplex=False)
+        self._resources, self._host = resources, host.remote()
+        self._events, self._sender = Pipe(duplex=False)
         self._at_end = False
-        self._how = ""
+        self._end_reason = ""
         self.lost = False
-        self._relay = threading.Thread(target=self._pass_on, args=(pickled_whole(job),), daemon=True)
+        self._relay = threading.Thread(target=self._forward_events, args=(pickled_whole(job),), daemon=True)
         self._relay.start()
 
     @property
     def connection(self) -> Connection:
-        """See `Training`."""
+        """Pipe that is ready when an event has arrived or the process has ended."""
         return self._events
 
     @property
     def sentinel(self) -> Connection:
-        """See `Training`: what is heard ends with it."""
+        """Pipe that is ready when the process has ended: the same as `connection`."""
         return self._events
 
     def has_event(self) -> bool:
-        """See `Training`."""
+        """Return whether `receive` would return without waiting."""
         return not self._at_end and self._events.poll()
 
     def has_ended(self) -> bool:
-        """See `Training`."""
+        """Return whether no further event will arrive."""
         return self._at_end
 
     def receive(self) -> Event | None:
-        """See `Training`."""
+        """Return the next event; None once there are no more."""
         try:
             event: Event = self._events.recv()
         except (EOFError, OSError):
@@ -153,45 +156,46 @@ class RayTraining:
         return event
 
     def ask_to_stop(self) -> None:
-        """See `Training`."""
+        """Request a checkpoint and an orderly end."""
         self._host.ask_to_stop.remote()
 
     def kill(self) -> None:
-        """See `Training`."""
+        """Kill the process and its workers."""
         ray.kill(self._host, no_restart=True)
 
     def join(self) -> str:
-        """See `Training`."""
+        """Wait for the end; return how the process ended, for one that sent no final event."""
         self._relay.join()
         self.kill()
         self._events.close()
-        return self._how or "its training process ended with no word"
+        return self._end_reason or "its training process ended without a final event"
 
-    def _pass_on(self, job: bytes) -> None:
-        """In a thread of its own: hand to the session what the training process tells."""
+    def _forward_events(self, job: bytes) -> None:
+        """Start training and forward its events to the session; runs in a thread."""
         try:
             here = Place.here()
             arriving = self._host.place.remote()
-            if not ray.wait([arriving], timeout=PATIENCE_S)[0] and self._asks.cpus:
-                self._told.send(Notice(f"waits for a place in the cluster with {self._asks.cpus:g} CPUs"))
+            if not ray.wait([arriving], timeout=PATIENCE_S)[0] and self._resources.cpus:
+                line = f"waiting for a node of the cluster with {self._resources.cpus:g} free CPUs"
+                self._sender.send(Notice(line))
             elsewhere = ray.get(arriving).machine != here.machine
             self._host.train.remote(job)
             while True:
                 for event in ray.get(self._host.next_events.remote()):
                     if event is None:
                         return
-                    self._told.send(without_usage(event) if elsewhere else event)
+                    self._sender.send(without_usage(event) if elsewhere else event)
         except ray.exceptions.RayError as error:
-            self.lost, self._how = True, f"its training process was lost ({reason_of(error)})"
+            self.lost, self._end_reason = True, f"its training process was lost ({reason_of(error)})"
         except OSError:
-            return  # the session listens no more
+            return  # the session has closed its end
         finally:
-            self._told.close()
+            self._sender.close()
 
 
 def without_usage(event: Event) -> Event:
-    """An event of another machine: the CPU time and memory used there are not this one's, whose energy is
-    shared out by them."""
+    """Return an event from another machine without its resource use, since that divides the energy of this
+    machine only."""
     match event:
         case Started():
             return replace(event, process_ids=())

@@ -1,4 +1,4 @@
-"""Sweeps as Slurm jobs: the script for sbatch, of a Ray cluster in the allocation or of seeds as an array."""
+"""Sweeps as Slurm jobs: sbatch scripts for a Ray cluster in the allocation or for an array job over seeds."""
 
 import re
 import shlex
@@ -17,23 +17,23 @@ from headway_launch.experiments.sweep import compose_sweep
 _TIME = re.compile(r"(\d+-)?\d+(:\d{1,2}){0,2}")
 _WORD = re.compile(r"[\w.,-]+")
 _PLAIN = re.compile(r"[\w/.,:=@%+-]+")
-"""What sbatch reads in a script as it stands."""
-_MANGLED = ("packjob", "hetjob")
-"""Words that sbatch cuts out of a line, wherever they stand."""
-_OURS = {
+"""Words that need no quotes on an #SBATCH line."""
+_REMOVED_WORDS = ("packjob", "hetjob")
+"""Words that sbatch removes from any line of a script."""
+_RESERVED = {
     "time": "give --time",
     "nodes": "give --nodes",
     "cpus-per-task": "give --cpus",
     "partition": "give --partition",
     "array": "give --array",
-    "job-name": "it is named after the study",
-    "output": "it lies beside the script",
-    "signal": "it stops a job with a checkpoint",
-    "ntasks-per-node": "a node has one task",
-    "ntasks": "a node has one task",
+    "job-name": "the job is named after the study",
+    "output": "the log lies beside the script",
+    "signal": "it requests the last checkpoint",
+    "ntasks-per-node": "each node runs one task",
+    "ntasks": "each node runs one task",
 }
-"""Options of sbatch that a script has already, and what to do instead of giving them."""
-_LETTERS = {
+"""sbatch options that the script sets itself -> the option of `headway sweep` to use, or the reason."""
+_SHORT_NAMES = {
     "t": "time",
     "N": "nodes",
     "c": "cpus-per-task",
@@ -44,10 +44,10 @@ _LETTERS = {
     "n": "ntasks",
 }
 _GRACE_S = 300
-"""Before its time is over a job is told to stop, so that it ends with a checkpoint."""
+"""Seconds before the time limit at which a job receives SIGTERM, so that it ends with a checkpoint."""
 
 _BEGINNING = """\
-# A job that is told to end tells its session, which stops with a checkpoint: sbatch this again to go on.
+# SIGTERM is passed on to the session, which stops with a checkpoint; submit this script again to continue.
 set -euo pipefail
 stop() {
     [ -n "${session:-}" ] || exit 143
@@ -57,15 +57,15 @@ trap stop TERM INT
 finish() {
     local code=0
     wait "$session" || code=$?
-    # A signal ends `wait`, not what it waits for.
+    # `wait` returns when a signal arrives, although the session is still running.
     while kill -0 "$session" 2> /dev/null; do code=0; wait "$session" || code=$?; done
     return "$code"
 }
 """
 
 _CLUSTER = """
-# One Ray cluster in the allocation: the head here, on its first node, and a daemon on each of the others. Who
-# does not know the token, which goes to them with srun's environment, cannot use it.
+# One Ray cluster in the allocation: the head on this node, the first, and a daemon on each other node. Access
+# needs the token, which srun passes to the nodes in the environment.
 port=$((20000 + SLURM_JOB_ID % 20000))
 address=${HEADWAY_HEAD_ADDRESS:-$(hostname -I | cut -d ' ' -f 1)}
 RAY_AUTH_TOKEN=$("$python" -c 'import secrets; print(secrets.token_hex(32))')
@@ -75,8 +75,8 @@ ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --
 others=$((SLURM_JOB_NUM_NODES - 1))
 on_nodes=(srun "--cpus-per-task=$SLURM_CPUS_PER_TASK" --ntasks-per-node=1 --kill-on-bad-exit=0)
 on_others=("${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME")
-# Each node has a folder of Ray's. Where the job is cancelled no step can begin that would remove it, but all
-# that runs is told to end; where the job ends by itself the daemons may be killed, and a step removes it.
+# Ray has a temporary folder on each node. Once a job is cancelled no new step can start, so each daemon's
+# step removes the folder on SIGTERM. If the job ends normally, the daemons may be killed; a step removes it.
 and_tidy=(bash -c '"$@" & ray=$!; trap : TERM INT
     while kill -0 "$ray" 2> /dev/null; do wait "$ray" || true; done; rm -rf "$0"' "$folder")
 end_ray() {
@@ -102,7 +102,7 @@ finish
 """
 
 _ARRAY = """
-# Each task of the array trains one seed, all cells of it, in a session of its own.
+# Each array task trains one seed of all cells in its own session.
 "$python" -m headway_launch sweep "${overrides[@]}" "seed=${seeds[$SLURM_ARRAY_TASK_ID]}" &
 session=$!
 finish
@@ -111,34 +111,36 @@ finish
 
 @dataclass(frozen=True)
 class Allocation:
-    """What is asked of Slurm."""
+    """Resources and options requested from Slurm."""
 
     nodes: int = 1
     cpus: int = 1
-    """Of each node."""
+    """CPUs per node."""
     time: str | None = None
-    """As Slurm has it: minutes, HH:MM:SS, DAYS-HH and so on; None: the partition's."""
+    """Time limit in Slurm's format: minutes, HH:MM:SS, DAYS-HH and so on; None: the partition's default."""
     partition: str | None = None
-    """None: the one that jobs go to by themselves."""
+    """None: the default partition."""
     further: tuple[str, ...] = field(default=())
-    """Further options of sbatch, as they are."""
+    """Further options of sbatch, passed on unchanged."""
 
     def __post_init__(self) -> None:
         for name, number in (("nodes", self.nodes), ("cpus", self.cpus)):
             if number < 1:
                 raise HeadwayError(f"--{name} must be at least 1, not {number}")
         if self.time is not None and not _TIME.fullmatch(self.time):
-            raise HeadwayError(f"--time must be as Slurm's, such as 90, 12:00:00 or 2-00, not {self.time!r}")
+            raise HeadwayError(
+                f"--time must be in Slurm's format, such as 90, 12:00:00 or 2-00, not {self.time!r}"
+            )
         if self.partition is not None and not _WORD.fullmatch(self.partition):
-            raise HeadwayError(f"--partition must be the name of one, not {self.partition!r}")
-        _require_unmangled("--partition", self.partition or "")
+            raise HeadwayError(f"--partition must be the name of a partition, not {self.partition!r}")
+        _require_kept("--partition", self.partition or "")
         for option in self.further:
             _require_further(option)
-            _require_unmangled("--sbatch", option)
+            _require_kept("--sbatch", option)
 
     def lines(self, name: str, logs: Path, log: str) -> list[str]:
-        """The lines that sbatch reads; `log` names a job's output in a folder."""
-        asked = [
+        """Return the #SBATCH lines; the job's output goes to the file `log` in the folder `logs`."""
+        options = [
             f"--job-name={name}",
             f"--nodes={self.nodes}",
             "--ntasks-per-node=1",
@@ -146,14 +148,14 @@ class Allocation:
             f"--output={_as_pattern(logs)}/{log}",
             f"--signal=B:TERM@{_GRACE_S}",
         ]
-        asked += [f"--time={self.time}"] if self.time else []
-        asked += [f"--partition={self.partition}"] if self.partition else []
-        given = [" ".join(map(_quoted, shlex.split(option))) for option in self.further]
-        return [f"#SBATCH {option}" for option in (*map(_quoted, asked), *given)]
+        options += [f"--time={self.time}"] if self.time else []
+        options += [f"--partition={self.partition}"] if self.partition else []
+        further = [" ".join(map(_quoted, shlex.split(option))) for option in self.further]
+        return [f"#SBATCH {option}" for option in (*map(_quoted, options), *further)]
 
 
 def _require_further(option: str) -> None:
-    """Raises HeadwayError for what is no option of sbatch, or one that the script has already."""
+    """Raise HeadwayError if `option` is not one option of sbatch, or one that the script sets itself."""
     try:
         words = shlex.split(option)
     except ValueError:
@@ -161,73 +163,77 @@ def _require_further(option: str) -> None:
     is_one = len(words) == 1 or (len(words) == 2 and "=" not in words[0])
     if not is_one or not re.match("-+[^-]", words[0]) or "\n" in option:
         raise HeadwayError(
-            f"--sbatch takes an option of sbatch, such as --mem=8G or '--comment=\"a b\"', not {option!r}"
+            f"--sbatch takes one option of sbatch, such as --mem=8G or '--comment=\"a b\"', not {option!r}"
         )
     name = words[0].lstrip("-").partition("=")[0]
     if words[0].startswith("--"):
-        # sbatch takes a name's beginning for the name.
-        ours = [long for long in _OURS if name and long.startswith(name)]
+        # sbatch accepts abbreviated option names.
+        reserved = [long for long in _RESERVED if name and long.startswith(name)]
     else:
-        ours = [_LETTERS[name[0]]] if name[:1] in _LETTERS else []
-    if ours:
-        raise HeadwayError(f"--sbatch={option}: --{ours[0]} is the script's ({_OURS[ours[0]]})")
+        reserved = [_SHORT_NAMES[name[0]]] if name[:1] in _SHORT_NAMES else []
+    if reserved:
+        raise HeadwayError(
+            f"--sbatch={option}: the script sets --{reserved[0]} itself; {_RESERVED[reserved[0]]}"
+        )
 
 
-def _require_unmangled(ours: str, value: str) -> None:
-    """Raises HeadwayError for a value of an option of ours that sbatch would not read as it stands."""
-    for word in _MANGLED:
+def _require_kept(option: str, value: str) -> None:
+    """Raise HeadwayError if sbatch would remove a part of the value of an option."""
+    for word in _REMOVED_WORDS:
         if word in value.lower():
             raise HeadwayError(
-                f"{ours}={value}: sbatch cuts {word!r} out of a script; leave it out here, and give it to "
-                "sbatch itself"
+                f"{option}={value}: sbatch removes {word!r} from scripts; leave it out here and pass the "
+                "option to sbatch directly"
             )
 
 
 def _quoted(word: str) -> str:
-    """A word as sbatch reads it in a script: quotes hold it together, a backslash takes the next character as
-    it is, and a bare `#` begins a comment."""
+    """Return a word quoted for an #SBATCH line. sbatch reads double quotes and backslashes as the shell does,
+    and a bare `#` as the start of a comment."""
     return word if _PLAIN.fullmatch(word) else '"' + re.sub(r'(["\\])', r"\\\1", word) + '"'
 
 
 def _as_pattern(folder: Path) -> str:
-    """A folder in the pattern of a job's output, where `%` begins what is replaced. Raises HeadwayError for
-    one that sbatch cannot be told."""
+    """Return a folder for the pattern of --output, in which `%` starts a placeholder. Raises HeadwayError if
+    sbatch cannot represent its name."""
     text = str(folder)
-    for unwanted in ("\\", "\n", *_MANGLED):
+    for unwanted in ("\\", "\n", *_REMOVED_WORDS):
         if unwanted in text.lower():
             raise HeadwayError(
-                f"sbatch cannot write to a folder with {unwanted!r} in its name: give store.root or study "
-                f"another than in {text!r}"
+                f"sbatch cannot write to a folder with {unwanted!r} in its name ({text!r}): change "
+                "store.root or study"
             )
     return text.replace("%", "%%")
 
 
 def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Path:
-    """The script of a sweep on one Ray cluster in the allocation. Raises HeadwayError as the sweep would, and
-    for overrides of what the script sets."""
+    """Write the script that runs a sweep on one Ray cluster in the allocation, and return its path. Raises
+    HeadwayError if the sweep would, and for overrides of the keys that the script sets."""
     for override in overrides:
         key, _, value = override.partition("=")
         key = key.lstrip("+~")
         if key in ("backend", "backend.name") and value.strip("'\"") != "ray":
             raise HeadwayError(
-                f"{override}: the script starts a Ray cluster; leave it out, or give --array, which has none"
+                f"{override}: the script starts a Ray cluster; leave the override out, or add --array"
             )
         if key == "backend.address":
-            raise HeadwayError(f"{override}: the script starts a Ray cluster of its own; leave it out")
-    on_it = [*overrides, "backend=ray"]
-    experiments = compose_sweep([*on_it, "backend.address=HOST:1"])
-    variables = {"overrides": on_it}
+            raise HeadwayError(f"{override}: the script starts its own Ray cluster; leave the override out")
+    on_ray = [*overrides, "backend=ray"]
+    experiments = compose_sweep([*on_ray, "backend.address=HOST:1"])
+    variables = {"overrides": on_ray}
     return _write("cluster", experiments, allocation, (), "%j.out", variables, _CLUSTER)
 
 
 def write_array_script(overrides: Sequence[str], allocation: Allocation) -> Path:
-    """The script of a sweep as an array of a task a seed, each on one node. Raises HeadwayError as the sweep
-    would."""
+    """Write the script that runs a sweep as an array job with one task, on one node, per seed, and return its
+    path. Raises HeadwayError if the sweep would, or if the cells have different seeds."""
     if allocation.nodes > 1:
-        raise HeadwayError("with --array each seed has one node: leave --nodes out, or --array")
+        raise HeadwayError("with --array each seed runs on one node: leave out --nodes or --array")
     experiments = compose_sweep(overrides)
     if len({frozenset(experiment.config.seed) for experiment in experiments}) > 1:
-        raise HeadwayError("with --array all cells have the same seeds: give seed=..., or leave --array out")
+        raise HeadwayError(
+            "with --array all cells must have the same seeds: give seed=..., or leave out --array"
+        )
     seeds = [str(seed) for seed in experiments[0].config.seed]
     others = [word for word in overrides if word.partition("=")[0].lstrip("+") != "seed"]
     array = [f"#SBATCH --array=0-{len(seeds) - 1}"]
@@ -261,6 +267,6 @@ def _write(
     path = folder / f"{kind}.sbatch"
     script = "\n".join(lines) + _BEGINNING + body
     if path.exists() and path.read_text(encoding="utf-8") != script:
-        print_line(f"replaces a script of {config.study} that was not the same: {path}")
+        print_line(f"overwriting a different script of study {config.study}: {path}")
     write_text(path, script)
     return path

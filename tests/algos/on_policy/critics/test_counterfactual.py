@@ -1,7 +1,7 @@
 """COMA's critic, and central values that see the others' actions, against loops over agents and actions.
 
-The loops know one network of one replica at a time, as float64 matrices, and share with Headway only the
-random numbers with which the next actions are drawn where nobody chose any.
+The loops evaluate one network of one replica at a time, as float64 matrices. They share with Headway only the
+random numbers for actions sampled where none were taken.
 """
 
 from collections.abc import Callable
@@ -69,7 +69,7 @@ SEEDS, COPIES, STEPS = (4, 8), 2, 9
 
 @dataclass
 class Moment:
-    """What one copy's agents face, and do."""
+    """Observations and actions of one copy's agents."""
 
     observations: Array
     state: Array
@@ -186,10 +186,11 @@ def _moment(made: Trajectory, t: int, c: int, ended: NDArray[np.bool_] | None = 
 def _lambda_return(
     rewards: Array, values: Array, final: Array, over: Array, cut: Array, present: Array, config: AlgoConfig
 ) -> Array:
-    """(T,): (1 - lambda) sum over n of lambda^(n - 1) times the n-step return, of one stream.
+    """(1 - lambda) sum over n of lambda^(n - 1) times the n-step return of one stream, (T,).
 
-    `values` (T + 1,) of the actions taken, the last as drawn; steps at which the agent is away pass
-    between two of its steps."""
+    `values` (T + 1,) are of the actions taken, the last of the sampled action. Steps of absence lengthen the
+    step before.
+    """
     gamma, lam, steps, result = config.gamma, config.gae_lambda, len(rewards), np.zeros(len(rewards))
     for t in np.flatnonzero(present[:-1]):
         paid, discount, weight, total = 0.0, 1.0, 1.0, 0.0
@@ -273,7 +274,7 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
 def test_estimates_equal_the_loops(
     fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
 ) -> None:
-    """Before learning, and when target network, critic and normalisers have gone different ways."""
+    """Before training, and with target network, critic and normalisers that differ."""
     learner = OnPolicyLearner(config, spec, SEEDS, "cpu")
     for iteration in (1, 2, 3):
         made = fabricate(spec, STEPS, 2 * COPIES, seed=iteration, absent=0.25, idle=0.2, leaves=0.04)
@@ -293,7 +294,7 @@ def test_estimates_equal_the_loops(
 
 
 def _rows_of(learner: OnPolicyLearner, estimate: CriticEstimate, p: int) -> tuple[torch.Tensor, ...]:
-    """Inputs, actions and returns of the rows that network p learns from."""
+    """Inputs, actions and returns of the rows that network p is trained on."""
     critic = learner.critic
     assert isinstance(critic, CounterfactualCritic)
     assert estimate.taken is not None
@@ -303,9 +304,9 @@ def _rows_of(learner: OnPolicyLearner, estimate: CriticEstimate, p: int) -> tupl
 
 
 @pytest.mark.parametrize("spec", [STATE, TEAM])
-def test_q_of_the_action_taken_alone_is_taught(fabricate: Fabricate, poisoned: Poison, spec: EnvSpec) -> None:
-    """Two steps on the whole batch against torch's Adam and one network at a time; the outputs for other
-    actions learn nothing from a row."""
+def test_only_q_of_the_action_taken_is_trained(fabricate: Fabricate, poisoned: Poison, spec: EnvSpec) -> None:
+    """Two steps on the whole batch against torch's Adam with one network at a time; outputs for actions not
+    taken have no gradient."""
     config = replace(COMA, epochs=2, minibatches=1, normalise_values=False, grad_clip=0.3)
     learner = OnPolicyLearner(config, spec, SEEDS, "cpu")
     critic = learner.critic
@@ -335,7 +336,7 @@ def test_q_of_the_action_taken_alone_is_taught(fabricate: Fabricate, poisoned: P
             torch.testing.assert_close(tensor[p], parameter, rtol=1e-10, atol=1e-10)
 
 
-def test_the_advantage_is_that_over_the_policys_mean_of_its_actions() -> None:
+def test_the_baseline_is_the_policys_mean_of_q() -> None:
     q = np.array([[[[1.0, 5.0, -2.0], [3.0, 3.0, 3.0], [np.nan, np.nan, np.nan]]]])
     chances = np.array([[[[0.5, 0.25, 0.25], [0.1, 0.2, 0.7], [1.0, 0.0, 0.0]]]])
     present = np.array([[[True, True, False]]])
@@ -345,12 +346,12 @@ def test_the_advantage_is_that_over_the_policys_mean_of_its_actions() -> None:
 
 @pytest.mark.parametrize("policies", ["independent", "shared"])
 @pytest.mark.parametrize("spec", [STATE, TEAM])
-def test_advantages_average_to_nothing_over_own_actions(
+def test_advantages_average_to_zero_over_own_actions(
     fabricate: Fabricate,
     spec: EnvSpec,
     policies: Literal["independent", "shared"],
 ) -> None:
-    """sum_u pi(u) A(u) = 0 whatever the critic says: the baseline leaves the gradient as it is."""
+    """sum_u pi(u) A(u) = 0 for any critic: the baseline does not bias the gradient."""
     learner = OnPolicyLearner(replace(COMA, policies=policies), spec, (1,), "cpu")
     made = fabricate(spec, 6, 3, seed=0, absent=0.2)
     chances = learner.behaviour.probabilities(CriticBatch.of_steps(made))
@@ -374,8 +375,8 @@ def _estimate(learner: OnPolicyLearner, made: Trajectory) -> CriticEstimate:
     return learner.critic.estimate(made, learner.behaviour, 1)
 
 
-def test_what_is_forbidden_has_no_part_in_the_baseline(fabricate: Fabricate) -> None:
-    """However highly the critic thinks of it."""
+def test_forbidden_actions_do_not_enter_the_baseline(fabricate: Fabricate) -> None:
+    """However high their Q."""
     made = fabricate(STATE, 6, 2, seed=0)
     made.action_masks[..., 2], made.action_masks[..., 0] = False, True
     made.actions[:] = 0
@@ -403,7 +404,7 @@ def _copied(learner: OnPolicyLearner) -> bool:
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
-def test_the_target_network_is_renewed_on_schedule_and_resumed_on_it(
+def test_the_target_network_is_copied_on_schedule_also_after_resuming(
     fabricate: Fabricate, every: int
 ) -> None:
     config = replace(COMA, target_every=every)
@@ -438,6 +439,8 @@ def test_returns_come_from_the_target_network_and_advantages_from_the_critic(fab
     assert (ahead.advantages != before.advantages).any()
 
 
-def test_actions_without_end_are_refused() -> None:
-    with pytest.raises(ValueError, match="takes Discrete actions, and made has others; use critic: local or"):
+def test_continuous_actions_are_refused() -> None:
+    with pytest.raises(
+        ValueError, match="needs Discrete actions, which made does not have; use critic: local or"
+    ):
         OnPolicyLearner(COMA, BOX, (1,), "cpu")

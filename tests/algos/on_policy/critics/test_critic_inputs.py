@@ -1,4 +1,4 @@
-"""What critics are shown, from whose viewpoint, and the actions drawn where nobody chose any."""
+"""Inputs of critics per viewpoint, and sampled actions where none were taken."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -72,7 +72,7 @@ def test_a_viewpoint_shows_the_others_actions_and_not_its_own(
 
 @pytest.mark.parametrize("config", [COMA, replace(OTHERS, policies="shared")])
 @pytest.mark.parametrize("spec", [STATE, TEAM_BLIND])
-def test_what_is_measured_is_normalised_and_what_indicates_is_not(
+def test_features_are_normalised_and_indicators_are_not(
     fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
@@ -80,18 +80,18 @@ def test_what_is_measured_is_normalised_and_what_indicates_is_not(
     assert isinstance(critic, CounterfactualCritic | ValueCritic)
     made = poisoned(fabricate(spec, STEPS, 3, seed=0, absent=0.3))
     raw = _estimate(learner, made).inputs[0]
-    critic.absorb(made)
+    critic.update_normalisers(made)
     scaled = _estimate(learner, made).inputs[0]
     here = torch.from_numpy(critic.layout.selection(made.alive[:-1])[0])
-    size, (rows, own_rows) = critic.view.seen_size, (scaled[here], raw[here])
+    size, (rows, own_rows) = critic.view.feature_size, (scaled[here], raw[here])
     mean, std = own_rows[:, :size].mean(0), own_rows[:, :size].std(0, correction=0)
     torch.testing.assert_close(rows[:, :size], (own_rows[:, :size] - mean) / std, rtol=1e-6, atol=1e-6)
     assert torch.equal(rows[:, size:], own_rows[:, size:])
     assert rows.shape[1] == size + 4 * 3 + (4 if config is COMA else 0)
 
 
-def test_a_team_of_one_is_absent_where_its_agent_is(fabricate: Fabricate) -> None:
-    """There is no Q of an action that nobody took, though the team's return goes on."""
+def test_a_team_of_one_has_no_value_while_its_agent_is_absent(fabricate: Fabricate) -> None:
+    """There is no Q without an action, although the team's return continues."""
     spec = replace(TEAM, agents=("a",), groups=("x",))
     made = fabricate(spec, 6, 2, seed=0, absent=0.4)
     for config in (COMA, OTHERS):
@@ -101,11 +101,11 @@ def test_a_team_of_one_is_absent_where_its_agent_is(fabricate: Fabricate) -> Non
 
 
 @pytest.mark.parametrize("spec", [STATE, BOX])
-def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvSpec) -> None:
-    """As often as the policy says, never what is forbidden, and nothing for who is away."""
+def test_actions_are_sampled_as_by_workers(fabricate: Fabricate, spec: EnvSpec) -> None:
+    """With the policy's frequencies, never forbidden ones, and 0 for absent agents."""
     learner = OnPolicyLearner(COMA if spec is STATE else OTHERS, spec, (1, 2), "cpu")
     made = fabricate(spec, 1, 4, seed=0, absent=0.3)
-    one = CriticBatch.after_the_last_step(made)
+    one = CriticBatch.after_last_step(made)
     many = 4000
 
     def repeated(array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - as it came
@@ -113,7 +113,7 @@ def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvS
 
     scene = CriticBatch(*(repeated(a) for a in (one.observations, one.states, one.present, one.masks)))
     random = [generator(seed, "test") for seed in (1, 2)]
-    drawn = learner.behaviour.drawn(scene, random).actions
+    drawn = learner.behaviour.with_drawn_actions(scene, random).actions
     assert drawn is not None
     assert (drawn[~scene.present] == 0).all()
     if spec is STATE:
@@ -126,11 +126,11 @@ def test_actions_are_drawn_as_workers_draw_them(fabricate: Fabricate, spec: EnvS
         np.testing.assert_allclose(drawn.std(axis=0)[one.present[0]], np.exp(-0.5), rtol=0.05)
 
 
-def test_agents_of_one_policy_with_rewards_of_their_own_have_values_of_their_own(
+def test_agents_of_one_policy_with_individual_rewards_have_individual_values(
     fabricate: Fabricate,
 ) -> None:
-    """V(s) alone would give all the same; with the own observation after it, who sees the same is worth
-    the same, and who sees something else is not."""
+    """V(s) alone would be equal for all; with the own observation appended, values are equal exactly for
+    agents with equal observations."""
     learner = OnPolicyLearner(MAPPOConfig(**SETTINGS, policies="shared"), STATE, (1,), "cpu")
     made = fabricate(STATE, 5, 2, seed=0)
     made.observations[:, :, 3] = made.observations[:, :, 0]
@@ -140,7 +140,7 @@ def test_agents_of_one_policy_with_rewards_of_their_own_have_values_of_their_own
 
 
 @pytest.mark.parametrize("policies", ["shared", "groups", "independent"])
-def test_a_team_s_central_critic_sees_the_state_alone(
+def test_a_teams_central_critic_sees_the_state_only(
     fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
 ) -> None:
     config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
@@ -150,7 +150,7 @@ def test_a_team_s_central_critic_sees_the_state_alone(
 
 
 @pytest.mark.parametrize("policies", ["shared", "groups", "independent"])
-def test_with_rewards_of_their_own_the_own_observation_follows_the_state(
+def test_with_individual_rewards_the_own_observation_is_appended_to_the_state(
     fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
 ) -> None:
     config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)

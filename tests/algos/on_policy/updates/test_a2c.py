@@ -1,4 +1,4 @@
-"""A2C's one step against a loop over rows, and the whole batch it is taken on."""
+"""A2C's single step against a loop over rows, and the whole batch."""
 
 from dataclasses import replace
 
@@ -55,8 +55,8 @@ def _update(spec: EnvSpec, config: AlgoConfig) -> GradientUpdate:
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])
 @pytest.mark.parametrize("clip", [None, 0.1])
 def test_steps_equal_those_on_a_loss_summed_row_by_row(spec: EnvSpec, clip: float | None) -> None:
-    """-E[log pi A] - c_e H over selected rows, by torch.distributions and torch.optim.Adam; twice, so that
-    moments carry on."""
+    """-E[log pi A] - c_e H over selected rows, by torch.distributions and torch.optim.Adam; two steps, so
+    that moments are carried over."""
     config = replace(CONFIG, grad_clip=clip)
     update, selected = _update(spec, config), _selected()
     naive = Actor(config.model, spec, range(P), 1, DOUBLE)
@@ -89,7 +89,7 @@ def test_steps_equal_those_on_a_loss_summed_row_by_row(spec: EnvSpec, clip: floa
             torch.testing.assert_close(mine[p], theirs[0], rtol=1e-10, atol=1e-10)
 
 
-def test_epochs_and_minibatches_are_not_the_actors() -> None:
+def test_epochs_and_minibatches_do_not_apply_to_the_actor() -> None:
     results = []
     for epochs, minibatches in ((1, 1), (7, 5)):
         update = _update(DISCRETE, replace(CONFIG, epochs=epochs, minibatches=minibatches))
@@ -100,7 +100,7 @@ def test_epochs_and_minibatches_are_not_the_actors() -> None:
     assert all(torch.equal(one, other) for one, other in zip(*results, strict=True))
 
 
-def test_a_policy_without_rows_stays_as_it_was() -> None:
+def test_a_policy_without_rows_stays_unchanged() -> None:
     update, selected = _update(DISCRETE, CONFIG), _selected()
     for turn in (selected, selected & (np.arange(P) != 1)[:, None], np.zeros_like(selected)):
         before = [parameter.detach().clone() for parameter in update.actor.parameters()]
@@ -122,7 +122,7 @@ def test_a_whole_batch_holds_every_selected_row_once_and_pads_with_weight_zero()
     assert batch.has_rows.tolist() == [True, False, True]
     for p in range(P):
         chosen, count = np.flatnonzero(selected[p]), int(selected[p].sum())
-        assert batch.places[p, :count].tolist() == chosen.tolist()
+        assert batch.row_index[p, :count].tolist() == chosen.tolist()
         assert torch.equal(batch.observations[p, :count], rows.observations[p, chosen])
         assert torch.equal(batch.actions[p, :count], rows.actions[p, chosen])
         assert torch.equal(batch.log_probs[p, :count], rows.log_probs[p, chosen])
@@ -135,16 +135,16 @@ def test_a_whole_batch_holds_every_selected_row_once_and_pads_with_weight_zero()
         )
         assert (batch.weight[p, count:] == 0).all()
         if count:  # rows of others' places may hold anything
-            assert np.isin(batch.places[p].numpy(), chosen).all()
+            assert np.isin(batch.row_index[p].numpy(), chosen).all()
 
 
-def test_cuts_of_a_whole_batch_are_its_rows_in_order() -> None:
+def test_pieces_of_a_whole_batch_are_its_rows_in_order() -> None:
     rows, advantages = _rows(DISCRETE, _selected())
     batch = WholeBatch.of(rows, advantages)
     pieces = list(batch.pieces(12))
     assert len(pieces) > 2
     assert all(piece.weight.numel() <= 12 for piece in pieces)
-    assert torch.equal(torch.cat([piece.places for piece in pieces], 1), batch.places)
+    assert torch.equal(torch.cat([piece.row_index for piece in pieces], 1), batch.row_index)
     assert torch.equal(torch.cat([piece.weight for piece in pieces], 1), batch.weight)
 
 
@@ -156,7 +156,7 @@ def test_every_nth_row_of_each_policy_has_the_weight_of_all() -> None:
     third = batch.strided(3)
     for p in range(P):
         chosen = np.flatnonzero(selected[p])[::3]
-        assert third.places[p, : len(chosen)].tolist() == chosen.tolist()
+        assert third.row_index[p, : len(chosen)].tolist() == chosen.tolist()
         expected = torch.full((len(chosen),), 1 / max(len(chosen), 1), dtype=DOUBLE)
         torch.testing.assert_close(third.weight[p, : len(chosen)], expected)
         assert (third.weight[p, len(chosen) :] == 0).all()

@@ -1,4 +1,4 @@
-"""K-FAC's steps: the natural gradient's where its factors are exact, a naive loop's elsewhere, in bounds."""
+"""K-FAC's steps: the natural gradient where its factors are exact, a naive loop elsewhere, within bounds."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -40,7 +40,7 @@ def _update(spec: EnvSpec, config: AlgoConfig = CONFIG, stack: int = P) -> KFAC:
 
 
 def _rows(spec: EnvSpec, seed: int = 1) -> tuple[PolicyBatch, Tensor]:
-    """Some rows are not selected, and the last policy has but a few."""
+    """Some rows are not selected, and the last policy has only a few."""
     random = torch.Generator().manual_seed(seed)
     selected = (torch.rand(P, B, generator=random) < 0.8).numpy()
     selected[-1, 6:] = False
@@ -60,7 +60,7 @@ def _generators(iteration: int) -> list[np.random.Generator]:
 
 
 class Chosen(np.random.Generator):
-    """Gives the noise that it was made with."""
+    """A generator that returns preset noise."""
 
     def __init__(self, noise: NDArray[np.float64]) -> None:
         super().__init__(np.random.Philox(0))
@@ -115,15 +115,15 @@ class Alone:
 def _moved(
     update: KFAC, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """How parameters changed, (P, V), and the info."""
+    """Changes of the parameters, (P, V), and the metrics."""
     before = flat(parameter.detach().clone() for parameter in update.actor.learnable)
     info = update.improve(rows, advantages, generators)
     return flat(update.actor.learnable).detach() - before, info
 
 
-def test_of_a_linear_gaussian_policy_it_is_the_natural_gradient() -> None:
-    """Scores do not depend on inputs there, so that the Fisher information is a Kronecker product. The draws
-    are plus and minus sqrt(A) along each axis in turn, whose second moments are those of the distribution."""
+def test_the_step_is_the_natural_gradient_for_a_linear_gaussian_policy() -> None:
+    """Scores do not depend on inputs there, so the Fisher information is exactly a Kronecker product. The
+    noise is plus and minus sqrt(A) along each axis, with the second moments of the distribution."""
     config = replace(CONFIG, model=ModelConfig(()), kfac_damping=1e-16, lr=0.1, kl_bound=1e9)
     update = _update(BOX, config)
     rows, advantages = _rows(BOX)
@@ -137,8 +137,8 @@ def test_of_a_linear_gaussian_policy_it_is_the_natural_gradient() -> None:
         assert float(info["step"][p]) == pytest.approx(0.1, rel=1e-12)
 
 
-def test_of_a_categorical_policy_that_sees_one_thing_it_is_the_natural_gradient() -> None:
-    """Draws at evenly spread uniforms give chances of 1/2, 1/4, 1/4 their exact share."""
+def test_the_step_is_the_natural_gradient_for_a_categorical_policy_with_constant_input() -> None:
+    """Evenly spaced uniforms sample probabilities of 1/2, 1/4, 1/4 exactly."""
     config = replace(CONFIG, model=ModelConfig(()), kfac_damping=1e-9, lr=0.1, kl_bound=1e9)
     update = _update(DISCRETE, config)
     rows, advantages = _rows(DISCRETE)
@@ -302,7 +302,7 @@ class Naive:
 def test_steps_equal_those_of_whole_matrices_and_loops_over_rows(
     spec: EnvSpec, changes: dict[str, Any]
 ) -> None:
-    """Three steps, so that averages, inverses and momentum carry on."""
+    """Three steps, so that averages, inverses and momentum are carried over."""
     config = replace(CONFIG, **changes)
     update = _update(spec, config)
     naive = [Naive(config, update.actor, p) for p in range(P)]
@@ -325,8 +325,8 @@ def test_steps_equal_those_of_whole_matrices_and_loops_over_rows(
 
 @every_space
 @pytest.mark.parametrize("bound", [1e-6, 1e-2])
-def test_the_divergence_is_what_the_exact_length_expects(spec: EnvSpec, bound: float) -> None:
-    """The damping's share left aside; to second order, so the more nearly the tighter the bound."""
+def test_the_kl_divergence_equals_the_prediction_of_the_exact_length(spec: EnvSpec, bound: float) -> None:
+    """Without the damping's share; to second order, so more closely with a tighter bound."""
     config = replace(CONFIG, kl_bound=bound, lr=1e9)
     update = _update(spec, config)
     for iteration in range(4):
@@ -342,7 +342,7 @@ def test_the_divergence_is_what_the_exact_length_expects(spec: EnvSpec, bound: f
             assert float(info["kl"][p]) == pytest.approx(float(expected), rel=0.3 if bound > 1e-3 else 5e-3)
 
 
-def test_annealing_shortens_steps_by_its_share_whatever_bounds_them() -> None:
+def test_annealing_scales_steps_with_either_bound() -> None:
     for config in (replace(CONFIG, lr=1e9), replace(CONFIG, kl_bound=1e9)):
         moves = []
         for share in (1.0, 0.1):
@@ -353,7 +353,7 @@ def test_annealing_shortens_steps_by_its_share_whatever_bounds_them() -> None:
 
 
 @every_space
-def test_a_policy_without_rows_stays_as_it_was_and_so_do_its_averages(spec: EnvSpec) -> None:
+def test_a_policy_without_rows_and_its_averages_stay_unchanged(spec: EnvSpec) -> None:
     update = _update(spec, replace(CONFIG, kfac_momentum=0.9))
     rows, advantages = _rows(spec)
     update.improve(rows, advantages, _generators(0))
@@ -372,9 +372,9 @@ def test_a_policy_without_rows_stays_as_it_was_and_so_do_its_averages(spec: EnvS
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_drawn_scores_of_a_categorical_are_those_of_its_actions(masked: bool) -> None:
-    """At evenly spread uniforms their mean is 0 and their covariance the Fisher information; what is
-    forbidden is never drawn."""
+def test_sampled_scores_of_a_categorical_have_the_fisher_information_as_covariance(masked: bool) -> None:
+    """With evenly spaced uniforms their mean is 0 and their covariance the Fisher information; forbidden
+    actions are never sampled."""
     count = 4000
     random = torch.Generator().manual_seed(0)
     logits = torch.randn(1, A, 1, generator=random, dtype=DOUBLE).expand(-1, -1, count)
@@ -389,7 +389,7 @@ def test_drawn_scores_of_a_categorical_are_those_of_its_actions(masked: bool) ->
     assert not masked or bool((score[1] == 0).all())
 
 
-def test_drawn_scores_of_a_gaussian_are_the_slopes_of_its_log_density() -> None:
+def test_sampled_scores_of_a_gaussian_are_gradients_of_its_log_density() -> None:
     random = torch.Generator().manual_seed(0)
     mean, log_std = (torch.randn(1, A, n, generator=random, dtype=DOUBLE) for n in (5, 1))
     noise = torch.randn(1, 5, A, generator=random, dtype=DOUBLE)
@@ -400,7 +400,7 @@ def test_drawn_scores_of_a_gaussian_are_the_slopes_of_its_log_density() -> None:
     torch.testing.assert_close(distribution.drawn_score(noise), expected)
 
 
-def test_networks_of_another_form_are_refused_in_one_line() -> None:
+def test_other_networks_are_refused_in_one_line() -> None:
     update = _update(DISCRETE)
     update.actor.network = nn.Linear(2, 2)  # type: ignore[assignment]
     with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons") as caught:
@@ -446,9 +446,7 @@ def test_a_linear_critic_is_at_the_least_squares_solution_after_one_whole_step()
 
 
 @pytest.mark.parametrize(("hidden", "tolerance"), [((), 1e-6), ((6,), 0.05)])
-def test_a_critics_values_change_as_much_as_its_bound_allows(
-    hidden: tuple[int, ...], tolerance: float
-) -> None:
+def test_a_critics_values_change_by_its_bound(hidden: tuple[int, ...], tolerance: float) -> None:
     """Half the mean squared change: exactly that where values are linear in the parameters."""
     regression, network, rows, targets = _regression(1e-5, hidden)
     before = network(rows).detach()

@@ -70,7 +70,7 @@ def _rows(stack: int, selected: NDArray[np.bool_], seed: int = 2) -> tuple[Polic
 def _run(
     config: AlgoConfig, kl_coeff: Tensor, selected: NDArray[np.bool_]
 ) -> tuple[Actor, Actor, PolicyBatch, Tensor, dict[str, Tensor]]:
-    """One update: the actor before and after, what it learnt from, the coefficients and the info."""
+    """One update: the actor before and after, its batch, the coefficients and the metrics."""
     before, after = (Actor(config.model, SPEC, range(P), 1, DOUBLE) for _ in range(2))
     rows, advantages = _rows(P, selected)
     layout = Layout(Grouping.of("shared", SPEC), P, torch.device("cpu"), DOUBLE)
@@ -87,8 +87,8 @@ def _mean_kl(before: Actor, after: Actor, rows: PolicyBatch, p: int) -> float:
     return float(kl[torch.from_numpy(rows.selected[p])].mean())
 
 
-def test_the_kl_coefficient_adapts_for_each_policy_by_itself() -> None:
-    """x 1.5 where KL > 2 target, x 0.5 where KL < target / 2, else as it was."""
+def test_the_kl_coefficient_adapts_per_policy() -> None:
+    """x 1.5 if KL > 2 target, x 0.5 if KL < target / 2, else unchanged."""
     selected = np.random.default_rng(3).random((P, B)) < 0.7
     start = torch.tensor([0.2, 0.3, 0.4], dtype=DOUBLE)
     config = replace(CONFIG, kl_coeff=0.2, kl_target=1e-9)
@@ -104,7 +104,7 @@ def test_the_kl_coefficient_adapts_for_each_policy_by_itself() -> None:
             assert float(adapted[p]) == pytest.approx(factor * float(start[p]), rel=1e-12)
 
 
-def test_a_kl_penalty_keeps_the_policy_nearer_to_what_it_was() -> None:
+def test_a_kl_penalty_keeps_the_policy_closer_to_the_old_one() -> None:
     selected = np.ones((P, B), np.bool_)
     moved = []
     for coefficient in (1e-6, 10.0):
@@ -114,7 +114,7 @@ def test_a_kl_penalty_keeps_the_policy_nearer_to_what_it_was() -> None:
     assert (np.array(moved[1]) < 0.5 * np.array(moved[0])).all()
 
 
-def test_a_policy_without_rows_learns_nothing_and_harms_nobody() -> None:
+def test_a_policy_without_rows_stays_unchanged_and_affects_no_other() -> None:
     some, none = np.ones((P, B), np.bool_), np.ones((P, B), np.bool_)
     none[1] = False
     start = torch.zeros(P, dtype=DOUBLE)
@@ -126,7 +126,7 @@ def test_a_policy_without_rows_learns_nothing_and_harms_nobody() -> None:
 
 
 def test_a_policy_without_rows_keeps_its_kl_coefficient() -> None:
-    """A divergence of 0 that nobody measured says nothing; where it was measured, it halves."""
+    """Without rows a KL divergence of 0 has no effect; with rows it halves the coefficient."""
     selected = np.ones((P, B), np.bool_)
     selected[1] = False
     config = replace(CONFIG, kl_coeff=0.2, kl_target=1e3)
@@ -141,7 +141,7 @@ def test_an_update_without_any_rows_changes_nothing() -> None:
     assert all(bool(torch.isfinite(value).all()) for value in info.values())
 
 
-def test_gradients_are_clipped_for_each_network_by_itself() -> None:
+def test_gradients_are_clipped_per_network() -> None:
     random = torch.Generator().manual_seed(4)
     stacked = [
         torch.nn.Parameter(torch.randn(s, generator=random, dtype=DOUBLE)) for s in ((2, 3, 4), (2, 3, 1))
@@ -182,7 +182,7 @@ def test_the_clip_fraction_counts_rows_outside_the_clip() -> None:
         assert float(info["clip_fraction"][p]) == pytest.approx(outside, abs=1e-12)
 
 
-def test_networks_without_rows_in_a_minibatch_do_not_move_on_by_their_momentum() -> None:
+def test_networks_without_rows_in_a_minibatch_do_not_move_by_momentum() -> None:
     random = torch.Generator().manual_seed(5)
     tensor = torch.nn.Parameter(torch.randn(3, 4, 2, generator=random, dtype=DOUBLE))
     signals = torch.randn(6, 3, 4, 2, generator=random, dtype=DOUBLE)

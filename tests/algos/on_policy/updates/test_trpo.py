@@ -1,6 +1,6 @@
 """TRPO's step against the natural gradient with an explicit Fisher matrix, one policy after another.
 
-The oracle differentiates torch.distributions' divergence twice, solves by LU and searches in a loop.
+The oracle differentiates torch.distributions' KL divergence twice, solves by LU and searches in a loop.
 """
 
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ def _update(spec: EnvSpec, config: AlgoConfig = CONFIG, stack: int = P) -> TRPO:
 
 
 def _rows(spec: EnvSpec, actor: Actor, seed: int = 1) -> tuple[PolicyBatch, Tensor]:
-    """Actions drawn from the policies; some rows are not selected, and the last policy has but a few."""
+    """Actions sampled from the policies; some rows are not selected, and the last policy has only a few."""
     random = torch.Generator().manual_seed(seed)
     stack = len(actor.network.weights[0])
     observations = torch.randn(stack, B, D, generator=random, dtype=DOUBLE)
@@ -64,7 +64,7 @@ def _rows(spec: EnvSpec, actor: Actor, seed: int = 1) -> tuple[PolicyBatch, Tens
 
 @dataclass
 class Found:
-    """What the oracle comes to for one policy."""
+    """Result of the oracle for one policy."""
 
     old: Tensor
     """(V,)"""
@@ -146,8 +146,8 @@ def test_the_step_is_the_natural_gradients_within_its_bound(spec: EnvSpec) -> No
 
 
 @every_space
-def test_each_policy_searches_by_itself(spec: EnvSpec) -> None:
-    """Of a stack, some accept at once, some after halvings, some never; these stay bit for bit."""
+def test_the_line_search_is_per_policy(spec: EnvSpec) -> None:
+    """In a stack some accept at once, some after halvings, some never and stay unchanged bit for bit."""
     stack = 10
     config = replace(CONFIG, kl_bound=0.6, accept_ratio=0.7, line_search_steps=1, entropy_coeff=0.0)
     update = _update(spec, config, stack)
@@ -166,8 +166,8 @@ def test_each_policy_searches_by_itself(spec: EnvSpec) -> None:
         assert float(info["kl"][p]) <= 0.6
 
 
-def test_a_step_beyond_the_bound_is_halved_though_it_pays() -> None:
-    """`accept_ratio` 0 and a bound so wide that the quadratic estimate of the divergence fails."""
+def test_a_step_beyond_the_bound_is_halved_even_if_it_improves() -> None:
+    """With `accept_ratio` 0 and a bound so wide that the quadratic estimate of the KL divergence fails."""
     config = replace(CONFIG, kl_bound=0.5, accept_ratio=0.0)
     update = _update(BOX, config, 10)
     rows, advantages = _rows(BOX, update.actor, seed=3)
@@ -199,8 +199,8 @@ def test_annealing_shortens_steps_by_its_share() -> None:
 
 
 @every_space
-def test_nothing_to_gain_changes_nothing(spec: EnvSpec) -> None:
-    """No advantages, no bonus; and a policy without rows beside one that learns."""
+def test_without_a_gradient_nothing_changes(spec: EnvSpec) -> None:
+    """Without advantages and bonus; and for a policy without rows beside one that is trained."""
     config = replace(CONFIG, entropy_coeff=0.0)
     update = _update(spec, config)
     rows, advantages = _rows(spec, update.actor)

@@ -1,4 +1,4 @@
-"""Days as one row a call: what was simulated is what the environment counted."""
+"""Days with one row per call: simulated calls agree with the environment's totals."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def replay(tables: Tables) -> Prepared:
     return prepare_replay(BusConfig(start_hour=4, end_hour=26), tables)
 
 
-def test_in_a_replay_every_trip_leaves_exactly_when_it_did(tables: Tables, replay: Prepared) -> None:
+def test_in_a_replay_every_trip_leaves_at_its_recorded_time(tables: Tables, replay: Prepared) -> None:
     trips = tables.trips[tables.trips["daytype"] == "weekday"]
     observed = np.sort(trips["dep_s"].to_numpy(np.float64))
     for calls in simulated_days(tables, replay, 3):
@@ -35,7 +35,7 @@ def test_in_a_replay_every_trip_leaves_exactly_when_it_did(tables: Tables, repla
         np.testing.assert_allclose(np.sort(left), observed)
 
 
-def test_in_a_replay_nothing_fails(replay: Prepared) -> None:
+def test_in_a_replay_there_are_no_breakdowns_or_services(replay: Prepared) -> None:
     env = BusBatchedEnv(replay, 2)
     env.reset(np.arange(2, dtype=np.uint64))
     for _ in range(replay.config.ticks):
@@ -45,7 +45,7 @@ def test_in_a_replay_nothing_fails(replay: Prepared) -> None:
     assert (metrics["service_visits"] == 0).all()
 
 
-def test_a_trace_changes_nothing_and_agrees_with_the_accounts(line: Prepared) -> None:
+def test_a_trace_changes_nothing_and_agrees_with_the_totals(line: Prepared) -> None:
     plain, traced = BusBatchedEnv(line, 2), BusBatchedEnv(line, 2, traced=True)
     rng = np.random.default_rng(3)
     for env in (plain, traced):
@@ -99,13 +99,13 @@ def test_the_same_seed_gives_the_same_day_and_a_rule_another(tables: Tables) -> 
     assert (held["left"] - held["time"]).sum() > (first["left"] - first["time"]).sum()
 
 
-def test_no_day_at_all_is_refused(tables: Tables, replay: Prepared) -> None:
+def test_zero_days_are_refused(tables: Tables, replay: Prepared) -> None:
     with pytest.raises(HeadwayError, match="days must be at least 1, not 0"):
         next(simulated_days(tables, replay, 0))
 
 
 def _record(folder: Path, date: str, line: str) -> None:
-    """One trip of three calls, as SUNT writes it."""
+    """Return one trip of three calls in SUNT's format."""
     folder.mkdir(exist_ok=True)
     times = [f"{date} 07:00:00", f"{date} 07:02:00", f"{date} 07:05:00"]
     pd.DataFrame(
@@ -158,7 +158,7 @@ def test_a_recorded_day_has_the_same_columns(tables: Tables, tmp_path: Path) -> 
         ("2024-08-26", "x", {"ops_weekday": "2024-08-26"}, "has no trip of the scenario's lines"),
     ],
 )
-def test_records_that_are_not_the_scenario_s_are_refused(
+def test_records_of_another_scenario_are_refused(
     tables: Tables, tmp_path: Path, date: str, line: str, meta: dict[str, object], said: str
 ) -> None:
     _record(tmp_path / "raw", date, line or str(tables.patterns["line"].iloc[0]))

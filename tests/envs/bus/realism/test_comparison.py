@@ -1,4 +1,4 @@
-"""Simulated beside measured figures, on the synthetic line and, where they are, on SUNT's own."""
+"""Simulated compared with measured statistics, on the synthetic line and, if present, on SUNT's lines."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,11 +29,11 @@ SHARED = Path(__file__).resolve().parents[5] / "shared" / "data"
 
 @pytest.fixture(scope="module")
 def recorded() -> Tables:
-    """The synthetic line as if it had been recorded in another city."""
+    """Return the synthetic line as a recording of another city."""
     return replace(scenario_tables("line", 0), meta={"source": "a test"})
 
 
-def test_own_figures_are_compared_and_departures_agree(recorded: Tables) -> None:
+def test_own_statistics_are_compared_and_departures_agree(recorded: Tables) -> None:
     rows = {row.statistic: row for row in compare_replay(recorded, BusConfig(), 2)}
     assert {row.source for row in rows.values()} == {OWN}
     assert rows[trip_statistics.FIRST_CV].off == pytest.approx(0.0, abs=1e-9)
@@ -71,7 +71,7 @@ def test_boardings_that_were_made_up_are_left_out(recorded: Tables) -> None:
     assert trip_statistics.TRIP_MEAN in names
 
 
-def test_a_figure_that_no_simulated_day_has_does_not_hold(recorded: Tables) -> None:
+def test_a_statistic_missing_on_all_simulated_days_fails(recorded: Tables) -> None:
     nobody = replace(
         recorded, demand=recorded.demand.assign(board=0.0), meta={"source": f"a test of doi:{DOI}"}
     )
@@ -80,7 +80,9 @@ def test_a_figure_that_no_simulated_day_has_does_not_hold(recorded: Tables) -> N
     assert not rows[trip_statistics.RIDE].holds
 
 
-def test_few_lines_are_not_held_to_the_whole_city(recorded: Tables, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_lines_are_not_compared_with_the_whole_city(
+    recorded: Tables, monkeypatch: pytest.MonkeyPatch
+) -> None:
     few = replace(recorded, meta={"source": f"a test of doi:{DOI}"})
     days: list[int] = []
     rows = compare_replay(few, BusConfig(), 2, after_day=lambda: days.append(1))
@@ -100,7 +102,7 @@ def test_trips_that_arrive_after_the_service_day_are_not_measured(recorded: Tabl
     assert late["arr"].max() <= HOURS[1] * 3600
 
 
-def test_a_figure_holds_up_to_its_tolerance() -> None:
+def test_a_statistic_holds_up_to_its_tolerance() -> None:
     row = Row("x", 1.05, None, 1.0, 0.05000001, OWN)
     assert row.holds
     assert not replace(row, simulated=0.9).holds
@@ -108,7 +110,7 @@ def test_a_figure_holds_up_to_its_tolerance() -> None:
     assert Tolerance(0.1).of(40.0) == 0.1
 
 
-def test_every_measured_figure_has_a_tolerance() -> None:
+def test_every_measured_statistic_has_a_tolerance() -> None:
     for values in WHOLE_CITY.values():
         assert set(values) <= set(TOLERANCES)
 

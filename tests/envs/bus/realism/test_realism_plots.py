@@ -1,4 +1,4 @@
-"""Pictures of days draw what there is."""
+"""Pictures of days with missing measurements."""
 
 import matplotlib as mpl
 import pandas as pd

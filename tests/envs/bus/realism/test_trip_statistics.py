@@ -1,4 +1,4 @@
-"""Figures of days that can be computed by hand."""
+"""Statistics of days that can be computed by hand."""
 
 import numpy as np
 import pandas as pd
@@ -9,7 +9,7 @@ from headway_envs.bus.realism import trip_statistics
 
 
 def _calls(times: list[float], calls: int = 5, boarded: list[float] | None = None) -> pd.DataFrame:
-    """Trips that reach each of `calls` stops, 60 s apart, after `times` (s after 06:00) at the first."""
+    """Return trips that start at `times` (s after 06:00) and reach each of `calls` stops 60 s apart."""
     trips = len(times)
     frame = pd.DataFrame(
         {
@@ -87,13 +87,13 @@ def test_trips_that_were_not_finished_are_left_out() -> None:
     assert list(trip_statistics.finished_trips(calls, pd.Series({0: 2.0}))["trip"]) == [0]
 
 
-def test_no_trip_at_all_is_refused() -> None:
+def test_days_without_trips_are_refused() -> None:
     none = trip_statistics.finished_trips(_calls([0]), pd.Series({0: 2.0})).iloc[:0]
     with pytest.raises(HeadwayError, match="no trip was finished within the day"):
         trip_statistics.finished_trip_statistics(none)
 
 
-def test_loads_ride_length_and_the_answer_to_headways() -> None:
+def test_loads_ride_length_and_the_response_to_headways() -> None:
     times = [0, 100, 200, 300, 800]
     proportional = trip_statistics.passenger_statistics(_calls(times, boarded=[0.0, 2.0, 2.0, 2.0, 10.0]))
     assert proportional[trip_statistics.RESPONSE] == pytest.approx(1.0)

@@ -1,4 +1,4 @@
-"""Whole sessions whose workers are actors of a Ray cluster: the same curves, and nothing left behind."""
+"""Sessions whose workers run in a Ray cluster: the same curves, and no process left behind."""
 
 import os
 import pickle
@@ -56,7 +56,7 @@ def _runs(folder: Path) -> dict[int, RunRow]:
 
 
 def _tables(row: RunRow) -> dict[str, list[dict[str, str]]]:
-    """All that a run logged but times, to the last bit."""
+    """Return everything that a run logged except times, bit for bit."""
     return {
         table: [
             {
@@ -71,7 +71,7 @@ def _tables(row: RunRow) -> dict[str, list[dict[str, str]]]:
 
 
 def _kept(folder: Path) -> int:
-    """Iteration of the newest checkpoint of the only run; 0: there is none."""
+    """Return the iteration of the newest checkpoint of the only run; 0 if there is none."""
     return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
 
 
@@ -86,16 +86,16 @@ def _until_kept(process: "subprocess.Popen[str]", folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the same was trained by processes."""
+    """Folder of the same training with worker processes."""
     folder = tmp_path_factory.mktemp("process")
     with _started("run", *LONG, folder=folder) as process:
-        _, told = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, told
+        _, shown = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, shown
     return folder
 
 
 @needs_ray
-def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
+def test_a_killed_session_leaves_nothing_and_resumes_to_the_curves_of_processes(
     by_processes: Path, tmp_path: Path
 ) -> None:
     before = ray_processes()
@@ -107,9 +107,9 @@ def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
     killed = _runs(tmp_path)
     assert 0 < _kept(tmp_path) < 40
     with _started("resume", *(row.run_id for row in killed.values()), folder=tmp_path) as process:
-        _, told = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, told
-    assert "(raylet)" not in told
+        _, shown = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, shown
+    assert "(raylet)" not in shown
     ended, expected = _runs(tmp_path), _runs(by_processes)
     assert [row.status for row in ended.values()] == ["FINISHED"]
     assert _tables(ended[3]) == _tables(expected[3])
@@ -117,7 +117,7 @@ def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
 
 
 @needs_ray
-def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
+def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(
     by_processes: Path, tmp_path: Path
 ) -> None:
     before = ray_processes()
@@ -135,10 +135,11 @@ def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
         (host,) = hosts
         children = host.children(recursive=True)
         host.kill()
-        _, told = process.communicate(timeout=2 * PATIENCE_S)
-        assert process.returncode == 0, told
+        _, shown = process.communicate(timeout=2 * PATIENCE_S)
+        assert process.returncode == 0, shown
     assert (
-        told.count("its training process was lost (its worker process has died); it goes on elsewhere") == 1
+        shown.count("its training process was lost (its worker process has died); it continues elsewhere")
+        == 1
     )
     assert not any(child.is_running() for child in children)
     ended = {row.algorithm: row for row in RunIndex(tmp_path / "runs").rows()}
@@ -149,17 +150,17 @@ def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
 
 @needs_ray
 def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
-    """The key reaches the whole group of processes, Ray's too."""
+    """The signal reaches the whole process group, including Ray's processes."""
     before = ray_processes()
     with _started(
         "run", *TINY, "backend=ray", "backend.workers=2", "env_steps=1e8", folder=tmp_path
     ) as process:
         _until_kept(process, tmp_path)
         os.killpg(process.pid, signal.SIGINT)
-        _, told = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 130, told
-    assert "with a checkpoint" in told
-    assert "failed" not in told
+        _, shown = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 130, shown
+    assert "with a checkpoint" in shown
+    assert "failed" not in shown
     (row,) = _runs(tmp_path).values()
     assert row.status == "KILLED"
     assert latest_iteration(Path(row.directory, CHECKPOINTS)) == row.iterations
@@ -189,15 +190,15 @@ def test_an_address_without_a_cluster_starts_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run([*words, *TINY, "backend=ray", "backend.address=127.0.0.1:1"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(
+    shown = capsys.readouterr().err
+    assert shown.startswith(
         "headway: no Ray cluster answers at backend.address=127.0.0.1:1 (Connection refused)"
     )
-    assert told.count("\n") == 1
+    assert shown.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_an_address_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_address_prints_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["run", *TINY, "backend=ray", "backend.address=nonsense"]) == 2
     assert (
         capsys.readouterr().err
@@ -213,7 +214,7 @@ def test_a_session_without_ray_has_no_cluster() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cluster", "asked", "given"),
+    ("cluster", "requested", "given"),
     [
         (SessionCluster("head:1", shared_out=True), {}, ("head:1", 0.0)),
         (SessionCluster("head:1", shared_out=True), {"worker_cpus": 2.0}, ("head:1", 2.0)),
@@ -221,9 +222,9 @@ def test_a_session_without_ray_has_no_cluster() -> None:
     ],
 )
 def test_training_processes_are_given_the_cluster_of_the_session(
-    cluster: SessionCluster, asked: dict[str, float | str], given: tuple[str, float | None]
+    cluster: SessionCluster, requested: dict[str, float | str], given: tuple[str, float | None]
 ) -> None:
-    backend = cluster.backend(BackendConfig("ray", **asked))
+    backend = cluster.backend(BackendConfig("ray", **requested))
     assert (backend.address, backend.worker_cpus) == given
 
 
@@ -250,7 +251,7 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
 
 @needs_ray
 @pytest.mark.parametrize(
-    ("words", "workers", "node_cpus", "asked", "parallel"),
+    ("words", "workers", "node_cpus", "requested", "parallel"),
     [
         (("backend.stack=5", "env.max_copies_per_process=1"), 10, 4, 2, 2),
         (("backend.stack=5", "env.max_copies_per_process=1"), 10, 1, 1, 2),
@@ -259,8 +260,8 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
         (("backend.stack=5", "env.max_copies_per_process=1"), 10, None, 0, 2),
     ],
 )
-def test_a_run_that_is_placed_whole_asks_for_what_a_node_has(
-    words: tuple[str, ...], workers: int, node_cpus: int | None, asked: int, parallel: int
+def test_a_run_placed_on_the_cluster_requests_at_most_the_cpus_of_a_node(
+    words: tuple[str, ...], workers: int, node_cpus: int | None, requested: int, parallel: int
 ) -> None:
     from headway_launch.experiments.compose import compose
     from headway_launch.runner.cluster.ray_training import Placement
@@ -274,20 +275,20 @@ def test_a_run_that_is_placed_whole_asks_for_what_a_node_has(
     shares = cluster.share_cores(composed.config.backend, jobs, cores=4)
     job = jobs[0].training_job(composed.config, workers_of(jobs[0], shares), ())
     assert job.workers == workers
-    assert Placement.of(job, node_cpus, 0.0) == Placement(asked)
+    assert Placement.of(job, node_cpus, 0.0) == Placement(requested)
     assert shares.parallel == parallel
 
 
 @pytest.mark.parametrize(
-    ("device", "there", "asked"),
+    ("device", "available", "requested"),
     [("cpu", 4, 0), ("auto", 0, 0), ("auto", 4, 1), ("cuda", 4, 1), ("cuda:1", 0, 1)],
 )
-def test_a_learner_asks_for_the_gpu_that_it_trains_on(device: str, there: float, asked: float) -> None:
-    assert gpus_of(device, there) == asked
+def test_a_learner_requests_the_gpu_it_trains_on(device: str, available: float, requested: float) -> None:
+    assert gpus_of(device, available) == requested
 
 
 @needs_ray
-def test_what_is_used_on_another_machine_is_not_counted_here() -> None:
+def test_resource_use_on_another_machine_is_not_counted_here() -> None:
     from headway_launch.runner.cluster.ray_training import without_usage
 
     used = Usage(3.0, 5)
@@ -298,7 +299,7 @@ def test_what_is_used_on_another_machine_is_not_counted_here() -> None:
 
 
 @needs_ray
-def test_a_machine_that_does_not_see_the_store_is_told_in_one_line(tmp_path: Path) -> None:
+def test_a_node_without_the_store_prints_one_line(tmp_path: Path) -> None:
     from headway_launch.runner.cluster.ray_training import TrainingHost
 
     host = TrainingHost()

@@ -57,13 +57,13 @@ SMALL: Files = {
 
 @pytest.fixture
 def small() -> Files:
-    """The files of the small feed."""
+    """Return the files of the small feed."""
     return SMALL
 
 
 @pytest.fixture
 def write_feed(tmp_path: Path) -> FeedWriter:
-    """Writes the small feed, files replaced, or left out where None."""
+    """(replaced files; None: left out) -> folder of the small feed."""
 
     def write(**changed: str | None) -> Path:
         folder = tmp_path / "feed"
@@ -78,7 +78,7 @@ def write_feed(tmp_path: Path) -> FeedWriter:
 
 @pytest.fixture
 def city_feed(tmp_path: Path) -> Path:
-    """A feed of a city's size: 380 lines, 22,800 trips a weekday, 752,400 calls."""
+    """Return a feed of a city's size: 380 lines, 22,800 trips and 752,400 calls per weekday."""
     folder = tmp_path / "city"
     folder.mkdir()
     rng = np.random.default_rng(0)

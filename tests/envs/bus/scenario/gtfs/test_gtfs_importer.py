@@ -1,4 +1,4 @@
-"""Scenarios from GTFS feeds: what the standard allows is read right, what is wrong is named."""
+"""Scenarios from GTFS feeds: all that the standard allows is read correctly, and errors are named."""
 
 import datetime as dt
 import time
@@ -30,7 +30,7 @@ def imported(folder: Path, **options: Any) -> Tables:  # noqa: ANN401 - any of t
 
 
 def calls_of(tables: Tables, way: str) -> pd.DataFrame:
-    """The stops of the first pattern of a direction, with names."""
+    """Return the stops of the first pattern of a direction, with names."""
     pattern = tables.patterns.loc[tables.patterns["dir"] == way, "pattern"].iloc[0]
     calls = tables.pattern_stops[tables.pattern_stops["pattern"] == pattern]
     return calls.merge(tables.stops[["stop", "name"]], on="stop").sort_values("seq0")
@@ -62,7 +62,7 @@ def test_times_pass_midnight_and_other_modes_stay_out(write_feed: FeedWriter) ->
     assert metro.patterns["line"].tolist() == ["M"]
 
 
-def test_times_that_start_anew_at_midnight_go_on(write_feed: FeedWriter, small: Files) -> None:
+def test_times_that_restart_at_midnight_are_continued(write_feed: FeedWriter, small: Files) -> None:
     text = small["stop_times"].replace("24:02:00,24:02:00", "00:02:00,00:02:00")
     tables = imported(write_feed(stop_times=text.replace("25:10:00,25:10:00", "01:10:00,01:10:00")))
     assert tables.meta["counted"]["times after midnight written from 0 h on, 24 h added"] == 2
@@ -71,7 +71,7 @@ def test_times_that_start_anew_at_midnight_go_on(write_feed: FeedWriter, small: 
     pd.testing.assert_frame_equal(tables.link_times, written.link_times)
 
 
-def test_one_time_of_midnight_moves_no_other(write_feed: FeedWriter, small: Files) -> None:
+def test_a_single_midnight_time_does_not_shift_others(write_feed: FeedWriter, small: Files) -> None:
     text = small["stop_times"].replace("24:02:00,24:02:00", "00:00:00,00:00:00")
     tables = imported(write_feed(stop_times=text.replace("25:10:00,25:10:00", "23:59:30,23:59:30")))
     trips = tables.trips[tables.trips["daytype"] == "weekday"]
@@ -132,7 +132,7 @@ def test_blocks_are_vehicles(write_feed: FeedWriter) -> None:
     assert tables.trips[tables.trips["daytype"] == "weekday"]["vehicle"].nunique() == 2
 
 
-def test_a_block_whose_trips_overlap_is_as_many_vehicles_as_it_takes(write_feed: FeedWriter) -> None:
+def test_a_block_with_overlapping_trips_becomes_several_vehicles(write_feed: FeedWriter) -> None:
     trips = "route_id,service_id,trip_id,block_id\n" + "".join(
         f"r1,work,{trip},{block}\n" for trip, block in (("t1", "x"), ("t2", "x"), ("t3", "x"), ("u", "y"))
     )
@@ -225,7 +225,7 @@ def test_a_zip_with_a_folder_inside_a_mark_and_latin_letters_is_read(
     pd.testing.assert_frame_equal(tables.trips, imported(folder).trips)
 
 
-def test_demand_is_the_trips_times_the_scale_and_said_to_be_made_up(write_feed: FeedWriter) -> None:
+def test_demand_is_proportional_to_trips_and_marked_as_synthetic(write_feed: FeedWriter) -> None:
     tables = imported(write_feed(), boardings_per_trip=10.0)
     by_day = tables.demand.groupby("daytype")["board"].sum()
     assert by_day["weekday"] == pytest.approx(2 * 10.0)
@@ -234,9 +234,9 @@ def test_demand_is_the_trips_times_the_scale_and_said_to_be_made_up(write_feed: 
     assert "doi 10.17632" in tables.meta["made_up"]["demand, alighting"]
 
 
-def test_passengers_come_when_buses_do(write_feed: FeedWriter) -> None:
-    """Of a trip or two a day most passengers are there for it, and of regular service nearly all: what falls
-    outside are parts of hours, between which the environment interpolates."""
+def test_passengers_arrive_when_buses_run(write_feed: FeedWriter) -> None:
+    """Most passengers arrive within the time for one or two trips a day, and nearly all for a regular
+    service; the rest is due to the environment's interpolation between hours."""
     few = imported(write_feed())
     regular = imported(
         write_feed(frequencies="trip_id,start_time,end_time,headway_secs\nout,06:00:00,20:00:00,1200\n"),
@@ -324,7 +324,7 @@ def test_files_of_two_feeds_are_not_mixed(write_feed: FeedWriter, tmp_path: Path
 
 
 @pytest.mark.data
-def test_the_real_feed_of_the_brt_is_whole_and_runs() -> None:
+def test_the_real_feed_of_the_brt_is_complete_and_runs() -> None:
     if not BRT.is_dir():
         pytest.skip("the BRT's feed ../shared/data/sunt_raw/brt_gtfs is not there")
     tables = imported(BRT)

@@ -1,4 +1,4 @@
-"""Scenarios from raw files of SUNT: oddities are mended and counted, the real files give known figures."""
+"""Scenarios from raw files of SUNT: defects are repaired and counted, the real files give known numbers."""
 
 import datetime as dt
 from pathlib import Path
@@ -20,7 +20,7 @@ STOPS = 6
 
 
 def records(date: dt.date, trips: int = 20, board: float = 3.0, alight: float = 3.0) -> pd.DataFrame:
-    """Trips of two directions of line 7, every half hour from 06:00, a minute from stop to stop."""
+    """Return trips of both directions of line 7, every half hour from 06:00, one minute between stops."""
     rows = []
     for trip in range(trips):
         for seq in range(1, STOPS + 1):
@@ -111,7 +111,7 @@ def test_a_day_without_fares_takes_the_counts_by_stop(tmp_path: Path) -> None:
 
 
 def odd(frame: pd.DataFrame, oddity: str) -> pd.DataFrame:
-    """The records with one oddity of the real files."""
+    """Return the records with one defect of the real files."""
     frame = frame.copy()
     board = frame.columns.get_loc("n-boardings")
     match oddity:
@@ -177,7 +177,7 @@ def odd(frame: pd.DataFrame, oddity: str) -> pd.DataFrame:
         ("late", "calls after midnight, kept as past 24 h", 48),
     ],
 )
-def test_each_oddity_is_counted_once_and_gives_a_whole_scenario(
+def test_each_defect_is_counted_once_and_gives_a_complete_scenario(
     tmp_path: Path, oddity: str, name: str, count: int
 ) -> None:
     plain = imported(write_raw(tmp_path / "plain", {SUNDAY: records(SUNDAY)}, nodes=False))
@@ -223,7 +223,7 @@ def test_wrong_folders_are_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.data
-def test_the_real_files_give_the_figures_of_the_ready_extract() -> None:
+def test_the_real_files_give_the_numbers_of_the_prepared_extract() -> None:
     raw, ready = SHARED / "sunt_raw", SHARED / "sunt" / "line1"
     if not raw.is_dir() or not ready.is_dir():
         pytest.skip("SUNT's files ../shared/data/sunt_raw and ../shared/data/sunt/line1 are not there")
@@ -241,7 +241,7 @@ def test_the_real_files_give_the_figures_of_the_ready_extract() -> None:
 
 
 def _mean_seconds(tables: Tables) -> "pd.Series[float]":
-    """Weekday seconds from 7 to 18 h by the ends' stop_id."""
+    """Return weekday link times from 7 to 18 h, s, by the stop_id of their ends."""
     stops = tables.stops.set_index("stop")["stop_id"].astype(str)
     ends = tables.links.set_index("link")[["from_stop", "to_stop"]]
     times = tables.link_times[
