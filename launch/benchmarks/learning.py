@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,20 +19,17 @@ class Case:
     hidden: tuple[int, ...]
     rows: int
 
-    @property
-    def chosen(self) -> str:
-        """The implementation that training chooses, `compiled` or `torch`."""
-        from headway_algos.optim import fast_path
-
-        layers = (OBSERVED, *self.hidden, 3)
-        weights = sum(a * b for a, b in pairwise(layers))
-        return "compiled" if self.rows * weights <= fast_path.MOST_PRODUCTS else "torch"
-
 
 CASES = [
     Case(seeds, hidden, rows)
     for seeds in (1, 5)
-    for hidden, rows in (((32, 32, 32), 128), ((64, 64), 64), ((64, 64), 256), ((64, 64), 1024))
+    for hidden, rows in (
+        ((32, 32, 32), 128),
+        ((64, 64), 64),
+        ((64, 64), 500),
+        ((64, 64), 4000),
+        ((256, 256), 1000),
+    )
 ]
 
 
@@ -50,7 +46,7 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     from headway_algos.on_policy.critics.critic_inputs import VIEWS
     from headway_algos.on_policy.critics.estimate import CriticEstimate
     from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
-    from headway_algos.on_policy.updates.ppo import PPO
+    from headway_algos.on_policy.updates import ppo_update
 
     steps = ROWS_PER_ROUND // case.rows
     rows, device = steps * case.rows, torch.device("cpu")
@@ -65,7 +61,8 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
         log_probs = actor(observations, None).log_prob(actions)
     advantages = torch.from_numpy(random.normal(size=(case.seeds, rows)).astype(np.float32))
     here = np.ones((case.seeds, rows), np.bool_)
-    batch, update = PolicyBatch(observations, None, actions, log_probs, here), PPO(actor, config, layout)
+    batch = PolicyBatch(observations, None, actions, log_probs, here)
+    update = ppo_update(actor, config, layout)
     view = VIEWS["local"](config, spec, grouping)
     regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
     returns = random.normal(size=(rows, case.seeds, 1))
@@ -81,19 +78,19 @@ def measured(case: Case) -> list[tuple[float, float]]:
     minimum over interleaved rounds."""
     from headway_algos.optim import fast_path
 
-    chosen, least = fast_path.MOST_PRODUCTS, np.full((2, 2), np.inf)
+    least = np.full((2, 2), np.inf)
     learn, steps = learners(case)
     try:
         for place in range(ROUNDS + 1):
-            for column, limit in enumerate((-1, 10**12)):
-                fast_path.MOST_PRODUCTS = limit
+            for column, compiled in enumerate((False, True)):
+                fast_path.ENABLED = compiled
                 for part, run in enumerate(learn):
                     began = time.process_time()
                     run()
                     if place > 0:
                         least[part, column] = min(least[part, column], time.process_time() - began)
     finally:
-        fast_path.MOST_PRODUCTS = chosen
+        fast_path.ENABLED = True
     return [(by_torch, ours) for by_torch, ours in (least / steps * 1e6).tolist()]
 
 
@@ -103,12 +100,12 @@ def report() -> None:
 
     print("\n## Minibatch steps\n")
     print("| networks | hidden layers | rows | policies: torch, us | compiled, us | critics: torch, us "
-          "| compiled, us | chosen |")  # fmt: skip
-    print("|---:|---|---:|---:|---:|---:|---:|---|")
+          "| compiled, us |")  # fmt: skip
+    print("|---:|---|---:|---:|---:|---:|---:|")
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     for case in CASES:
         cells = [f"{us:.0f}" for pair in measured(case) for us in pair]
         hidden = "-".join(map(str, case.hidden))
-        print(f"| {case.seeds} | {hidden} | {case.rows} | {' | '.join(cells)} | {case.chosen} |", flush=True)
+        print(f"| {case.seeds} | {hidden} | {case.rows} | {' | '.join(cells)} |", flush=True)
     torch.set_num_threads(threads)

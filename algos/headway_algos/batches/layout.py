@@ -164,17 +164,20 @@ def minibatches(
     generators: Sequence[np.random.Generator],
     epochs: int,
     parts: int,
-    piece_samples: int,
+    piece_samples: int | None,
     layout: Layout,
 ) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
     """Yield shuffled minibatches: pieces whose gradients sum to the minibatch's, and a mask (P,) of networks
     with rows in it.
 
     Each network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts` equal
-    minibatches, so that its updates do not depend on its stack. Padding repeats a selected row of the same
+    minibatches, so that its updates do not depend on its stack. A piece holds at most `piece_samples` samples
+    of all networks together; None: a minibatch is one piece. Padding repeats a selected row of the same
     network, if it has any.
     """
     stack, batch = selected.shape
+    if piece_samples is None:
+        piece_samples = max(selected.size, 1)
     candidates = [np.flatnonzero(row) for row in selected]
     counts = np.array([len(rows) for rows in candidates])
     edges = counts * np.arange(parts + 1)[:, None] // parts
@@ -189,8 +192,9 @@ def minibatches(
     positions = np.minimum(edges[:-1, :, None] + within, np.maximum(counts - 1, 0)[:, None])
     for _ in range(epochs):
         index = np.empty(positions.shape, np.int64)
-        for p, (random, rows) in enumerate(zip(generators, candidates, strict=True)):
-            shuffled = random.permutation(rows)
+        for p, rows in enumerate(candidates):
+            # A gradient over all rows needs no order.
+            shuffled = generators[p].permutation(rows) if parts > 1 else rows
             index[:, p] = p * batch + (shuffled[positions[:, p]] if len(rows) else 0)
         indices = torch.from_numpy(index).to(layout.device)
         cache, block = None, -1

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout, Piece, even_slices, minibatches
-from headway_algos.config import AlgoConfig
 from headway_algos.networks.timeline import Timeline
 
 
@@ -147,7 +146,9 @@ def learning_batches(
     selected: NDArray[np.bool_],
     sequences: Sequences | None,
     generators: Sequence[np.random.Generator],
-    config: AlgoConfig,
+    epochs: int,
+    parts: int,
+    piece_samples: int | None,
     layout: Layout,
 ) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
     """Yield shuffled minibatches of selected rows (P, B), or of whole sequences that contain such rows.
@@ -156,13 +157,11 @@ def learning_batches(
     takes fewer steps.
     """
     if sequences is None:
-        yield from minibatches(
-            selected, generators, config.epochs, config.minibatches, config.piece_samples, layout
-        )
+        yield from minibatches(selected, generators, epochs, parts, piece_samples, layout)
         return
     rows = torch.from_numpy(selected).to(layout.device)
-    samples = max(config.piece_samples // sequences.length, 1)
+    samples = None if piece_samples is None else max(piece_samples // sequences.length, 1)
     for pieces, active in minibatches(
-        sequences.holding(selected), generators, config.epochs, config.minibatches, samples, layout
+        sequences.holding(selected), generators, epochs, parts, samples, layout
     ):
         yield sequences.pieces(pieces, rows), active

@@ -11,11 +11,10 @@ from torch import Tensor, nn
 from headway.contracts import Box, Discrete, EnvSpec
 from headway_algos.acting.mlp import actor_outputs
 from headway_algos.config import ModelConfig
-from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks.distributions import DiagonalGaussian, Distribution, MaskedCategorical
 from headway_algos.networks.gru import RecurrentNetwork, make_network
 from headway_algos.networks.mlp import acting_arrays
 from headway_algos.networks.normalisation import RunningStatistics
-from headway_algos.networks.passes import Pass, add_gradients
 from headway_algos.networks.timeline import Timeline
 
 
@@ -38,15 +37,13 @@ class Actor(nn.Module):
             shape = (len(seeds) * policies, outputs, 1)
             self.log_std = nn.Parameter(torch.full(shape, model.log_std, dtype=dtype))
 
-    def forward(
-        self, rows: Tensor, masks: Tensor | None, timeline: Timeline | None = None
-    ) -> MaskedCategorical | DiagonalGaussian:
+    def forward(self, rows: Tensor, masks: Tensor | None, timeline: Timeline | None = None) -> Distribution:
         """Return action distributions for normalised observations (P, B, D) and action masks (P, B, A)."""
         return self.distribution(self.network(rows, timeline), masks)
 
     def distribution(
         self, outputs: Tensor, masks: Tensor | None, log_std: Tensor | None = None
-    ) -> MaskedCategorical | DiagonalGaussian:
+    ) -> Distribution:
         """Return the action distributions of network outputs (P, A, B) under action masks (P, B, A).
 
         `log_std` replaces the current log standard deviation of Box actions.
@@ -54,16 +51,6 @@ class Actor(nn.Module):
         if self.log_std is None:
             return MaskedCategorical.of_logits(outputs, masks)
         return DiagonalGaussian(outputs, self.log_std if log_std is None else log_std)
-
-    def send_back(self, passed: Pass, slopes: tuple[Tensor, Tensor | None]) -> None:
-        """Add a loss's gradients to those of `learnable`, given its gradients with respect to the outputs.
-
-        `slopes`: see the method of that name of the distributions.
-        """
-        of_outputs, of_log_std = slopes
-        passed.send_back(of_outputs)
-        if self.log_std is not None and of_log_std is not None:
-            add_gradients([self.log_std], [of_log_std])
 
     @property
     def learnable(self) -> list[nn.Parameter]:

@@ -43,32 +43,10 @@ class MaskedCategorical:
         """Return -sum p log p over the allowed actions, (P, B)."""
         return -self._expectation(self.log_probs)
 
-    def kl_from(self, old: Self) -> Tensor:
+    def kl_from(self, old: "Distribution") -> Tensor:
         """Return KL(old || self) = sum p_old (log p_old - log p), (P, B)."""
+        assert isinstance(old, MaskedCategorical)
         return old._expectation(old.log_probs - self.log_probs)
-
-    def slopes(
-        self,
-        actions: Tensor,
-        of_log_prob: Tensor,
-        of_entropy: Tensor,
-        penalty: tuple[Self, Tensor] | None = None,
-    ) -> tuple[Tensor, None]:
-        """Return d sum(a log p(u) + b H + c KL(old || self)) / d logits, (P, A, B), and None.
-
-        Coefficients a = `of_log_prob` and b = `of_entropy` are (P, B); `penalty` is (old, c), or None for
-        c = 0. The second result stands for the gradient of a Gaussian's log standard deviation.
-        """
-        probabilities = self.log_probs.exp()
-        surprise = self.log_probs + self.entropy()[:, None]
-        slope = -probabilities * (of_log_prob[:, None] + of_entropy[:, None] * surprise)
-        slope.scatter_add_(1, actions[:, None], of_log_prob[:, None])
-        if penalty is not None:
-            old, of_kl = penalty
-            slope += of_kl[:, None] * (probabilities - old.log_probs.exp())
-        if self.allowed is not None:
-            slope.masked_fill_(~self.allowed, 0)
-        return slope, None
 
     def detach(self) -> Self:
         """Return the distribution detached from the autograd graph."""
@@ -108,35 +86,12 @@ class DiagonalGaussian:
         entropy = (self.log_std + 0.5 * log(2 * pi) + 0.5).sum(1)
         return entropy.expand(-1, self.mean.shape[2])
 
-    def kl_from(self, old: Self) -> Tensor:
+    def kl_from(self, old: "Distribution") -> Tensor:
         """Return KL(old || self), (P, B)."""
+        assert isinstance(old, DiagonalGaussian)
         variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
         distance = ((old.mean - self.mean) * torch.exp(-self.log_std)) ** 2
         return (0.5 * (variance_ratio + distance - 1) + self.log_std - old.log_std).sum(1)
-
-    def slopes(
-        self,
-        actions: Tensor,
-        of_log_prob: Tensor,
-        of_entropy: Tensor,
-        penalty: tuple[Self, Tensor] | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Return d sum(a log p(u) + b H + c KL(old || self)) / d mean, (P, A, B), and / d log_std, (P, A, 1).
-
-        Coefficients a = `of_log_prob` and b = `of_entropy` are (P, B), actions u (P, B, A); `penalty` is
-        (old, c), or None for c = 0.
-        """
-        inverse = torch.exp(-self.log_std)
-        standard = (actions.transpose(1, 2) - self.mean) * inverse
-        weighted = of_log_prob[:, None] * standard
-        of_mean, of_log_std = weighted, weighted * standard - of_log_prob[:, None] + of_entropy[:, None]
-        if penalty is not None:
-            old, of_kl = penalty
-            shift = (self.mean - old.mean) * inverse
-            variance_ratio = torch.exp(2 * (old.log_std - self.log_std))
-            of_mean = of_mean + of_kl[:, None] * shift
-            of_log_std += of_kl[:, None] * (1 - variance_ratio - shift.square())
-        return of_mean * inverse, of_log_std.sum(2, keepdim=True)
 
     def detach(self) -> Self:
         """Return a detached copy, which later changes of the parameters leave unchanged."""
@@ -149,3 +104,6 @@ class DiagonalGaussian:
     def drawn_score(self, noise: Tensor) -> Tensor:
         """Return d log p(u) / d mean, (P, A, B), for actions u drawn by standard normals (P, B, A)."""
         return noise.transpose(1, 2).to(self.log_std.dtype) * torch.exp(-self.log_std)
+
+
+Distribution = MaskedCategorical | DiagonalGaussian

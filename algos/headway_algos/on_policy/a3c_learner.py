@@ -15,7 +15,7 @@ from headway.contracts.acting_policy import Parameters
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.updates.a2c import A2C
+from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.recipes.a3c import A3CConfig
 
@@ -25,13 +25,13 @@ class _Shared:
     """Parts of a learner that workers replicate, by the names under which they are published."""
 
     learner: OnPolicyLearner
-    actor: A2C
+    actor: GradientUpdate
     critic: ValueCritic
 
     @classmethod
     def of(cls, learner: OnPolicyLearner) -> "_Shared":
         update, critic = learner.policy_update, learner.critic
-        assert isinstance(update, A2C)
+        assert isinstance(update, GradientUpdate)
         assert isinstance(critic, ValueCritic)
         return cls(learner, update, critic)
 

@@ -1,7 +1,7 @@
-"""Minibatch training with compiled kernels, where faster than torch: small float32 perceptrons on a CPU."""
+"""Minibatch training with compiled kernels: multilayer perceptrons in float32 on a CPU."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -13,21 +13,14 @@ from headway_algos.batches.layout import Piece
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
+from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.networks.gru import Network
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.adam import StackedAdam
+from headway_algos.optim.gradient_steps import Learn
 
-MOST_PRODUCTS = 1_500_000
-"""Maximum product of minibatch rows and weights, per network, for which the kernels are used. Beyond it, the
-faster matrix products of torch's library outweigh its call overhead."""
-
-Learn = Callable[[Piece], Tensor]
-"""Adds a piece's gradients and returns its shares of the metrics."""
-
-
-def uncut(config: AlgoConfig) -> AlgoConfig:
-    """Return the config with minibatches in one piece: kernels split each network's rows themselves."""
-    return replace(config, piece_samples=2**62)
+ENABLED = True
+"""False: train everything with torch, so that tests and benchmarks can compare."""
 
 
 @dataclass(frozen=True)
@@ -45,31 +38,34 @@ class Perceptrons:
     """(F, ROWS): buffer for the inputs of each layer, then the outputs."""
     signals: NDArray[Any]
     """(2, W, ROWS): buffer for backpropagated gradients."""
+    scratch: NDArray[Any]
+    """(SCRATCH, ROWS): buffer for the losses."""
+    bits: NDArray[np.int32]
+    """(ROWS,): buffer for the exponents of floating-point numbers."""
 
     @classmethod
-    def of(cls, network: Network, optimiser: StackedAdam, rows: int, minibatches: int) -> Self | None:
-        """Return the arrays of a network, or None if torch is faster or required.
-
-        `rows`: rows of all minibatches of a pass.
-        """
+    def of(cls, network: Network, optimiser: StackedAdam) -> Self | None:
+        """Return the arrays of a stack of networks, or None if torch is to be used."""
         values, gradient = optimiser.values.whole, optimiser.gradient.whole
-        if not isinstance(network, StackedMLP) or values.is_cuda or values.dtype != torch.float32:
+        compiled = ENABLED and not values.is_cuda and values.dtype == torch.float32
+        if not compiled or not isinstance(network, StackedMLP):
             return None
-        if rows / minibatches * sum(weight[0].numel() for weight, _ in network.by_layer()) > MOST_PRODUCTS:
-            return None
-        from headway_algos.optim.kernel import ROWS
+        from headway_algos.optim.kernel import ROWS, SCRATCH
 
         form = np.array([(w.shape[2], w.shape[1], *optimiser.starts((w, b))) for w, b in network.by_layer()])
         held = np.empty((form[0, 0] + form[:, 1].sum(), ROWS), np.float32)
         signals = np.empty((2, form[:, 1].max(), ROWS), np.float32)
-        return cls(values.numpy(), gradient.numpy(), form, network.activation == "relu", held, signals)
+        scratch, bits = np.empty((SCRATCH, ROWS), np.float32), np.empty(ROWS, np.int32)
+        relu = network.activation == "relu"
+        return cls(values.numpy(), gradient.numpy(), form, relu, held, signals, scratch, bits)
 
     def learn(self, kernel: Callable[..., None], piece: Piece, *others: object) -> None:
         """Call a kernel with the arguments common to all kernels, then `others`."""
         index, weight = (np.ascontiguousarray(tensor.numpy()) for tensor in (piece.index, piece.weight))
         kernel(
-            self.values, self.gradient, self.form, self.relu, self.held, self.signals, index, weight, *others
-        )
+            self.values, self.gradient, self.form, self.relu, self.held, self.signals,
+            self.scratch, self.bits, self.bits.view(np.float32), index, weight, *others,
+        )  # fmt: skip
 
 
 def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
@@ -80,20 +76,23 @@ def _flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
     return array.reshape(-1, *array.shape[2:])
 
 
-def surrogate(
+def policy_gradients(
     actor: Actor,
     optimiser: StackedAdam,
     rows: PolicyBatch,
     advantages: Tensor,
     old: tuple[Tensor | None, Tensor | None],
     kl_coeff: Tensor,
-    config: AlgoConfig,
+    entropy_coeff: float,
+    clip: float | None,
 ) -> Learn | None:
-    """Return the compiled equivalent of `PPO._learn`, or None if torch is to be used.
+    """Return the compiled gradients of PPO's loss, or of A2C's if `clip` is None. None: use torch.
 
-    `old`: network outputs (P, B, A), None without a KL penalty, and log standard deviations (P, A, 1).
+    They report the approximate KL divergence, the entropy and the share of clipped ratios. `old` are the
+    network outputs (P, B, A) of the policies that acted, None without a KL penalty, and their log standard
+    deviations (P, A, 1).
     """
-    networks = Perceptrons.of(actor.network, optimiser, rows.selected.shape[1], config.minibatches)
+    networks = Perceptrons.of(actor.network, optimiser)
     if networks is None:
         return None
     from headway_algos.optim import kernel
@@ -101,9 +100,14 @@ def surrogate(
     old_outputs, old_log_std = old
     numbers, outputs = np.empty(0, np.float32), int(networks.form[-1, 1])
     table = numbers.reshape(0, outputs)
+    if old_outputs is not None:
+        before = actor.distribution(old_outputs.transpose(1, 2), rows.masks)
+        if isinstance(before, MaskedCategorical):
+            old_outputs = before.log_probs.exp().transpose(1, 2)
     common = (
         _flat(rows.observations, table), _flat(rows.log_probs, numbers), _flat(advantages, numbers),
-        _flat(old_outputs, table), kl_coeff.numpy(), float(config.clip), float(config.entropy_coeff),
+        _flat(old_outputs, table), kl_coeff.numpy(),
+        -1.0 if clip is None else float(clip), float(entropy_coeff),
     )  # fmt: skip
     learn: Callable[..., None]
     its_own: tuple[Any, ...]
@@ -131,12 +135,12 @@ def regression(
     targets: Tensor,
     config: AlgoConfig,
 ) -> Learn | None:
-    """Return the compiled equivalent of `ReturnRegression._learn`, or None if torch is to be used.
+    """Return the compiled gradients of `squared_error`, or None if torch is to be used.
 
     Arguments are inputs (P, B, D), the index (P, B) of the trained output (None with one output) and targets
     (P, B).
     """
-    networks = Perceptrons.of(network, optimiser, inputs.shape[1], config.minibatches)
+    networks = Perceptrons.of(network, optimiser)
     if networks is None:
         return None
     from headway_algos.optim import kernel
@@ -150,8 +154,8 @@ def regression(
     )  # fmt: skip
 
     def of_piece(piece: Piece) -> Tensor:
-        losses = np.zeros(len(networks.values), np.float32)
-        networks.learn(kernel.learn_returns, piece, *of_rows, losses)
+        losses = np.zeros((1, len(networks.values)), np.float32)
+        networks.learn(kernel.learn_returns, piece, *of_rows, losses[0])
         return torch.from_numpy(losses)
 
     return of_piece

@@ -1,11 +1,11 @@
 """Compiled training steps on a CPU: forward and backward passes of small perceptrons, losses, Adam.
 
-For small matrices torch's call overhead exceeds the arithmetic. The networks of a stack are processed one
-after another, each on its own rows in parts that fit the cache, features first, so that a network's result
-does not depend on its stack. The equations stand at the torch equivalents, against which the kernels are
-tested: `networks.passes`, `networks.distributions`, `updates.ppo`, `critics.return_regression`.
-
-All kernels are in one file because numba's cache notices changes only in the file of the called function.
+For small matrices torch's call overhead exceeds the arithmetic, and on some processors its matrix products
+are slower than these at any size. The networks of a stack are processed one after another, each on its own
+rows in parts that fit the cache, features first, so that a network's result does not depend on its stack. The
+equations stand at the torch equivalents, against which the kernels are tested: `updates.ppo`, `updates.a2c`,
+`critics.return_regression`. One file holds them all, because numba watches only the file of the function that
+is called for changes.
 """
 
 import math
@@ -22,8 +22,11 @@ R = TypeVar("R")
 Floats = NDArray[Any]
 """Floating-point array in the networks' dtype."""
 
-ROWS = 256
-"""Rows passed through a network at a time."""
+ROWS, LANES = 256, 32
+"""Maximum number of rows passed through a network at a time, and the multiple to which it is padded: loops
+over whole vectors run up to a third faster than loops with a remainder."""
+SCRATCH = 5
+"""Intermediate results per row that the losses keep."""
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
@@ -57,6 +60,42 @@ def _tanh(row: Floats, n: int) -> None:
         y = x * p / q
         y = _ONE if y > _ONE else y
         row[t] = -_ONE if y < -_ONE else y
+
+
+# exp(x) = 2^k exp(r), |r| <= log(2) / 2, and exp(r) = 1 + r + r^2 E(r): the coefficients of Cephes' expf.
+_E = tuple(
+    np.float32(c)
+    for c in (
+        5.0000001201e-1,
+        1.6666665459e-1,
+        4.1665795894e-2,
+        8.3334519073e-3,
+        1.3981999507e-3,
+        1.9875691500e-4,
+    )
+)
+_LOG2_E, _LN2_HIGH, _LN2_LOW = np.float32(1.44269504), np.float32(0.693359375), np.float32(-2.12194440e-4)
+_LEAST, _MOST, _HALF = np.float32(-87), np.float32(88), np.float32(0.5)
+
+
+def _exp_by_parts(row: Floats, bits: NDArray[np.int32], powers: Floats, n: int) -> None:
+    """Replace x by exp(x), 0 below -87 and exp(88) above; `powers` (ROWS,) are the same memory as `bits`."""
+    for t in range(n):
+        x = row[t]
+        below = x < _LEAST
+        x = _MOST if x > _MOST else x
+        k = np.floor(x * _LOG2_E + _HALF)
+        r = x - k * _LN2_HIGH
+        r = r - k * _LN2_LOW
+        e = ((((_E[5] * r + _E[4]) * r + _E[3]) * r + _E[2]) * r + _E[1]) * r + _E[0]
+        row[t] = e * r * r + r + _ONE
+        bits[t] = 0 if below else (np.int32(k) + 127) << 23
+    for t in range(n):
+        row[t] = _ZERO if bits[t] == 0 else row[t] * powers[t]
+
+
+# Sums keep their order here: with another, what is left after log(2) k would lose its digits.
+_exp = compiled_with(_exp_by_parts, _nrt=False, fastmath={"contract"})
 
 
 @_compiled
@@ -172,19 +211,29 @@ def _add_outer(g: Floats, x: Floats, outs: int, ins: int, w: Floats, n: int) -> 
 
 
 @_compiled
+def _padded(n: int) -> int:
+    """Return n rounded up to a multiple of LANES."""
+    return (n + LANES - 1) // LANES * LANES
+
+
+@_compiled
 def _forward(
     values: Floats, form: NDArray[np.int64], relu: bool, held: Floats, rows: Floats, index: NDArray[np.int64]
 ) -> None:
     """Evaluate one network, `values` (V,), on the rows `index` (n,) of `rows` (., D).
 
-    Writes the inputs of each layer, then the outputs, to `held` (F, ROWS). `form` (L, 4) holds each layer's
-    number of inputs, number of outputs, and offsets of weights and biases.
+    Writes the inputs of each layer, then the outputs, to `held` (F, ROWS), padded with rows of 0 to a
+    multiple of LANES. `form` (L, 4) holds each layer's number of inputs, number of outputs, and offsets of
+    weights and biases.
     """
-    n, top = len(index), 0
-    for t in range(n):
+    n, top = _padded(len(index)), 0
+    for t in range(len(index)):
         row = rows[index[t]]
         for i in range(form[0, 0]):
             held[i, t] = row[i]
+    for i in range(form[0, 0]):
+        for t in range(len(index), n):
+            held[i, t] = _ZERO
     for layer in range(len(form)):
         ins, outs, weights, biases = form[layer, 0], form[layer, 1], form[layer, 2], form[layer, 3]
         x = held[top : top + ins]
@@ -215,11 +264,15 @@ def _backward(
     gradient: Floats,
     n: int,
 ) -> None:
-    """Add a loss's gradient to `gradient` (V,) of one network.
+    """Add a loss's gradient on n rows to `gradient` (V,) of one network.
 
     `signals` (2, W, ROWS) holds d loss / d outputs at index len(form) % 2.
     """
-    top = 0
+    last = signals[len(form) % 2]
+    for a in range(form[-1, 1]):
+        for t in range(n, _padded(n)):
+            last[a, t] = _ZERO
+    n, top = _padded(n), 0
     for layer in range(len(form)):
         top += form[layer, 0]
     for layer in range(len(form) - 1, -1, -1):
@@ -260,17 +313,34 @@ def _rows_of_its_own(weight: Floats) -> int:
 
 
 @_compiled
-def _pull(
-    log_ratio: float, advantage: float, entropy: float, share: float, clip: float, shares: Floats
-) -> float:
-    """Return d (PPO's loss) / d log-probability of a row, and add the metrics of `PPO._learn` to `shares`."""
-    ratio = math.exp(log_ratio)
-    shares[0] += share * (ratio - 1 - log_ratio)
-    shares[1] += share * entropy
-    shares[2] += share if abs(ratio - 1) > clip else 0.0
-    gained = ratio * advantage
-    bounded = 1 - clip if ratio < 1 - clip else (1 + clip if ratio > 1 + clip else ratio)
-    return 0.0 if gained > bounded * advantage else -share * gained
+def _surrogate_derivatives(
+    log_ratios: Floats, advantages: Floats, share: Floats, clip: float, ratios: Floats,
+    exponents: NDArray[np.int32], powers: Floats, n: int, shares: Floats,
+) -> None:  # fmt: skip
+    """Replace the advantages (n,) by d loss / d log-probability.
+
+    The loss is PPO's, or A2C's if `clip` is below 0. PPO adds the approximate KL divergence and the share of
+    clipped ratios to `shares` (3,), first and third.
+    """
+    if clip < 0:
+        for t in range(n):
+            advantages[t] *= -share[t]
+        return
+    low, high = np.float32(1 - clip), np.float32(1 + clip)
+    for t in range(n):
+        ratios[t] = log_ratios[t]
+    _exp(ratios, exponents, powers, n)
+    kl, clipped = _ZERO, _ZERO
+    for t in range(n):
+        ratio = ratios[t]
+        kl += share[t] * (ratio - _ONE - log_ratios[t])
+        clipped += share[t] if ratio < low or ratio > high else _ZERO
+        bounded = low if ratio < low else ratio
+        bounded = high if bounded > high else bounded
+        gained = ratio * advantages[t]
+        advantages[t] = _ZERO if gained > bounded * advantages[t] else -share[t] * gained
+    shares[0] += kl
+    shares[2] += clipped
 
 
 @_compiled
@@ -281,6 +351,9 @@ def learn_gaussian(
     relu: bool,
     held: Floats,
     signals: Floats,
+    scratch: Floats,
+    bits: NDArray[np.int32],
+    powers: Floats,
     index: NDArray[np.int64],
     weight: Floats,
     rows: Floats,
@@ -295,45 +368,94 @@ def learn_gaussian(
     log_std_at: int,
     old_log_std: Floats,
 ) -> None:
-    """Add PPO's gradients on rows `index` (P, n), with `weight` (P, n), of `rows` (P B, ...).
+    """Add the gradients of PPO's or A2C's loss on rows `index` (P, n), with `weight` (P, n), of `rows` (P B,
+    ...).
 
-    Adds the metrics of `PPO._learn` to `shares` (P, 3). Log standard deviations are at offset `log_std_at` of
-    a network's values; `old_means` (P B, A) is empty without a KL penalty.
+    Adds the approximate KL divergence, the entropy and the share of clipped ratios to `shares` (P, 3). Log
+    standard deviations are at offset `log_std_at` of a network's values; `old_means` (P B, A) is empty
+    without a KL penalty.
     """
-    penalised = len(old_means) > 0
-    size = form[-1, 1]
+    penalised, size, half_log_2pi = len(old_means) > 0, form[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
     top = form[:, 0].sum()
+    log_ratios, pulls, ratios = scratch[0], scratch[1], scratch[2]
     for p in range(len(index)):
         log_std, log_std_gradient = values[p, log_std_at:], gradient[p, log_std_at:]
+        entropy = _ZERO
+        for a in range(size):
+            entropy += log_std[a] + half_log_2pi + _HALF
         rows_here = _rows_of_its_own(weight[p])
         parts = (rows_here + ROWS - 1) // ROWS
         for part in range(parts):
             start = rows_here * part // parts
             n = rows_here * (part + 1) // parts - start
-            places = index[p, start : start + n]
+            places, share = index[p, start : start + n], weight[p, start : start + n]
             _forward(values[p], form, relu, held, rows, places)
             for t in range(n):
-                r, share = places[t], weight[p, start + t]
-                log_prob, entropy = 0.0, 0.0
-                for a in range(size):
-                    z = (actions[r, a] - held[top + a, t]) * math.exp(-log_std[a])
-                    log_prob += -0.5 * z * z - log_std[a] - 0.5 * math.log(2 * math.pi)
-                    entropy += log_std[a] + 0.5 * math.log(2 * math.pi) + 0.5
-                log_ratio = log_prob - log_probs[r]
-                pull = _pull(log_ratio, advantages[r], entropy, share, clip, shares[p])
-                for a in range(size):
-                    inverse = math.exp(-log_std[a])
-                    z = (actions[r, a] - held[top + a, t]) * inverse
-                    of_mean = pull * z
-                    of_log_std = pull * z * z - pull - entropy_coeff * share
-                    if penalised:
-                        shift = (held[top + a, t] - old_means[r, a]) * inverse
-                        variance_ratio = math.exp(2 * (old_log_std[p, a] - log_std[a]))
-                        of_mean += kl_coeff[p] * share * shift
-                        of_log_std += kl_coeff[p] * share * (1 - variance_ratio - shift * shift)
-                    signals[len(form) % 2, a, t] = of_mean * inverse
-                    log_std_gradient[a] += of_log_std
+                log_ratios[t], pulls[t] = -log_probs[places[t]], advantages[places[t]]
+            for a in range(size):
+                mean, standard = held[top + a], signals[len(form) % 2, a]
+                inverse, constant = np.float32(math.exp(-log_std[a])), log_std[a] + half_log_2pi
+                for t in range(n):
+                    standard[t] = (actions[places[t], a] - mean[t]) * inverse
+                    log_ratios[t] -= _HALF * standard[t] * standard[t] + constant
+            _surrogate_derivatives(log_ratios, pulls, share, clip, ratios, bits, powers, n, shares[p])
+            total = _ZERO
+            for t in range(n):
+                total += share[t]
+            shares[p, 1] += total * entropy
+            for a in range(size):
+                mean, standard = held[top + a], signals[len(form) % 2, a]
+                inverse, of_log_std = np.float32(math.exp(-log_std[a])), -np.float32(entropy_coeff) * total
+                for t in range(n):
+                    of_log_std += pulls[t] * (standard[t] * standard[t] - _ONE)
+                    standard[t] *= pulls[t] * inverse
+                if penalised:
+                    ratio = np.float32(math.exp(2 * (old_log_std[p, a] - log_std[a])))
+                    for t in range(n):
+                        shift = (mean[t] - old_means[places[t], a]) * inverse
+                        standard[t] += kl_coeff[p] * share[t] * shift * inverse
+                        of_log_std += kl_coeff[p] * share[t] * (_ONE - ratio - shift * shift)
+                log_std_gradient[a] += of_log_std
             _backward(values[p], form, relu, held, signals, gradient[p], n)
+
+
+_FORBIDDEN = np.float32(np.finfo(np.float32).min / 4)
+
+
+@_compiled
+def _normalise(
+    logits: Floats,
+    probabilities: Floats,
+    scale: Floats,
+    bits: NDArray[np.int32],
+    powers: Floats,
+    size: int,
+    n: int,
+) -> None:
+    """Turn logits (A, n) into log-probabilities, and write the probabilities to `probabilities`."""
+    for t in range(n):
+        scale[t] = logits[0, t]
+    for a in range(1, size):
+        for t in range(n):
+            scale[t] = logits[a, t] if logits[a, t] > scale[t] else scale[t]
+    for a in range(size):
+        for t in range(n):
+            logits[a, t] -= scale[t]
+            probabilities[a, t] = logits[a, t]
+        _exp(probabilities[a], bits, powers, n)
+    for t in range(n):
+        scale[t] = probabilities[0, t]
+    for a in range(1, size):
+        for t in range(n):
+            scale[t] += probabilities[a, t]
+    for a in range(size):
+        for t in range(n):
+            probabilities[a, t] /= scale[t]
+    for t in range(n):
+        scale[t] = math.log(scale[t])
+    for a in range(size):
+        for t in range(n):
+            logits[a, t] -= scale[t]
 
 
 @_compiled
@@ -344,12 +466,15 @@ def learn_categorical(
     relu: bool,
     held: Floats,
     signals: Floats,
+    scratch: Floats,
+    bits: NDArray[np.int32],
+    powers: Floats,
     index: NDArray[np.int64],
     weight: Floats,
     rows: Floats,
     log_probs: Floats,
     advantages: Floats,
-    old_logits: Floats,
+    old_probabilities: Floats,
     kl_coeff: Floats,
     clip: float,
     entropy_coeff: float,
@@ -357,57 +482,58 @@ def learn_categorical(
     actions: NDArray[np.int64],
     masks: NDArray[np.bool_],
 ) -> None:
-    """Add PPO's gradients on rows `index` (P, n), with `weight` (P, n), of `rows` (P B, ...).
+    """Add the gradients of PPO's or A2C's loss on rows `index` (P, n), with `weight` (P, n), of `rows` (P B,
+    ...).
 
-    Adds the metrics of `PPO._learn` to `shares` (P, 3). `masks` (P B, A) is empty if all actions are allowed,
-    `old_logits` (P B, A) without a KL penalty.
+    Adds the approximate KL divergence, the entropy and the share of clipped ratios to `shares` (P, 3).
+    `masks` (P B, A) is empty if all actions are allowed, `old_probabilities` (P B, A) without a KL penalty.
     """
-    masked, penalised = len(masks) > 0, len(old_logits) > 0
-    size = form[-1, 1]
-    top = form[:, 0].sum()
+    masked, penalised, size = len(masks) > 0, len(old_probabilities) > 0, form[-1, 1]
+    top, bonus = form[:, 0].sum(), np.float32(entropy_coeff)
+    log_ratios, pulls, ratios, scales, entropies = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     for p in range(len(index)):
         rows_here = _rows_of_its_own(weight[p])
         parts = (rows_here + ROWS - 1) // ROWS
         for part in range(parts):
             start = rows_here * part // parts
             n = rows_here * (part + 1) // parts - start
-            places = index[p, start : start + n]
+            places, share = index[p, start : start + n], weight[p, start : start + n]
+            logits, probabilities = held[top:], signals[len(form) % 2]
             _forward(values[p], form, relu, held, rows, places)
+            if masked:
+                for t in range(n):
+                    for a in range(size):
+                        if not masks[places[t], a]:
+                            logits[a, t] = _FORBIDDEN
+            _normalise(logits, probabilities, scales, bits, powers, size, n)
             for t in range(n):
-                r, share = places[t], weight[p, start + t]
-                most, most_old = -math.inf, -math.inf
-                for a in range(size):
-                    if not masked or masks[r, a]:
-                        most = max(most, held[top + a, t])
-                        if penalised:
-                            most_old = max(most_old, old_logits[r, a])
-                total, total_old = 0.0, 0.0
-                for a in range(size):
-                    if not masked or masks[r, a]:
-                        total += math.exp(held[top + a, t] - most)
-                        if penalised:
-                            total_old += math.exp(old_logits[r, a] - most_old)
-                # Log-probability: logit - scale.
-                scale = most + math.log(total)
-                scale_old = most_old + math.log(total_old) if penalised else 0.0
-                entropy = 0.0
-                for a in range(size):
-                    if not masked or masks[r, a]:
-                        log_prob = held[top + a, t] - scale
-                        entropy -= math.exp(log_prob) * log_prob
-                log_ratio = held[top + actions[r], t] - scale - log_probs[r]
-                pull = _pull(log_ratio, advantages[r], entropy, share, clip, shares[p])
-                for a in range(size):
-                    slope = 0.0
-                    if not masked or masks[r, a]:
-                        log_prob = held[top + a, t] - scale
-                        chance = math.exp(log_prob)
-                        slope = -chance * (pull - entropy_coeff * share * (log_prob + entropy))
-                        if a == actions[r]:
-                            slope += pull
-                        if penalised:
-                            slope += kl_coeff[p] * share * (chance - math.exp(old_logits[r, a] - scale_old))
-                    signals[len(form) % 2, a, t] = slope
+                r = places[t]
+                log_ratios[t], pulls[t] = logits[actions[r], t] - log_probs[r], advantages[r]
+                entropies[t] = _ZERO
+            for a in range(size):
+                for t in range(n):
+                    entropies[t] -= probabilities[a, t] * logits[a, t]
+            _surrogate_derivatives(log_ratios, pulls, share, clip, ratios, bits, powers, n, shares[p])
+            total = _ZERO
+            for t in range(n):
+                total += share[t] * entropies[t]
+            shares[p, 1] += total
+            if penalised:
+                for t in range(n):
+                    ratios[t] = kl_coeff[p] * share[t]
+            else:
+                for t in range(n):
+                    ratios[t] = _ZERO
+            for a in range(size):
+                for t in range(n):
+                    probabilities[a, t] *= (
+                        bonus * share[t] * (logits[a, t] + entropies[t]) - pulls[t] + ratios[t]
+                    )
+            for t in range(n):
+                probabilities[actions[places[t]], t] += pulls[t]
+                if penalised:
+                    for a in range(size):
+                        probabilities[a, t] -= ratios[t] * old_probabilities[places[t], a]
             _backward(values[p], form, relu, held, signals, gradient[p], n)
 
 
@@ -419,6 +545,9 @@ def learn_returns(
     relu: bool,
     held: Floats,
     signals: Floats,
+    scratch: Floats,
+    bits: NDArray[np.int32],
+    powers: Floats,
     index: NDArray[np.int64],
     weight: Floats,
     rows: Floats,
@@ -508,8 +637,14 @@ def warm() -> None:
     for dtype in (np.float32, np.float64):
         of, norms = np.zeros((1, 1), dtype), np.zeros(1, dtype)
         adam(of, of, of, of, counts, active, 0.0, math.inf, (0.0, 0.0), 1.0, norms)
-    table, row, signals = (np.zeros(shape, np.float32) for shape in ((1, 1), 1, (2, 1, 1)))
-    begin = (table, table, form, False, table, signals, indices, np.zeros((1, 0), np.float32), table)
+    table, row, signals, held = (
+        np.zeros(shape, np.float32) for shape in ((1, 1), 1, (2, 1, LANES), (1, LANES))
+    )
+    bits = np.zeros(1, np.int32)
+    begin = (
+        table, table, form, False, held, signals, np.zeros((SCRATCH, 1), np.float32),
+        bits, bits.view(np.float32), indices, np.zeros((1, 0), np.float32), table,
+    )  # fmt: skip
     common = (row, row, table, row, 0.0, 0.0, np.zeros((1, 3), np.float32))
     learn_gaussian(*begin, *common, table, 0, table)
     learn_categorical(*begin, *common, counts, np.ones((1, 1), np.bool_))

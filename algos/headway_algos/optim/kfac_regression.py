@@ -1,5 +1,6 @@
 """Natural gradient for a stack of critics (Wu et al. 2017, arXiv:1708.05144, section 3.1)."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,25 +30,37 @@ class KFACRegression:
 
     def begin(self) -> None:
         """Clear the gradients and start a new batch."""
-        for parameter in self.network.parameters():
-            parameter.grad = None
+        self.gradient = [torch.zeros_like(parameter) for parameter in self.network.parameters()]
         self.optimiser.begin()
 
-    def include(self, linear: LinearisedMLP, taken: Tensor | None, weight: Tensor) -> None:
-        """Add a piece of the batch: the linearised networks, and weights (P, B) that sum to 1 over the batch.
+    def include(
+        self, inputs: Tensor, taken: Tensor | None, weight: Tensor, loss: Callable[[Tensor], Tensor]
+    ) -> Tensor:
+        """Add a piece of the batch; return its losses, (P,).
 
-        `taken` (P, B) selects the output that is trained, for networks with several outputs.
+        The piece is inputs (P, B, D), which output is fitted (P, B) if there are several, and weights (P, B)
+        that sum to 1 over the batch; `loss` takes the networks' outputs (P, A, B) there.
         """
-        selected = torch.ones_like(linear.outputs)
+        linear = LinearisedMLP.of(self.network, inputs)
+        outputs = linear.outputs.requires_grad_()
+        losses = loss(outputs)
+        (of_outputs,) = torch.autograd.grad(losses.sum(), outputs)
+        outputs.requires_grad_(False)
+        for total, part in zip(self.gradient, linear.vjp(of_outputs), strict=True):
+            total += part
+        fitted = torch.ones_like(outputs)
         if taken is not None:
-            selected = torch.zeros_like(selected).scatter_(1, taken[:, None], 1)
-        self.optimiser.include(linear, selected, lambda change: selected * change, weight)
+            fitted = torch.zeros_like(fitted).scatter_(1, taken[:, None], 1)
+        self.optimiser.include(linear, fitted, lambda change: fitted * change, weight)
+        return losses.detach()
 
-    def step(self, active: NDArray[np.bool_]) -> None:
-        """Take a descent step of the `active` (P,) networks, those with rows in the batch."""
-        parameters = list(self.network.parameters())
-        gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
-        self.optimiser.step([-0.5 * gradient for gradient in gradients], active)
+    def step(self, active: NDArray[np.bool_]) -> Tensor:
+        """Step the networks that have rows in the batch, (P,), down the gradients of squared errors.
+
+        Returns the norms of the gradients (P,).
+        """
+        self.optimiser.step([-0.5 * gradient for gradient in self.gradient], active)
+        return torch.stack([gradient.square().sum((1, 2)) for gradient in self.gradient]).sum(0).sqrt()
 
     def anneal(self, share: float) -> None:
         """Scale steps to `share` of their configured size."""

@@ -68,53 +68,6 @@ def test_gradients_of_the_categorical_equal_torchs_and_are_finite(what: str, mas
     _close(gradients[0], gradients[1])
 
 
-def _coefficients() -> list[Tensor]:
-    """Coefficients of log-probabilities, entropies and KL divergences, (P, B) each."""
-    random = torch.Generator().manual_seed(7)
-    return [torch.randn(P, B, generator=random, dtype=torch.float64) for _ in range(3)]
-
-
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("with_old", [False, True])
-def test_gradients_of_the_categorical_equal_autograd(masked: bool, with_old: bool) -> None:
-    new, old_logits, masks, actions = _categorical_case(torch.float64, masked)
-    if masks is not None:  # as no step of an agent that acts: a forbidden action, and nothing allowed
-        masks[0, 0, int(actions[0, 0])], masks[1, 1] = False, False
-    of_log_prob, of_entropy, of_kl = _coefficients()
-    logits, old = new.clone().requires_grad_(), MaskedCategorical.of_logits(old_logits, masks)
-    recorded = MaskedCategorical.of_logits(logits, masks)
-    value = of_log_prob * recorded.log_prob(actions) + of_entropy * recorded.entropy()
-    if with_old:
-        value = value + of_kl * recorded.kl_from(old)
-    (expected,) = torch.autograd.grad(value.sum(), logits)
-    ours = MaskedCategorical.of_logits(new, masks)
-    found, nothing = ours.slopes(actions, of_log_prob, of_entropy, (old, of_kl) if with_old else None)
-    assert nothing is None
-    _close(found, expected)
-
-
-@pytest.mark.parametrize("with_old", [False, True])
-def test_gradients_of_the_gaussian_equal_autograd(with_old: bool) -> None:
-    random = torch.Generator().manual_seed(1)
-    mean, old_mean = (torch.randn(P, A, B, generator=random, dtype=torch.float64) for _ in range(2))
-    log_std, old_log_std = (
-        0.3 * torch.randn(P, A, 1, generator=random, dtype=torch.float64) for _ in range(2)
-    )
-    actions = torch.randn(P, B, A, generator=random, dtype=torch.float64)
-    of_log_prob, of_entropy, of_kl = _coefficients()
-    old = DiagonalGaussian(old_mean, old_log_std)
-    leaves = [mean.clone().requires_grad_(), log_std.clone().requires_grad_()]
-    recorded = DiagonalGaussian(*leaves)
-    value = of_log_prob * recorded.log_prob(actions) + of_entropy * recorded.entropy()
-    if with_old:
-        value = value + of_kl * recorded.kl_from(old)
-    expected = torch.autograd.grad(value.sum(), leaves)
-    ours = DiagonalGaussian(mean, log_std)
-    found = ours.slopes(actions, of_log_prob, of_entropy, (old, of_kl) if with_old else None)
-    for got, wanted in zip(found, expected, strict=True):
-        _close(got, wanted)
-
-
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_forbidden_actions_have_probability_exactly_zero(dtype: torch.dtype) -> None:
     new, _, masks, _ = _categorical_case(dtype, masked=True)

@@ -26,8 +26,7 @@ from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.orders import ORDERS
-from headway_algos.on_policy.updates import UPDATES, Update
-from headway_algos.on_policy.updates.ppo import PPO
+from headway_algos.on_policy.updates import UPDATES, GradientUpdate, Update
 from headway_algos.recipes.coma import COMAConfig
 from headway_algos.recipes.happo import HAPPOConfig
 from headway_algos.recipes.hatrpo import HATRPOConfig
@@ -490,7 +489,7 @@ def test_learning_rates_are_annealed_linearly(fabricate: Fabricate, progress: fl
     learner = OnPolicyLearner(config, DISCRETE, (1,), "cpu")
     for _ in range(2):  # from the base each time, not from the last
         learner.update(fabricate(DISCRETE, 4, 2, seed=0), 1, progress)
-    assert isinstance(learner.policy_update, PPO)
+    assert isinstance(learner.policy_update, GradientUpdate)
     assert isinstance(learner.critic, ValueCritic)
     assert learner.policy_update.optimiser.lr == pytest.approx(1e-3 * share)
     assert learner.critic.regression.optimiser.lr == pytest.approx(2e-3 * share)

@@ -18,7 +18,7 @@ from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.orders import ORDERS, sequential, simultaneous
-from headway_algos.on_policy.updates import UPDATES
+from headway_algos.on_policy.updates import UPDATES, GradientUpdate
 from headway_algos.on_policy.updates.ppo import PPO
 
 R, N, B, D, A = 2, 4, 18, 3, 3
@@ -32,7 +32,7 @@ CONFIG = AlgoConfig(
 )  # fmt: skip
 
 
-class Recording(PPO):
+class Recording(GradientUpdate):
     """PPO that records each update: policies, advantages, and the resulting log-probabilities."""
 
     turns: list[tuple[list[int], Tensor, Tensor]]
@@ -53,9 +53,11 @@ class Recording(PPO):
         return {**info, "policy": torch.tensor(self.policies, dtype=DOUBLE)}
 
 
-def _update(kind: type[PPO], spec: EnvSpec, config: AlgoConfig = CONFIG) -> PPO:
+def _update(kind: type[GradientUpdate], spec: EnvSpec, config: AlgoConfig = CONFIG) -> GradientUpdate:
     layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
-    return kind(Actor(config.model, spec, range(R), N, DOUBLE), config, layout)
+    actor = Actor(config.model, spec, range(R), N, DOUBLE)
+    loss = PPO(config.clip, config.entropy_coeff)
+    return kind(actor, config, layout, loss, config.epochs, config.minibatches, config.kl_coeff)
 
 
 def _rows(spec: EnvSpec) -> tuple[PolicyBatch, Tensor, NDArray[np.bool_]]:
@@ -103,7 +105,7 @@ def test_the_first_policy_in_order_is_updated_as_in_the_simultaneous_order() -> 
     rows, advantages, _ = _rows(DISCRETE)
     results = []
     for order in (sequential, simultaneous):
-        update = _update(PPO, DISCRETE)
+        update = _update(GradientUpdate, DISCRETE)
         order(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
         results.append([parameter.detach().clone() for parameter in update.actor.parameters()])
     first = [r * N + int(random.permutation(N)[0]) for r, random in enumerate(_generators("order", R))]
@@ -119,7 +121,7 @@ def test_the_state_of_an_update_is_adopted_from_its_part() -> None:
     """Moments and coefficients after two updates are as if each policy had its own update."""
     rows, advantages, _ = _rows(DISCRETE)
     config = replace(CONFIG, kl_coeff=0.3)
-    whole, parts = _update(PPO, DISCRETE, config), _update(PPO, DISCRETE, config)
+    whole, parts = _update(GradientUpdate, DISCRETE, config), _update(GradientUpdate, DISCRETE, config)
     for _ in range(2):
         whole.improve(rows, advantages, _generators("rows", R * N))
         for p in reversed(range(R * N)):
@@ -165,7 +167,7 @@ def test_the_order_is_drawn_anew_for_each_replica_and_iteration(
     drawn: list[tuple[int, ...]] = []
 
     def noting(
-        update: PPO,
+        update: GradientUpdate,
         grouping: Grouping,
         rows: PolicyBatch,
         advantages: Tensor,

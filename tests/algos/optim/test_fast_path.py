@@ -21,7 +21,7 @@ from headway_algos.networks.gru import make_network
 from headway_algos.on_policy.critics.critic_inputs import VIEWS
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
-from headway_algos.on_policy.updates.ppo import PPO
+from headway_algos.on_policy.updates import GradientUpdate, ppo_update
 from headway_algos.optim import fast_path, kernel
 from headway_algos.optim.adam import StackedAdam
 
@@ -38,7 +38,7 @@ CONFIG = AlgoConfig(
 @pytest.fixture
 def by_torch(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Learners made within this context use torch."""
-    monkeypatch.setattr(fast_path, "MOST_PRODUCTS", -1)
+    monkeypatch.setattr(fast_path, "ENABLED", False)
     return monkeypatch
 
 
@@ -77,8 +77,8 @@ class Case:
         moved = torch.as_tensor(random.normal(scale=0.2, size=ROWS), dtype=FLOAT)
         return [observations, masks, actions, moved, random.normal(size=ROWS)]
 
-    def improve(self) -> tuple[PPO, dict[str, Tensor]]:
-        update = PPO(self.actor, self.config, self.layout)
+    def improve(self) -> tuple[GradientUpdate, dict[str, Tensor]]:
+        update = ppo_update(self.actor, self.config, self.layout)
         return update, update.improve(self.rows, self.advantages, [generator(s, "t") for s in self.seeds])
 
     def fit(self, outputs: int) -> tuple[ReturnRegression, dict[str, Any]]:
@@ -99,7 +99,7 @@ class Case:
         return regression, regression.fit(estimate, 0)
 
 
-def _state(learned: PPO | ReturnRegression) -> list[Tensor]:
+def _state(learned: GradientUpdate | ReturnRegression) -> list[Tensor]:
     optimiser = learned.optimiser
     assert isinstance(optimiser, StackedAdam)
     return [*optimiser.parameters, *optimiser.means.parts]
@@ -169,7 +169,7 @@ def test_part_of_a_stack_trains_as_in_the_whole() -> None:
     """As in the sequential order."""
     whole, _ = Case(CONFIG, "box", False, (0, 1, 2)).improve()
     case, policies = Case(CONFIG, "box", False, (0, 1, 2)), torch.tensor([1])
-    update = PPO(case.actor, CONFIG, case.layout)
+    update = ppo_update(case.actor, CONFIG, case.layout)
     before = [tensor.clone() for tensor in _state(update)]
     part = update.narrow(policies)
     part.improve(case.rows.narrow(policies), case.advantages[policies], [generator(1, "t")])
@@ -181,7 +181,7 @@ def test_part_of_a_stack_trains_as_in_the_whole() -> None:
 
 def test_parameters_given_to_another_optimiser_are_not_learned_by_the_first() -> None:
     case = Case(CONFIG, "box", False, (0, 1))
-    update = PPO(case.actor, CONFIG, case.layout)
+    update = ppo_update(case.actor, CONFIG, case.layout)
     StackedAdam(case.actor.learnable, 1e-3, None)
     with pytest.raises(RuntimeError, match="given to another optimiser"):
         update.improve(case.rows, case.advantages, [generator(seed, "t") for seed in case.seeds])
@@ -228,21 +228,20 @@ def test_kernels_are_compiled_without_a_writable_cache() -> None:
 
 
 @pytest.mark.parametrize(
-    ("model", "dtype", "minibatches", "chosen"),
+    ("model", "dtype", "compiled"),
     [
-        (CONFIG.model, FLOAT, 1, True),
-        (ModelConfig(hidden=(256, 256)), FLOAT, 100, True),
-        (ModelConfig(hidden=(256, 256)), FLOAT, 1, False),
-        (ModelConfig(hidden=(8,), core="gru"), FLOAT, 1, False),
-        (CONFIG.model, torch.float64, 1, False),
+        (CONFIG.model, FLOAT, True),
+        (ModelConfig(hidden=(256, 256)), FLOAT, True),
+        (ModelConfig(hidden=(8,), core="gru"), FLOAT, False),
+        (CONFIG.model, torch.float64, False),
     ],
 )
-def test_kernels_are_used_for_small_perceptrons_only(
-    model: ModelConfig, dtype: torch.dtype, minibatches: int, chosen: bool
+def test_kernels_are_used_for_every_size_of_perceptron_in_float32(
+    model: ModelConfig, dtype: torch.dtype, compiled: bool
 ) -> None:
     network = make_network(model, (0, 1), 1, "actor", (SIZE, ACTIONS), 1.0, dtype)
     optimiser = StackedAdam(network.parameters(), 1e-3, None)
-    assert (fast_path.Perceptrons.of(network, optimiser, 1000, minibatches) is not None) == chosen
+    assert (fast_path.Perceptrons.of(network, optimiser) is not None) == compiled
 
 
 def test_a_nan_parameter_is_kept_and_detected() -> None:
@@ -251,6 +250,18 @@ def test_a_nan_parameter_is_kept_and_detected() -> None:
     update, info = case.improve()
     assert torch.isnan(info["gradient_norm"]).tolist() == [False, True]
     assert torch.isfinite(update.optimiser.values.whole[0]).all()
+
+
+def test_exp_is_accurate_to_a_few_units_in_the_last_place() -> None:
+    x = np.concatenate([np.linspace(-86.9, 88, 100_001), np.logspace(-30, 1, 1000)]).astype(np.float32)
+    ours, bits = x.copy(), np.empty(len(x), np.int32)
+    kernel._exp(ours, bits, bits.view(np.float32), len(x))
+    assert np.abs(ours / np.exp(x.astype(np.float64)) - 1).max() < 3e-7
+    odd = np.array([-np.inf, -1e30, np.inf, np.nan], np.float32)
+    kernel._exp(odd, bits, bits.view(np.float32), len(odd))
+    assert odd[:2].tolist() == [0, 0]
+    assert odd[2] > 1e38
+    assert np.isnan(odd[3])
 
 
 def test_tanh_is_accurate_to_a_few_units_in_the_last_place() -> None:

@@ -28,9 +28,7 @@ def test_overrides_reach_keys_that_no_file_has() -> None:
 def test_algo_custom_composes_unnamed_algorithms() -> None:
     composed = compose(["env=trivial", "algo=custom", "algo.critic=central"])
     assert composed.algo_config.critic == "central"
-    with pytest.raises(
-        HeadwayError, match=r"ippo has local: .*For V\(s\): algo=mappo; algo=custom accepts"
-    ):
+    with pytest.raises(HeadwayError, match=r"ippo has local: .*For V\(s\): algo=mappo; algo=custom accepts"):
         compose(["env=trivial", "algo=ippo", "algo.critic=central"])
 
 

@@ -17,13 +17,13 @@ from headway_algos.batches.sequences import learning_batches
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.gru import RecurrentNetwork, make_network
 from headway_algos.networks.normalisation import RunningStatistics
-from headway_algos.networks.passes import PerceptronPass, forward_pass
 from headway_algos.networks.timeline import Timeline
 from headway_algos.on_policy.critics.critic_inputs import CriticInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.reward_streams import RewardStreams, presence
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.fast_path import Learn, regression, uncut
+from headway_algos.optim.fast_path import regression
+from headway_algos.optim.gradient_steps import Learn, gradient_steps
 from headway_algos.optim.kfac_regression import KFACRegression
 
 
@@ -134,8 +134,6 @@ class ReturnRegression:
             moments.include(targets[..., None], selected)
             targets = (targets - moments.mean[..., 0]) / moments.std[..., 0]
         targets = targets.to(layout.dtype)
-        loss_sum = torch.zeros(len(selected), device=layout.device, dtype=layout.dtype)
-        steps = np.zeros(len(selected))
         hidden_states, length = estimate.hidden_states, config.model.sequence_length
         sequences = None if hidden_states is None else hidden_states.sequences(layout, length)
         generators = self._generators(iteration)
@@ -143,43 +141,33 @@ class ReturnRegression:
         if isinstance(self.optimiser, StackedAdam):
             network, optimiser = self.networks.network, self.optimiser
             compiled = regression(network, optimiser, estimate.inputs, estimate.taken, targets, config)
+        batches = learning_batches(
+            selected, sequences, generators, config.epochs, config.minibatches,
+            None if compiled else config.piece_samples, layout,
+        )  # fmt: skip
         learn = compiled or partial(self._learn, estimate=estimate, targets=targets)
-        cut = uncut(config) if compiled else config
-        for pieces, active in learning_batches(selected, sequences, generators, cut, layout):
-            self.optimiser.begin()
-            for piece in pieces:
-                loss_sum += learn(piece)
-            self.optimiser.step(active)
-            steps += active
+        (loss,), _ = gradient_steps(self.optimiser, batches, learn, 1)
         self.networks.carry(hidden_states)
-        mean_loss = loss_sum / torch.from_numpy(steps).to(loss_sum).clamp(min=1)
-        by_network = mean_loss.double().cpu().numpy().reshape(layout.replicas, -1)
+        by_network = loss.double().cpu().numpy().reshape(layout.replicas, -1)
         return {
             "loss": by_network.mean(axis=1),
             "explained_variance": explained_variance(estimate, layout.replicas),
         }
 
     def _learn(self, piece: Piece, estimate: CriticEstimate, targets: Tensor) -> Tensor:
-        """Add a piece's gradients and return its share of the loss, (P,)."""
+        """Add a piece's gradients by autograd; return its share of the loss, (1, P)."""
+        inputs, targets = piece.of(estimate.inputs), piece.of(targets)
         taken = None if estimate.taken is None else piece.of(estimate.taken)
-        passed = forward_pass(self.networks.network, piece.of(estimate.inputs), piece.timeline)
-        with torch.no_grad():
-            outputs = passed.outputs
+
+        def loss(outputs: Tensor) -> Tensor:
             values = outputs[:, 0] if taken is None else outputs.gather(1, taken[:, None])[:, 0]
-            difference = values - piece.of(targets)
-            error, slope = difference.square(), 2 * difference * piece.weight
-            if self.config.value_clip is not None:
-                slope = slope.masked_fill_(error > self.config.value_clip, 0)
-                error = error.clamp_(max=self.config.value_clip)
-            if taken is None:
-                of_outputs = slope[:, None]
-            else:
-                of_outputs = torch.zeros_like(outputs).scatter_(1, taken[:, None], slope[:, None])
-            passed.send_back(of_outputs)
-            if isinstance(self.optimiser, KFACRegression):
-                assert isinstance(passed, PerceptronPass)
-                self.optimiser.include(passed.linear, taken, piece.weight)
-            return (error * piece.weight).sum(1)
+            return (squared_error(values, targets, self.config.value_clip) * piece.weight).sum(1)
+
+        if isinstance(self.optimiser, KFACRegression):
+            return self.optimiser.include(inputs, taken, piece.weight, loss)[None]
+        losses = loss(self.networks.network(inputs, piece.timeline))
+        torch.autograd.backward(losses.sum())
+        return losses.detach()[None]
 
     def _generators(self, iteration: int) -> list[np.random.Generator]:
         networks = range(self.layout.grouping.num_policies)
@@ -211,6 +199,12 @@ class ReturnRegression:
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.networks.load_carried(state.get("memory"))
+
+
+def squared_error(values: Tensor, targets: Tensor, bound: float | None) -> Tensor:
+    """Return (values - targets)^2, cut at `bound` as RLlib's vf_clip_param does."""
+    error = (values - targets).square()
+    return error if bound is None else error.clamp(max=bound)
 
 
 def _optimiser(config: AlgoConfig, network: nn.Module) -> StackedAdam | KFACRegression:

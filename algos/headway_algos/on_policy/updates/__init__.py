@@ -11,6 +11,7 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.a2c import A2C
+from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.on_policy.updates.kfac import KFAC
 from headway_algos.on_policy.updates.ppo import PPO
 from headway_algos.on_policy.updates.trpo import TRPO
@@ -59,9 +60,20 @@ class Update(Protocol):
         ...
 
 
+def ppo_update(actor: Actor, config: AlgoConfig, layout: Layout) -> GradientUpdate:
+    """Return PPO: epochs of minibatch steps on the clipped surrogate."""
+    loss = PPO(config.clip, config.entropy_coeff)
+    return GradientUpdate(actor, config, layout, loss, config.epochs, config.minibatches, config.kl_coeff)
+
+
+def a2c_update(actor: Actor, config: AlgoConfig, layout: Layout) -> GradientUpdate:
+    """Return A2C: one step over an iteration's rows. `epochs` and `minibatches` are the critic's alone."""
+    return GradientUpdate(actor, config, layout, A2C(config.entropy_coeff))
+
+
 UPDATES: dict[str, Callable[[Actor, AlgoConfig, Layout], Update]] = {
-    "ppo": PPO,
-    "a2c": A2C,
+    "ppo": ppo_update,
+    "a2c": a2c_update,
     "trpo": TRPO,
     "kfac": KFAC,
 }

@@ -13,11 +13,13 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
-from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks.distributions import Distribution
 from headway_algos.networks.linearised import LinearisedMLP
+from headway_algos.on_policy.updates.a2c import A2C
+from headway_algos.on_policy.updates.policy_loss import Minibatch
 from headway_algos.optim.kfac import StackedKFAC
 
-Before = list[tuple[WholeBatch, MaskedCategorical | DiagonalGaussian]]
+Before = list[tuple[WholeBatch, Distribution]]
 """Pieces of a batch, with the policies' action distributions before the step."""
 
 
@@ -30,7 +32,7 @@ class KFAC:
     """
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
-        self.actor, self.config = actor, config
+        self.actor, self.config, self.loss = actor, config, A2C(config.entropy_coeff)
         self.optimiser = StackedKFAC(actor.network, actor.log_std, config, config.lr, config.kl_bound)
 
     def improve(
@@ -63,18 +65,28 @@ class KFAC:
         for piece in batch.pieces(self.config.piece_samples):
             end = start + piece.weight.shape[1]
             linear = LinearisedMLP.of(self.optimiser.network, piece.observations)
-            old = self.actor.distribution(linear.outputs, piece.masks).detach()
-            of_entropy = self.config.entropy_coeff * piece.weight
-            signal, of_log_std = old.slopes(piece.actions, piece.weight * piece.advantages, of_entropy)
-            of_own = [] if of_log_std is None else [of_log_std]
-            for total, part in zip(gradient, [*of_own, *linear.vjp(signal)], strict=True):
+            of_outputs, *of_log_std = self._derivatives(piece, linear.outputs)
+            for total, part in zip(gradient, [*of_log_std, *linear.vjp(of_outputs)], strict=True):
                 total += part
+            old = self.actor.distribution(linear.outputs, piece.masks).detach()
             mean_entropy += (old.entropy() * piece.weight).sum(1)
             score = old.drawn_score(noise[:, start:end])
             self.optimiser.include(linear, score, old.fisher_of_outputs, piece.weight)
             before.append((piece, old))
             start = end
         return gradient, mean_entropy, before
+
+    def _derivatives(self, piece: WholeBatch, outputs: Tensor) -> Sequence[Tensor]:
+        """Return the objective's derivatives in network outputs (P, A, B) and, of a Box, in `log_std`."""
+        outputs = outputs.requires_grad_()
+        loss, _ = self.loss(
+            self.actor.distribution(outputs, piece.masks),
+            Minibatch(piece.actions, piece.log_probs, piece.advantages),
+        )
+        inputs = [outputs] if self.actor.log_std is None else [outputs, self.actor.log_std]
+        derivatives = torch.autograd.grad(-(loss * piece.weight).sum(), inputs)
+        outputs.requires_grad_(False)
+        return derivatives
 
     def _mean_kl(self, before: Before, like: Tensor) -> Tensor:
         total = torch.zeros_like(like)

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -13,8 +14,25 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
+from headway_algos.networks.distributions import Distribution
+from headway_algos.on_policy.updates.policy_loss import Minibatch
 from headway_algos.optim.conjugate_gradient import conjugate_gradient
 from headway_algos.optim.fisher import fisher_product, flat, unflat
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """-r A - entropy_coeff H, with r = pi(u|o) / pi_old(u|o); see `PolicyLoss`."""
+
+    entropy_coeff: float
+
+    reports: ClassVar[tuple[str, ...]] = ("entropy",)
+
+    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss and the entropy."""
+        ratio = (new.log_prob(batch.actions) - batch.log_probs).exp()
+        entropy = new.entropy()
+        return -ratio * batch.advantages - self.entropy_coeff * entropy, {"entropy": entropy}
 
 
 class TRPO:
@@ -30,6 +48,7 @@ class TRPO:
 
     def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
         self.actor, self.config, self.share = actor, config, 1.0
+        self.loss = Surrogate(config.entropy_coeff)
 
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
@@ -69,11 +88,9 @@ class TRPO:
 
     def _surrogate(self, actor: Actor, outputs: Tensor, piece: WholeBatch) -> tuple[Tensor, Tensor]:
         """Return a piece's share of the surrogate and of the mean entropy, (P,) each."""
-        distribution = actor.distribution(outputs, piece.masks)
-        ratio = (distribution.log_prob(piece.actions) - piece.log_probs).exp()
-        entropy = (distribution.entropy() * piece.weight).sum(1)
-        gained = (ratio * piece.advantages * piece.weight).sum(1)
-        return gained + self.config.entropy_coeff * entropy, entropy
+        batch = Minibatch(piece.actions, piece.log_probs, piece.advantages)
+        loss, info = self.loss(actor.distribution(outputs, piece.masks), batch)
+        return -(loss * piece.weight).sum(1), (info["entropy"] * piece.weight).sum(1)
 
     def _search(
         self,
@@ -116,7 +133,7 @@ class TRPO:
             surrogate += self._surrogate(after, outputs, piece)[0]
             old = before.distribution(piece.outputs.transpose(1, 2), piece.masks)
             new = after.distribution(outputs, piece.masks)
-            kl += (new.kl_from(old) * piece.weight).sum(1)  # type: ignore[arg-type]  # both of one kind
+            kl += (new.kl_from(old) * piece.weight).sum(1)
         return surrogate, kl
 
     def anneal(self, share: float) -> None:

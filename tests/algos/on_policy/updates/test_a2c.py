@@ -16,7 +16,7 @@ from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.a2c import A2C
+from headway_algos.on_policy.updates import GradientUpdate, a2c_update
 
 P, B, D, A = 3, 20, 4, 3
 DOUBLE = torch.float64
@@ -47,9 +47,9 @@ def _rows(spec: EnvSpec, selected: NDArray[np.bool_], seed: int = 1) -> tuple[Po
     return PolicyBatch(observations, masks, actions, log_probs, selected), advantages
 
 
-def _update(spec: EnvSpec, config: AlgoConfig) -> A2C:
+def _update(spec: EnvSpec, config: AlgoConfig) -> GradientUpdate:
     layout = Layout(Grouping.of("shared", spec), P, torch.device("cpu"), DOUBLE)
-    return A2C(Actor(config.model, spec, range(P), 1, DOUBLE), config, layout)
+    return a2c_update(Actor(config.model, spec, range(P), 1, DOUBLE), config, layout)
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])

@@ -19,7 +19,6 @@ from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.networks.passes import PerceptronPass, forward_pass
 from headway_algos.on_policy.updates.kfac import KFAC
 from headway_algos.optim.fisher import flat, unflat
 from headway_algos.optim.kfac_regression import KFACRegression
@@ -430,10 +429,9 @@ def _regression(
 def _regress(regression: KFACRegression, rows: Tensor, targets: Tensor) -> None:
     regression.begin()
     weight = torch.full((P, B), 1 / B, dtype=DOUBLE)
-    passed = forward_pass(regression.network, rows, None)
-    assert isinstance(passed, PerceptronPass)
-    passed.send_back((2 * (passed.outputs[:, 0] - targets) * weight)[:, None])
-    regression.include(passed.linear, None, weight)
+    regression.include(
+        rows, None, weight, lambda outputs: ((outputs[:, 0] - targets).square() * weight).sum(1)
+    )
     regression.step(np.ones(P, np.bool_))
 
 

@@ -1,7 +1,7 @@
 """The pieces of PPO against loops over rows."""
 
 from dataclasses import replace
-from math import exp
+from math import exp, log
 
 import numpy as np
 import pytest
@@ -16,7 +16,10 @@ from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.ppo import PPO, slope_of_surrogate
+from headway_algos.networks.distributions import MaskedCategorical
+from headway_algos.on_policy.updates import ppo_update
+from headway_algos.on_policy.updates.policy_loss import Minibatch
+from headway_algos.on_policy.updates.ppo import PPO
 from headway_algos.optim.adam import StackedAdam
 
 P, B, D, A = 3, 24, 4, 3
@@ -27,24 +30,21 @@ CONFIG = AlgoConfig(
 )
 
 
-def test_the_surrogates_gradient_is_that_of_equation_7() -> None:
-    random = np.random.default_rng(0)
-    log_ratios = torch.from_numpy(0.3 * random.normal(size=200)).requires_grad_()
-    advantages = torch.from_numpy(random.normal(size=200))
-    ratios = log_ratios.exp()
-    surrogate = torch.minimum(ratios * advantages, ratios.clamp(0.8, 1.2) * advantages)
-    (expected,) = torch.autograd.grad(surrogate.sum(), log_ratios)
-    got = slope_of_surrogate(ratios.detach(), advantages, 0.2)
-    assert 20 < int((got == 0).sum()) < 180
-    torch.testing.assert_close(got, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_the_surrogates_gradient_is_zero_only_where_the_clip_binds() -> None:
-    """Beyond the clip improvements have no gradient, losses have the full one."""
+def test_a_rows_loss_stops_changing_where_the_clip_binds() -> None:
+    """Equation 7: growth of the ratio beyond the clip gains nothing, a decrease costs in full."""
     cases = [(1.5, 1.0, 0.0), (1.5, -1.0, -1.5), (0.5, 1.0, 0.5), (0.5, -1.0, 0.0), (1.1, 2.0, 2.2)]
-    for ratio, advantage, slope in cases:
-        got = slope_of_surrogate(torch.tensor([ratio]), torch.tensor([advantage]), 0.2)
-        assert got.item() == pytest.approx(slope, rel=1e-6)
+    for ratio, advantage, derivative in cases:
+        logits = torch.zeros(1, A, 1, dtype=DOUBLE, requires_grad=True)
+        new = MaskedCategorical.of_logits(logits, None)
+        actions = torch.zeros(1, 1, dtype=torch.int64)
+        old = new.log_prob(actions).detach() - log(ratio)
+        loss, info = PPO(clip=0.2, entropy_coeff=0.0)(
+            new, Minibatch(actions, old, torch.tensor([[advantage]], dtype=DOUBLE))
+        )
+        (slope,) = torch.autograd.grad(loss.sum(), logits)
+        # d log pi(0) / d logit 0 = 1 - 1 / A at equal logits
+        assert slope[0, 0, 0].item() == pytest.approx(-derivative * (1 - 1 / A), rel=1e-6)
+        assert info["clip_fraction"].item() == (abs(ratio - 1) > 0.2)
 
 
 def test_advantages_are_standardised_for_each_policy_over_its_selected_rows() -> None:
@@ -74,7 +74,7 @@ def _run(
     before, after = (Actor(config.model, SPEC, range(P), 1, DOUBLE) for _ in range(2))
     rows, advantages = _rows(P, selected)
     layout = Layout(Grouping.of("shared", SPEC), P, torch.device("cpu"), DOUBLE)
-    update = PPO(after, config, layout)
+    update = ppo_update(after, config, layout)
     update.kl_coeff = kl_coeff
     info = update.improve(rows, advantages, [generator(p, "test") for p in range(P)])
     return before, after, rows, update.kl_coeff, info
