@@ -11,36 +11,43 @@ from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.registry import ENTRIES
 
 if TYPE_CHECKING:
-    from headway_algos.on_policy.critics import CRITICS, Critic
-    from headway_algos.on_policy.updates import UPDATES, Update
+    from headway_algos.networks.distributions import Distribution
+    from headway_algos.on_policy.critics import Critic
+    from headway_algos.on_policy.updates import Update
     from headway_algos.on_policy.updates.a2c import A2C
+    from headway_algos.on_policy.updates.gradient_update import GradientUpdate
     from headway_algos.on_policy.updates.kfac import KFAC
+    from headway_algos.on_policy.updates.policy_loss import Minibatch, PolicyLoss
     from headway_algos.on_policy.updates.ppo import PPO
     from headway_algos.on_policy.updates.trpo import TRPO
 
 __all__ = [
     "A2C",
-    "CRITICS",
     "ENTRIES",
     "KFAC",
     "PPO",
     "TRPO",
-    "UPDATES",
     "AlgoConfig",
     "Critic",
+    "Distribution",
+    "GradientUpdate",
+    "Minibatch",
     "ModelConfig",
+    "PolicyLoss",
     "Update",
 ]
 __getattr__ = lazy_attributes(
     __name__,
     {
         "A2C": "headway_algos.on_policy.updates.a2c:A2C",
-        "CRITICS": "headway_algos.on_policy.critics:CRITICS",
         "Critic": "headway_algos.on_policy.critics:Critic",
+        "Distribution": "headway_algos.networks.distributions:Distribution",
+        "GradientUpdate": "headway_algos.on_policy.updates.gradient_update:GradientUpdate",
         "KFAC": "headway_algos.on_policy.updates.kfac:KFAC",
+        "Minibatch": "headway_algos.on_policy.updates.policy_loss:Minibatch",
         "PPO": "headway_algos.on_policy.updates.ppo:PPO",
+        "PolicyLoss": "headway_algos.on_policy.updates.policy_loss:PolicyLoss",
         "TRPO": "headway_algos.on_policy.updates.trpo:TRPO",
-        "UPDATES": "headway_algos.on_policy.updates:UPDATES",
         "Update": "headway_algos.on_policy.updates:Update",
     },
 )

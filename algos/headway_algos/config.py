@@ -44,13 +44,13 @@ class AlgoConfig:
 
     name: str = "custom"
     """Name in the registry: see `headway list algos`."""
-    critic: Literal["local", "central", "counterfactual"] = "local"
+    critic: str = "local"
     """`local`: V(o) of an agent's own observation; `central`: V(s) of the global state; `counterfactual`:
     Q(s, u) for each own action, the other agents' actions held fixed (Discrete actions only)."""
-    update: Literal["ppo", "a2c", "trpo", "kfac"] = "ppo"
+    update: str = "ppo"
     """Policy update. `ppo`: epochs of minibatch steps on a clipped surrogate; `a2c`: one gradient step on the
     whole batch; `trpo`: one natural-gradient step within a bound on the KL divergence; `kfac`: one
-    natural-gradient step with Kronecker factors of the Fisher information."""
+    natural-gradient step with Kronecker factors of the Fisher information; or one of another package."""
     critic_update: Literal["adam", "kfac"] = "adam"
     """Optimiser of the critic. `adam`; or `kfac`: natural gradients with Kronecker factors of the
     Gauss-Newton matrix."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Lazy, MultiDiscrete
 from headway_algos.acting.gru import acting_policy
+from headway_algos.components import critics, updates
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import missing_groups
 from headway_algos.off_policy.entries import OFF_POLICY
@@ -28,6 +29,12 @@ _SIMULTANEOUS = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
 
 
 def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
+    for key, chosen, known in (
+        ("critic", config.critic, critics()),
+        ("update", config.update, updates()),
+    ):
+        if chosen not in known:
+            return f"algo.{key}={chosen} is not possible; available: {', '.join(sorted(known))}"
     counterfactual = config.critic == "counterfactual"
     if isinstance(spec.action_space, MultiDiscrete):
         supported = "Discrete" if counterfactual else "Discrete or Box"

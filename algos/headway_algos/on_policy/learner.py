@@ -14,14 +14,14 @@ from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.batches.policy_stack import Stack, resolve_device
+from headway_algos.components import critics, updates
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
-from headway_algos.on_policy.critics import CRITICS, Critic
+from headway_algos.on_policy.critics import Critic
 from headway_algos.on_policy.orders import ORDERS
-from headway_algos.on_policy.updates import UPDATES
 
 
 class OnPolicyLearner:
@@ -35,8 +35,8 @@ class OnPolicyLearner:
         self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
         policies = self.grouping.num_policies
         self.actor = Actor(config.model, spec, seeds, policies, self.dtype).to(self.device)
-        self.policy_update = UPDATES[config.update](self.actor, config, self.layout)
-        self.critic: Critic = CRITICS[config.critic](
+        self.policy_update = updates()[config.update](self.actor, config, self.layout)
+        self.critic: Critic = critics()[config.critic](
             config, spec, self.grouping, seeds, self.device, self.dtype
         )
         self.behaviour = BehaviourPolicy(config, self.actor, acting_policy(config, spec), self.layout)

@@ -17,16 +17,16 @@ from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.layout import Layout, Truncations, zero_where_absent
 from headway_algos.batches.policy_batch import PolicyBatch
+from headway_algos.components import CRITICS, UPDATES
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
-from headway_algos.on_policy.critics import CRITICS
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.orders import ORDERS
-from headway_algos.on_policy.updates import UPDATES, GradientUpdate, Update
+from headway_algos.on_policy.updates import GradientUpdate, Update
 from headway_algos.recipes.coma import COMAConfig
 from headway_algos.recipes.happo import HAPPOConfig
 from headway_algos.recipes.hatrpo import HATRPOConfig

@@ -13,12 +13,13 @@ from torch import Tensor
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
+from headway_algos.components import UPDATES
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.orders import ORDERS, sequential, simultaneous
-from headway_algos.on_policy.updates import UPDATES, GradientUpdate
+from headway_algos.on_policy.updates import GradientUpdate
 from headway_algos.on_policy.updates.ppo import PPO
 
 R, N, B, D, A = 2, 4, 18, 3, 3

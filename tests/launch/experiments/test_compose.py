@@ -386,4 +386,4 @@ def test_cores_go_to_training_processes_first() -> None:
 def test_the_summary_of_a_file_is_the_first_sentence_of_its_comment() -> None:
     assert summary_of("experiment", "toy_recall").endswith("with algo.model.core=none it stays at chance.")
     assert summary_of("experiment", "merge_mappo").endswith("beside rules and human drivers.")
-    assert summary_of("preset", "bus_tuned").endswith("policies of their own).")
+    assert summary_of("preset", "bus_tuned").endswith("need separate policies).")

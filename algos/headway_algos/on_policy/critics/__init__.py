@@ -11,9 +11,7 @@ from headway.contracts import EnvSpec, Trajectory
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
-from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
 from headway_algos.on_policy.critics.estimate import CriticEstimate
-from headway_algos.on_policy.critics.value import ValueCritic
 
 
 class Critic(Protocol):
@@ -52,9 +50,3 @@ class Critic(Protocol):
 
 MakeCritic = Callable[[AlgoConfig, EnvSpec, Grouping, Sequence[int], torch.device, torch.dtype], Critic]
 """(config, environment, grouping of agents by policy, seeds of the replicas, device, dtype) -> critic."""
-
-CRITICS: dict[str, MakeCritic] = {
-    "local": ValueCritic,
-    "central": ValueCritic,
-    "counterfactual": CounterfactualCritic,
-}

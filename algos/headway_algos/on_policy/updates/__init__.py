@@ -12,9 +12,7 @@ from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.a2c import A2C
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
-from headway_algos.on_policy.updates.kfac import KFAC
 from headway_algos.on_policy.updates.ppo import PPO
-from headway_algos.on_policy.updates.trpo import TRPO
 
 
 class Update(Protocol):
@@ -71,9 +69,4 @@ def a2c_update(actor: Actor, config: AlgoConfig, layout: Layout) -> GradientUpda
     return GradientUpdate(actor, config, layout, A2C(config.entropy_coeff))
 
 
-UPDATES: dict[str, Callable[[Actor, AlgoConfig, Layout], Update]] = {
-    "ppo": ppo_update,
-    "a2c": a2c_update,
-    "trpo": TRPO,
-    "kfac": KFAC,
-}
+MakeUpdate = Callable[[Actor, AlgoConfig, Layout], Update]
