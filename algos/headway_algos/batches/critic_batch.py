@@ -15,14 +15,19 @@ from headway_algos.batches.layout import Truncations, zero_where_absent
 
 @dataclass(frozen=True)
 class CriticBatch:
-    """M moments of C copies. Rows of absent agents are 0, and all actions are allowed to them."""
+    """M moments of C copies. Rows of absent agents are 0, and all actions are allowed to them.
+
+    There are two presences, which differ right after streams ended: at an episode's end agents that were away
+    or gone are marked as well. Their last observation serves their own value, and no value of others."""
 
     observations: NDArray[np.float32]
     """(M, C, N, D)"""
     states: NDArray[np.float32]
     """(M, C, S)"""
     present: NDArray[np.bool_]
-    """(M, C, N)"""
+    """(M, C, N): the agent has an observation."""
+    in_joint: NDArray[np.bool_]
+    """(M, C, N): the agent is part of joint inputs (concatenated observations, others' actions)."""
     masks: NDArray[np.bool_] | None
     """(M, C, N, A), or None where the environment has none."""
     actions: NDArray[Any] | None = None
@@ -38,6 +43,7 @@ class CriticBatch:
             zero_where_absent(trajectory.observations[:-1], alive),
             trajectory.states[:-1],
             alive,
+            alive,
             _allowed(trajectory.action_masks[:-1], alive),
             zero_where_absent(trajectory.actions, alive),
         )
@@ -50,6 +56,7 @@ class CriticBatch:
             zero_where_absent(trajectory.observations[-1:], alive),
             trajectory.states[-1:],
             alive,
+            alive,
             _allowed(trajectory.action_masks[-1:], alive),
             remembered=attrgetter("after_the_last_step"),
         )
@@ -57,12 +64,14 @@ class CriticBatch:
     @classmethod
     def after_endings(cls, trajectory: Trajectory, endings: Truncations) -> "CriticBatch":
         """F moments of R copies, right after the step of each ending: final observations and states where
-        they are valid, what came next for those who went on.
+        they are valid, the next ones of agents that go on. An agent whose stream ended is in the joint inputs
+        if it was alive before the step and did not terminate by it.
 
-        No mask is recorded for a final observation: those of the step before are the nearest known.
+        No mask is recorded for a final observation: that of the step before is the nearest known.
         """
         ended = endings.take(trajectory.terminated | trajectory.truncated)
-        next_alive = endings.take(trajectory.alive[1:])
+        alive, next_alive = endings.take(trajectory.alive[:-1]), endings.take(trajectory.alive[1:])
+        in_joint = np.where(ended, alive & ~endings.take(trajectory.terminated), next_alive)
         observations = np.where(
             ended[..., None],
             endings.take(trajectory.final_observations),
@@ -74,13 +83,14 @@ class CriticBatch:
         )
         present, masks = ended | next_alive, None
         if len(trajectory.action_masks):
-            before = endings.take(trajectory.action_masks[:-1]) | ~endings.take(trajectory.alive)[..., None]
+            before = endings.take(trajectory.action_masks[:-1]) | ~alive[..., None]
             after = endings.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
             masks = np.where(ended[..., None], before, after)
         return cls(
             zero_where_absent(observations, present),
             states,
             present,
+            in_joint,
             masks,
             remembered=lambda memories: memories.after_endings(endings),
         )

@@ -48,18 +48,17 @@ def generalised_advantages(
 def with_teammates_values(
     values: Array, present: NDArray[np.bool_], teams: Sequence[str] = ()
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Values and presence (T + 1, C, N) in which agents absent after the last step are given the mean value
-    of their copy's present agents there, of their own team where `teams` names each agent's (N): with a
-    shared reward these await the same return, and 0 in its place would make leaving look costly (or, with
-    negative rewards, good)."""
+    """Values and presence (..., N) in which absent agents are given the mean value of the present agents of
+    their copy, of their own team where `teams` names each agent's (N): with a shared reward these await the
+    same return, and 0 in its place would make leaving look costly (or, with negative rewards, good)."""
     values, present = values.copy(), present.copy()
     names = np.array(teams)
     for members in [slice(None)] if not teams else [np.flatnonzero(names == team) for team in set(teams)]:
-        here, last = present[-1][:, members], values[-1][:, members]
-        count = here.sum(axis=1, keepdims=True)
-        mean = np.where(here, last, 0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
-        values[-1][:, members] = np.where(here, last, mean)
-        present[-1][:, members] = here | (count > 0)
+        here, known = present[..., members], values[..., members]
+        count = here.sum(axis=-1, keepdims=True)
+        mean = np.where(here, known, 0).sum(axis=-1, keepdims=True) / np.maximum(count, 1)
+        values[..., members] = np.where(here, known, mean)
+        present[..., members] = here | (count > 0)
     return values, present
 
 

@@ -551,7 +551,9 @@ def test_a_central_critic_sees_the_team_go_on_where_one_agent_is_cut(
     final = _final_values(learner, made)
     after, alive = made.observations[3:4].copy(), made.alive[3:4].copy()
     after[:, :, 1], alive[:, :, 1] = 0.5, True
-    expected = _values(learner, CriticBatch(zero_where_absent(after, alive), made.states[3:4], alive, None))
+    expected = _values(
+        learner, CriticBatch(zero_where_absent(after, alive), made.states[3:4], alive, alive, None)
+    )
     np.testing.assert_allclose(final[2, :, 1], expected[0, :, 1], rtol=1e-12)
 
 
@@ -562,7 +564,7 @@ def test_an_agent_absent_when_cut_bootstraps_from_its_final_observation(fabricat
     made.truncated[3] = True
     learner = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
     everyone = np.ones((1, 1, 4), np.bool_)
-    at_end = CriticBatch(made.final_observations[3:], made.final_states[3:], everyone, None)
+    at_end = CriticBatch(made.final_observations[3:], made.final_states[3:], everyone, everyone, None)
     np.testing.assert_allclose(_final_values(learner, made)[3], _values(learner, at_end)[0], rtol=1e-12)
 
 

@@ -122,7 +122,10 @@ def _state_size(spec: EnvSpec) -> int:
 
 def _state(scene: CriticBatch, has_state: bool) -> NDArray[np.float32]:
     """(M, C, S)"""
-    return scene.states if has_state else scene.observations.reshape(*scene.observations.shape[:2], -1)
+    if has_state:
+        return scene.states
+    joint = zero_where_absent(scene.observations, scene.in_joint)
+    return joint.reshape(*joint.shape[:2], -1)
 
 
 def _from_everywhere(seen: NDArray[np.float32], viewpoints: int) -> NDArray[np.float32]:
@@ -133,7 +136,7 @@ def _from_everywhere(seen: NDArray[np.float32], viewpoints: int) -> NDArray[np.f
 def others_actions(scene: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:
     """(M, C, N, N x A): what each agent's teammates chose, one block of A a teammate: one-hot if Discrete,
     the action as the environment cuts it if Box. Zeros stand in the agent's own block and in those of
-    absent agents.
+    agents that are not in the joint input.
 
     A choice counts even where it was not used (`acting` false): whether it would be is known only after
     the step, and may be an effect of the very action that is being judged.
@@ -146,7 +149,7 @@ def others_actions(scene: CriticBatch, space: ActionSpace) -> NDArray[np.float32
             chosen = np.clip(scene.actions, low, high).astype(np.float32)
         case _:
             raise TypeError(f"actions of {space} are not encoded")
-    chosen = zero_where_absent(chosen, scene.present)
+    chosen = zero_where_absent(chosen, scene.in_joint)
     agents = chosen.shape[2]
     blocks = np.repeat(chosen[:, :, None], agents, axis=2)
     blocks[:, :, range(agents), range(agents)] = 0

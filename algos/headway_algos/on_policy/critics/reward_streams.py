@@ -72,10 +72,18 @@ def lambda_advantages(
     endings = Truncations.of(trajectory, replicas)
     final_values = np.zeros(streams.rewards.shape)
     if len(endings):
-        final_values = endings.put(worth(CriticBatch.after_endings(trajectory, endings)), final_values.shape)
+        scene = CriticBatch.after_endings(trajectory, endings)
+        final = worth(scene)
+        if view.team and not view.whole:
+            # A team's return goes on for agents that are gone, but no critic is trained on what these see.
+            of_teammates, known = with_teammates_values(final, scene.in_joint)
+            final = np.where(known, of_teammates, final)
+        final_values = endings.put(final, final_values.shape)
     present = streams.present
     if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
-        values, present = with_teammates_values(values, present, () if spec.shared_reward else spec.groups)
+        teams = () if spec.shared_reward else spec.groups
+        values[-1], awaiting = with_teammates_values(values[-1], present[-1], teams)
+        present = np.concatenate([present[:-1], awaiting[None]])
     advantages = generalised_advantages(
         streams.rewards, values, final_values, streams.terminated, streams.truncated, present,
         config.gamma, config.gae_lambda,
