@@ -248,7 +248,10 @@ def test_poison_in_what_nobody_lived_through_changes_nothing(
         assert np.isfinite(value).all(), name
 
 
-@pytest.mark.parametrize("spec", [DISCRETE, BOX, replace(DISCRETE, shared_reward=True)])
+@pytest.mark.parametrize(
+    "spec",
+    [DISCRETE, BOX, replace(DISCRETE, shared_reward=True), replace(DISCRETE, shared_in_groups=True)],
+)
 @pytest.mark.parametrize("config", [IPPO, IA2C, ITRPO, MAACKTR], ids=lambda config: config.name)
 def test_room_for_agents_that_never_come_changes_nothing(
     fabricate: Fabricate,
@@ -261,7 +264,7 @@ def test_room_for_agents_that_never_come_changes_nothing(
     and all in one: a learner that leaves out none learns the same. One comes when all steps are over and the
     others have left: what a team awaits is told by her alone."""
     shared = replace(config, policies="shared")
-    roomy = replace(spec, agents=tuple("abcdefghi"), groups=())
+    roomy = replace(spec, agents=tuple("abcdefghi"), groups=tuple("xyxxyyzxz"))
     tight, wide = OnPolicyLearner(shared, spec, (1, 2), "cpu"), OnPolicyLearner(shared, roomy, (1, 2), "cpu")
     monkeypatch.setattr(tight, "_of_who_was_there", lambda trajectory: trajectory)
     for iteration, last in ((1, 4), (2, 2), (3, 0), (4, 3)):

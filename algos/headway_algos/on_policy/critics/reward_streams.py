@@ -81,7 +81,8 @@ def lambda_advantages(
         final_values = endings.put(final, final_values.shape)
     present = streams.present
     if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
-        teams = () if spec.shared_reward else spec.groups
+        # Trailing slots that were never alive may have been left out of the trajectory.
+        teams = () if spec.shared_reward else spec.groups[: present.shape[2]]
         values[-1], awaiting = with_teammates_values(values[-1], present[-1], teams)
         present = np.concatenate([present[:-1], awaiting[None]])
     advantages = generalised_advantages(
