@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import Trajectory
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Truncations, zero_where_absent
+from headway_algos.batches.layout import Truncations, last_known_masks, zero_where_absent
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,6 @@ class CriticBatch:
         """F moments of R copies, right after the step of each ending: final observations and states where
         they are valid, the next ones of agents that go on. An agent whose stream ended is in the joint inputs
         if it was alive before the step and did not terminate by it.
-
-        No mask is recorded for a final observation: that of the step before is the nearest known.
         """
         ended = endings.take(trajectory.terminated | trajectory.truncated)
         alive, next_alive = endings.take(trajectory.alive[:-1]), endings.take(trajectory.alive[1:])
@@ -83,7 +81,8 @@ class CriticBatch:
         )
         present, masks = ended | next_alive, None
         if len(trajectory.action_masks):
-            before = endings.take(trajectory.action_masks[:-1]) | ~alive[..., None]
+            until = endings.steps[..., None], endings.copies[..., None], np.arange(ended.shape[2])
+            before = last_known_masks(trajectory, until)
             after = endings.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
             masks = np.where(ended[..., None], before, after)
         return cls(

@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import EnvSpec, Trajectory
-from headway_algos.batches.layout import zero_where_absent
+from headway.contracts import Discrete, EnvSpec, Trajectory
+from headway_algos.batches.layout import last_known_masks, zero_where_absent
 
 Array = NDArray[np.float64]
 
@@ -36,8 +36,8 @@ class Transitions:
     next_observations: NDArray[np.float32]
     """(B, D); zeros where the discount is 0."""
     next_masks: NDArray[np.bool_]
-    """(B, A): what is allowed there; all where the stream was truncated, whose mask nobody knows. (B, 0)
-    where the environment has no masks."""
+    """(B, A): what is allowed there; the last mask known where the stream was truncated. (B, 0) where the
+    environment has no masks."""
 
     def __len__(self) -> int:
         """B"""
@@ -60,6 +60,8 @@ class Open:
     """(B,): of what comes next."""
     ahead: NDArray[np.int64]
     """(B,): decisions that are still to be looked ahead."""
+    masks: NDArray[np.bool_]
+    """(B, A): action masks last known; (B, 0) where the environment has none."""
 
     def where(self, chosen: NDArray[np.bool_]) -> Self:
         """Those chosen, (B,)."""
@@ -150,6 +152,7 @@ class TransitionMaker:
             links.returns[rows],
             links.discounts[rows],
             np.full(len(step), self.n_step),
+            trajectory.action_masks[rows] if self.spec.has_action_mask else np.ones((len(step), 0), np.bool_),
         )
         places = links.places[rows]
         if self.open is None:
@@ -159,7 +162,7 @@ class TransitionMaker:
         at_once = decides[first]
         returns = old.returns + np.where(at_once, 0, old.discounts * links.returns[first])
         discounts = old.discounts * np.where(at_once, 1, links.discounts[first])
-        followed = Open(old.streams, old.observations, old.actions, returns, discounts, old.ahead)
+        followed = replace(old, returns=returns, discounts=discounts)
         both = (np.concatenate([getattr(x, field.name) for x in (followed, new)]) for field in fields(Open))
         return Open(*both), np.concatenate([np.where(at_once, 0, links.places[first]), places])
 
@@ -167,20 +170,23 @@ class TransitionMaker:
         """Those that arrived, with what is observed there; the others are open from now on."""
         steps = len(trajectory.actions)
         copies, agents = np.divmod(decisions.streams, self.spec.num_agents)
-        waits = places == steps
+        waits, ends = places == steps, places > steps
+        last_steps = np.where(ends, places - steps - 1, steps - 1)
+        if self.spec.has_action_mask:
+            masks = last_known_masks(trajectory, (last_steps, copies, agents), decisions.masks)
+            decisions = replace(decisions, masks=masks)
         if self.spec.snapshots:
             self.open, whole = decisions.where(waits), ~waits
         else:
             whole = ~waits | trajectory.alive[-1, copies, agents]
-        places, copies, agents = places[whole], copies[whole], agents[whole]
-        ends = places > steps
-        streams_end = np.where(ends, places - steps - 1, 0), copies, agents
+        places, copies, agents, ends = places[whole], copies[whole], agents[whole], ends[whole]
+        streams_end = last_steps[whole], copies, agents
         goes_on = np.where(ends, 0, places), copies, agents
         last, on = trajectory.final_observations[streams_end], trajectory.observations[goes_on]
         discounts = decisions.discounts[whole]
-        masks = np.ones((len(places), 0), np.bool_)
+        masks = decisions.masks[whole]
         if self.spec.has_action_mask:
-            masks = trajectory.action_masks[goes_on] | ends[:, None]
+            masks = np.where(ends[:, None], masks, trajectory.action_masks[goes_on])
         return Transitions(
             decisions.streams[whole],
             decisions.observations[whole],
@@ -196,5 +202,10 @@ class TransitionMaker:
         return {} if self.open is None else {f.name: getattr(self.open, f.name) for f in fields(Open)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Inverse of `state_dict`."""
-        self.open = Open(**state) if state else None
+        """Inverse of `state_dict`; takes the state of versions that kept no masks as well."""
+        if not state:
+            self.open = None
+            return
+        space, masked = self.spec.action_space, self.spec.has_action_mask
+        options = space.n if masked and isinstance(space, Discrete) else 0
+        self.open = Open(**{"masks": np.ones((len(state["streams"]), options), np.bool_), **state})

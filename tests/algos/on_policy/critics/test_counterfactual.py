@@ -179,8 +179,9 @@ def _moment(made: Trajectory, t: int, c: int, ended: NDArray[np.bool_] | None = 
         joint[ended] = made.alive[t - 1, c, ended] & ~made.terminated[t - 1, c, ended]
         observations[ended] = made.final_observations[t - 1, c, ended]
         if len(made.action_masks):
-            masks[ended] = made.action_masks[t - 1, c, ended]
-            masks[ended & ~made.alive[t - 1, c]] = True
+            for n in np.flatnonzero(ended):
+                known = made.action_masks[:t, c, n][made.alive[:t, c, n]]
+                masks[n] = known[-1] if len(known) else True
         state = made.final_states[t - 1, c] if ended.all() else state
     observations[~present], masks[~present] = 0, True
     actions = made.actions[t, c] if t < len(made.actions) and ended is None else np.zeros(4)
