@@ -26,7 +26,8 @@ ACTOR_GAIN = 0.01
 
 class DeterministicMethod:
     """Actors mu(o) and critics Q(o, u), with a slow copy of each (see
-    `headway_algos.off_policy.learner.Method`). Networks see actions in units of the bounds: -1 to 1."""
+    `headway_algos.off_policy.learner.Method`). Networks see actions in units of the bounds: -1 to 1, and 0
+    in a dimension whose bounds are equal."""
 
     METRICS: ClassVar[tuple[str, ...]] = (
         "critic/loss",
@@ -43,7 +44,10 @@ class DeterministicMethod:
         box = spec.action_space
         assert isinstance(box, Box)
         low, high = (torch.tensor(bound, dtype=dtype, device=device) for bound in (box.low, box.high))
-        self.middle, self.half = (low + high) / 2, (high - low) / 2
+        self.middle, half = (low + high) / 2, (high - low) / 2
+        self.half = torch.where(half > 0, half, 1)
+        self.free = (half > 0).to(dtype)
+        """(A,): 0 in dimensions without a choice, else 1."""
         size, form = spec.observation_size, model.activation
         self.network = StackedMLP(
             seeds, policies, "actor", (size, model.hidden, box.size), form, ACTOR_GAIN, dtype
@@ -62,12 +66,13 @@ class DeterministicMethod:
         """y = G + gamma^k Q'(o', mu'(o')), (P, b)."""
         with torch.no_grad():
             then = batch.next_observations
-            next_values = _values(self.slow_critic.network, then, _actions(self.slow_actor.network, then))
+            actions = _bounded(self._outputs(self.slow_actor.network, then))
+            next_values = _values(self.slow_critic.network, then, actions)
             return temporal_difference_target(batch.returns, batch.discounts, next_values)
 
     def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
         """One step of the critics, one of the actors, and the copies follow."""
-        targets, taken = self.targets(batch), (batch.actions - self.middle) / self.half
+        targets, taken = self.targets(batch), (batch.actions - self.middle) / self.half * self.free
         values = _values(self.critic, batch.observations, taken)
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
         self.critic_optimiser.begin()
@@ -86,7 +91,7 @@ class DeterministicMethod:
     def _improve_actors(self, observations: Tensor, active: NDArray[np.bool_]) -> Tensor:
         """A step up E[dQ/du(o, u = mu(o)) dmu/dtheta(o)], and down the squares of what the tanh gets; norms
         of the gradients, (P,)."""
-        outputs: Tensor = self.network(observations)
+        outputs = self._outputs(self.network, observations)
         actions = _bounded(outputs)
         asked = actions.detach().requires_grad_()
         (slopes,) = torch.autograd.grad(_values(self.critic, observations, asked).sum(), asked)
@@ -95,6 +100,11 @@ class DeterministicMethod:
         pull = 2 * self.config.saturation_coeff * outputs.detach() / batch
         torch.autograd.backward([actions, outputs], [-slopes / batch, pull])
         return self.actor_optimiser.step(active)
+
+    def _outputs(self, actor: StackedMLP, observations: Tensor) -> Tensor:
+        """(P, A, b): what the tanh of mu(o) gets."""
+        outputs: Tensor = actor(observations)
+        return outputs * self.free[:, None]
 
     def anneal(self, share: float) -> None:
         """Set the learning rates to `share` of their base."""
@@ -117,11 +127,6 @@ class DeterministicMethod:
         """Inverse of `state_dict`; raises RuntimeError where shapes differ."""
         for name, part in self._parts.items():
             part.load_state_dict(state[name])
-
-
-def _actions(actor: StackedMLP, observations: Tensor) -> Tensor:
-    """mu(o) in units of the bounds: (P, b, A)."""
-    return _bounded(actor(observations))
 
 
 def _bounded(outputs: Tensor) -> Tensor:
