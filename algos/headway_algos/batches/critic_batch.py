@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 
 from headway.contracts import Trajectory
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Truncations, zero_where_absent
+from headway_algos.batches.layout import Truncations, last_known_masks, zero_where_absent
 
 
 @dataclass(frozen=True)
 class CriticBatch:
-    """C copies at M time points. Rows of absent agents are 0, and their action masks allow every action."""
+    """C copies at M time points. Rows of absent agents are 0, and their action masks allow every action.
+
+    The two presence masks differ right after a truncation: an agent that was absent or had terminated is
+    `present` for its own value, but is no part of what the values of others are computed from.
+    """
 
     observations: NDArray[np.float32]
     """(M, C, N, D)"""
@@ -23,6 +27,8 @@ class CriticBatch:
     """(M, C, S)"""
     present: NDArray[np.bool_]
     """(M, C, N): the agent is alive, or its stream has just ended."""
+    in_joint: NDArray[np.bool_]
+    """(M, C, N): the agent is part of joint inputs (concatenated observations, the others' actions)."""
     masks: NDArray[np.bool_] | None
     """(M, C, N, A) action masks, or None if the environment has none."""
     actions: NDArray[Any] | None = None
@@ -38,6 +44,7 @@ class CriticBatch:
             zero_where_absent(trajectory.observations[:-1], alive),
             trajectory.states[:-1],
             alive,
+            alive,
             _allowed(trajectory.action_masks[:-1], alive),
             zero_where_absent(trajectory.actions, alive),
         )
@@ -50,6 +57,7 @@ class CriticBatch:
             zero_where_absent(trajectory.observations[-1:], alive),
             trajectory.states[-1:],
             alive,
+            alive,
             _allowed(trajectory.action_masks[-1:], alive),
             select_hidden=attrgetter("after_last_step"),
         )
@@ -59,10 +67,12 @@ class CriticBatch:
         """Return the observations right after each truncation, as F time points of R copies.
 
         Final observations and states are used where valid, next ones for agents whose stream continues. No
-        mask is recorded with a final observation, so the mask of the step before is used.
+        mask is recorded with a final observation, so the last known mask is used. An agent whose stream ended
+        is part of joint inputs if it was alive before the step and did not terminate with it.
         """
         ended = truncations.take(trajectory.terminated | trajectory.truncated)
-        next_alive = truncations.take(trajectory.alive[1:])
+        alive, next_alive = truncations.take(trajectory.alive[:-1]), truncations.take(trajectory.alive[1:])
+        in_joint = np.where(ended, alive & ~truncations.take(trajectory.terminated), next_alive)
         observations = np.where(
             ended[..., None],
             truncations.take(trajectory.final_observations),
@@ -74,16 +84,15 @@ class CriticBatch:
         )
         present, masks = ended | next_alive, None
         if len(trajectory.action_masks):
-            before = (
-                truncations.take(trajectory.action_masks[:-1])
-                | ~truncations.take(trajectory.alive)[..., None]
-            )
+            until = truncations.steps[..., None], truncations.copies[..., None], np.arange(ended.shape[2])
+            before = last_known_masks(trajectory, until)
             after = truncations.take(trajectory.action_masks[1:]) | ~next_alive[..., None]
             masks = np.where(ended[..., None], before, after)
         return cls(
             zero_where_absent(observations, present),
             states,
             present,
+            in_joint,
             masks,
             select_hidden=lambda hidden_states: hidden_states.after_truncations(truncations),
         )

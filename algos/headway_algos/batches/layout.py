@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -62,6 +62,20 @@ def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArr
         return values
     spread = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
     return np.where(spread, values, 0).astype(values.dtype, copy=False)
+
+
+def last_known_masks(
+    trajectory: Trajectory,
+    until: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    earlier: NDArray[np.bool_] | Literal[True] = True,
+) -> NDArray[np.bool_]:
+    """Return action masks (..., A) of the last step up to `until` (steps, copies, agents, each (...)) with
+    the agent alive, or `earlier` (..., A) if there is none. No mask is recorded for a final observation:
+    this one is the nearest known."""
+    steps, copies, agents = until
+    seen = np.where(trajectory.alive[:-1], np.arange(len(trajectory.rewards))[:, None, None], -1)
+    last = np.maximum.accumulate(seen)[steps, copies, agents]
+    return np.where(last[..., None] >= 0, trajectory.action_masks[last, copies, agents], earlier)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ ACTOR_GAIN = 0.01
 class DeterministicPolicyGradient:
     """Actors mu(o) and critics Q(o, u) with target networks; a `headway_algos.off_policy.learner.Method`.
 
-    Networks work with actions scaled to [-1, 1].
+    Networks work with actions scaled to [-1, 1], and with 0 in a dimension whose bounds are equal.
     """
 
     METRICS: ClassVar[tuple[str, ...]] = (
@@ -45,7 +45,10 @@ class DeterministicPolicyGradient:
         box = spec.action_space
         assert isinstance(box, Box)
         low, high = (torch.tensor(bound, dtype=dtype, device=device) for bound in (box.low, box.high))
-        self.middle, self.half = (low + high) / 2, (high - low) / 2
+        self.middle, half = (low + high) / 2, (high - low) / 2
+        self.half = torch.where(half > 0, half, 1)
+        self.free = (half > 0).to(dtype)
+        """(A,): 0 in dimensions without a choice, else 1."""
         size, form = spec.observation_size, model.activation
         self.network = StackedMLP(
             seeds, policies, "actor", (size, model.hidden, box.size), form, ACTOR_GAIN, dtype
@@ -64,12 +67,13 @@ class DeterministicPolicyGradient:
         """Return y = G + gamma^k Q'(o', mu'(o')), (P, b)."""
         with torch.no_grad():
             then = batch.next_observations
-            next_values = _values(self.target_critic.network, then, _actions(self.target_actor.network, then))
+            actions = _bounded(self._outputs(self.target_actor.network, then))
+            next_values = _values(self.target_critic.network, then, actions)
             return temporal_difference_target(batch.returns, batch.discounts, next_values)
 
     def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
         """Take one gradient step of critics and actors, and update the target networks if due."""
-        targets, taken = self.targets(batch), (batch.actions - self.middle) / self.half
+        targets, taken = self.targets(batch), (batch.actions - self.middle) / self.half * self.free
         values = _values(self.critic, batch.observations, taken)
         loss = mean_over_batch(regression_loss(values - targets, self.config.loss), active)
         self.critic_optimiser.begin()
@@ -90,7 +94,7 @@ class DeterministicPolicyGradient:
 
         Returns gradient norms (P,).
         """
-        outputs: Tensor = self.network(observations)
+        outputs = self._outputs(self.network, observations)
         actions = _bounded(outputs)
         leaf_actions = actions.detach().requires_grad_()
         (gradients,) = torch.autograd.grad(
@@ -101,6 +105,11 @@ class DeterministicPolicyGradient:
         penalty_gradients = 2 * self.config.saturation_coeff * outputs.detach() / batch
         torch.autograd.backward([actions, outputs], [-gradients / batch, penalty_gradients])
         return self.actor_optimiser.step(active)
+
+    def _outputs(self, actor: StackedMLP, observations: Tensor) -> Tensor:
+        """(P, A, b): what the tanh of mu(o) gets."""
+        outputs: Tensor = actor(observations)
+        return outputs * self.free[:, None]
 
     def anneal(self, share: float) -> None:
         """Set the learning rates to `share` of their configured values."""
@@ -123,11 +132,6 @@ class DeterministicPolicyGradient:
         """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         for name, part in self._parts.items():
             part.load_state_dict(state[name])
-
-
-def _actions(actor: StackedMLP, observations: Tensor) -> Tensor:
-    """Return mu(o), scaled to [-1, 1], (P, b, A)."""
-    return _bounded(actor(observations))
 
 
 def _bounded(outputs: Tensor) -> Tensor:

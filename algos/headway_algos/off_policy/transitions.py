@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import EnvSpec, Trajectory
-from headway_algos.batches.layout import zero_where_absent
+from headway.contracts import Discrete, EnvSpec, Trajectory
+from headway_algos.batches.layout import last_known_masks, zero_where_absent
 
 Array = NDArray[np.float64]
 
@@ -36,8 +36,8 @@ class Transitions:
     next_observations: NDArray[np.float32]
     """(B, D): observations to bootstrap from; zeros where the discount is 0."""
     next_masks: NDArray[np.bool_]
-    """(B, A): action masks at the next observations, all true where the stream was truncated: no mask is
-    recorded there. (B, 0) if the environment has no masks."""
+    """(B, A): action masks at the next observations; where the stream was truncated, the last known mask.
+    (B, 0) if the environment has no masks."""
 
     def __len__(self) -> int:
         """B."""
@@ -60,6 +60,8 @@ class OpenDecisions:
     """(B,): discount of the next reward or value."""
     ahead: NDArray[np.int64]
     """(B,): number of decisions still to pass before the transition is complete."""
+    masks: NDArray[np.bool_]
+    """(B, A): the last known action masks; (B, 0) if the environment has none."""
 
     def where(self, chosen: NDArray[np.bool_]) -> Self:
         """Return the decisions selected by the mask `chosen` (B,)."""
@@ -150,6 +152,7 @@ class TransitionBuilder:
             spans.returns[rows],
             spans.discounts[rows],
             np.full(len(step), self.n_step),
+            trajectory.action_masks[rows] if self.spec.has_action_mask else np.ones((len(step), 0), np.bool_),
         )
         ends = spans.ends[rows]
         if self.open is None:
@@ -160,7 +163,7 @@ class TransitionBuilder:
         at_once = decides[first]
         returns = old.returns + np.where(at_once, 0, old.discounts * spans.returns[first])
         discounts = old.discounts * np.where(at_once, 1, spans.discounts[first])
-        extended = OpenDecisions(old.streams, old.observations, old.actions, returns, discounts, old.ahead)
+        extended = replace(old, returns=returns, discounts=discounts)
         both = (
             np.concatenate([getattr(x, field.name) for x in (extended, new)])
             for field in fields(OpenDecisions)
@@ -173,20 +176,23 @@ class TransitionBuilder:
         """Return the completed transitions; keep the others open."""
         steps = len(trajectory.actions)
         copies, agents = np.divmod(decisions.streams, self.spec.num_agents)
-        continues = ends == steps
+        continues, stream_ended = ends == steps, ends > steps
+        last_step = np.where(stream_ended, ends - steps - 1, steps - 1)
+        if self.spec.has_action_mask:
+            masks = last_known_masks(trajectory, (last_step, copies, agents), decisions.masks)
+            decisions = replace(decisions, masks=masks)
         if self.spec.snapshots:
             self.open, complete = decisions.where(continues), ~continues
         else:
             complete = ~continues | trajectory.alive[-1, copies, agents]
         ends, copies, agents = ends[complete], copies[complete], agents[complete]
-        stream_ended = ends > steps
-        final_step = np.where(stream_ended, ends - steps - 1, 0), copies, agents
+        stream_ended = stream_ended[complete]
+        final_step = last_step[complete], copies, agents
         next_step = np.where(stream_ended, 0, ends), copies, agents
         final, following = trajectory.final_observations[final_step], trajectory.observations[next_step]
-        discounts = decisions.discounts[complete]
-        masks = np.ones((len(ends), 0), np.bool_)
+        discounts, masks = decisions.discounts[complete], decisions.masks[complete]
         if self.spec.has_action_mask:
-            masks = trajectory.action_masks[next_step] | stream_ended[:, None]
+            masks = np.where(stream_ended[:, None], masks, trajectory.action_masks[next_step])
         return Transitions(
             decisions.streams[complete],
             decisions.observations[complete],
@@ -204,5 +210,11 @@ class TransitionBuilder:
         )
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the result of `state_dict`."""
-        self.open = OpenDecisions(**state) if state else None
+        """Restore the result of `state_dict`, also of versions that kept no masks."""
+        if not state:
+            self.open = None
+            return
+        space, masked = self.spec.action_space, self.spec.has_action_mask
+        options = space.n if masked and isinstance(space, Discrete) else 0
+        unmasked = np.ones((len(state["streams"]), options), np.bool_)
+        self.open = OpenDecisions(**{"masks": unmasked, **state})

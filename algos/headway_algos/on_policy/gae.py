@@ -49,7 +49,7 @@ def generalised_advantages(
 def with_teammates_values(
     values: Array, present: NDArray[np.bool_], teams: Sequence[str] = ()
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return values and presence (T + 1, C, N), filled in for agents absent after the last step.
+    """Return values and presence (..., N), filled in for absent agents.
 
     Such an agent gets the mean value of the agents present in its copy, of its own team if `teams` (N,) names
     the agents' teams. Agents with a shared reward expect the same return; a value of 0 would make leaving
@@ -58,11 +58,11 @@ def with_teammates_values(
     values, present = values.copy(), present.copy()
     names = np.array(teams)
     for members in [slice(None)] if not teams else [np.flatnonzero(names == team) for team in set(teams)]:
-        last_present, last = present[-1][:, members], values[-1][:, members]
-        count = last_present.sum(axis=1, keepdims=True)
-        mean = np.where(last_present, last, 0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
-        values[-1][:, members] = np.where(last_present, last, mean)
-        present[-1][:, members] = last_present | (count > 0)
+        here, known = present[..., members], values[..., members]
+        count = here.sum(axis=-1, keepdims=True)
+        mean = np.where(here, known, 0).sum(axis=-1, keepdims=True) / np.maximum(count, 1)
+        values[..., members] = np.where(here, known, mean)
+        present[..., members] = here | (count > 0)
     return values, present
 
 

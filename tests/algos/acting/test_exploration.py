@@ -227,6 +227,20 @@ def test_noisy_actions_stay_within_the_bounds() -> None:
     assert {-1.0, 3.0} <= set(actions[..., 0].ravel().tolist())
 
 
+def test_where_bounds_are_equal_that_value_is_acted_however_much_is_explored() -> None:
+    spec = EnvSpec("made", ("a", "b"), 1, Box((-1.0, 0.3), (1.0, 0.3)))
+    config = DDPGConfig(policies="shared")
+    learner = ENTRIES["ddpg"].learner(config, spec, (0,), "cpu")
+    acting = ENTRIES["ddpg"].acting_policy(config, spec)
+    observed = Observations(
+        np.ones((50, 2, 1), np.float32), np.zeros((50, 0), np.float32), np.ones((50, 2), np.bool_)
+    )
+    parameters = {**learner.acting_parameters(), "exploration": np.full((1, 1, 1), 5.0)}
+    actions, _ = acting.act(parameters, observed, acting.noise(generator(0, "action", 0), 50))
+    assert (actions[..., 1] == np.float32(0.3)).all()
+    assert actions[..., 0].std() > 0.1
+
+
 @pytest.mark.parametrize("algorithm", SPACES)
 def test_acting_parameters_have_the_declared_shapes(algorithm: str) -> None:
     for policies in ("independent", "shared", "groups"):

@@ -10,7 +10,16 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, HeadwayError, LearnerWithReplay, Trajectory
+from headway.contracts import (
+    ActionSpace,
+    Box,
+    Discrete,
+    EnvSpec,
+    HeadwayError,
+    LearnerWithReplay,
+    Trajectory,
+    TrajectoryLayout,
+)
 from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.recipes.ddpg import DDPGConfig
 from headway_algos.recipes.madqn import MADQNConfig
@@ -333,3 +342,19 @@ def test_replay_bytes_are_predicted(
     assert real == pytest.approx(
         ENTRIES[config.name].replay_bytes(config, spec, iterations * steps), rel=0.15
     )
+
+
+def test_what_is_forbidden_is_worth_nothing_at_a_time_limit() -> None:
+    """-1 per step for ever, in episodes cut after two steps: the allowed actions are worth -1 / (1 - gamma);
+    of the third one nothing is ever learned."""
+    spec = EnvSpec("made", ("a",), 1, Discrete(3), has_action_mask=True, snapshots=True)
+    config = replace(MADQN, gamma=0.8, lr=1e-2, updates=16, normalise_observations=False)
+    learner = _learner(config, spec, (1,))
+    made = Trajectory.allocate(TrajectoryLayout(spec, 2, 8))
+    made.alive[:], made.acting[:], made.rewards[:], made.truncated[1] = True, True, -1, True
+    made.observations[:], made.final_observations[:], made.action_masks[..., :2] = 1, 1, True
+    for iteration in range(1, 61):
+        made.actions[:] = np.random.default_rng(iteration).integers(2, size=made.actions.shape)
+        learner.update(made, iteration, 0.0)
+    values = learner.method.network(torch.ones(1, 1, 1, dtype=torch.float64))[0, :2, 0]
+    np.testing.assert_allclose(values.detach().numpy(), -5, atol=0.25)

@@ -245,3 +245,44 @@ def test_means_leave_out_networks_without_a_batch() -> None:
     means.sum().backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
     assert losses.grad is not None
     np.testing.assert_allclose(losses.grad, [[1 / 3] * 3, [0.0] * 3])
+
+
+def _without(
+    method: DeterministicPolicyGradient, spec: EnvSpec, dimension: int
+) -> DeterministicPolicyGradient:
+    """The same networks for actions without that dimension."""
+    other = DeterministicPolicyGradient(method.config, spec, SEEDS, K, CPU)
+    keep = [i for i in range(spec.observation_size + 3) if i != spec.observation_size + dimension]
+    options = [i for i in range(3) if i != dimension]
+    for mine, theirs in (
+        (other.network, method.network), (other.target_actor.network, method.target_actor.network)
+    ):  # fmt: skip
+        for to, source in zip(mine.parameters(), theirs.parameters(), strict=True):
+            to.data.copy_(source.data if to.shape == source.shape else source.data[:, options])
+    for mine, theirs in (
+        (other.critic, method.critic), (other.target_critic.network, method.target_critic.network)
+    ):  # fmt: skip
+        for to, source in zip(mine.parameters(), theirs.parameters(), strict=True):
+            to.data.copy_(source.data if to.shape == source.shape else source.data[:, :, keep])
+    return other
+
+
+@pytest.mark.parametrize("value", [0.5, 1e6 + 0.1])
+def test_a_dimension_whose_bounds_are_equal_changes_nothing(value: float) -> None:
+    """All else is learned as without it, also where the value is rounded in an action's float32."""
+    wide = replace(BOX, action_space=Box((-2.0, value, 0.0), (2.0, value, 1.0)))
+    method, narrow_batch = DeterministicPolicyGradient(DDPG, wide, SEEDS, K, CPU), _batch(BOX)
+    _randomise_target(method.target_actor)
+    _randomise_target(method.target_critic)
+    narrow = _without(method, BOX, 1)
+    fixed = torch.full((P, B, 1), value, dtype=torch.float32).to(DOUBLE)
+    actions = torch.cat([narrow_batch.actions[..., :1], fixed, narrow_batch.actions[..., 1:]], dim=2)
+    for _ in range(3):
+        got = method.learn(replace(narrow_batch, actions=actions), ALL)
+        expected = narrow.learn(narrow_batch, ALL)
+        for name in ("critic/loss", "critic/value", "policy/grad_norm"):
+            torch.testing.assert_close(got[name], expected[name], rtol=1e-9, atol=1e-9)
+    again = _without(method, BOX, 1)
+    for mine, theirs in ((again.network, narrow.network), (again.critic, narrow.critic)):
+        for got_one, expected_one in zip(mine.parameters(), theirs.parameters(), strict=True):
+            torch.testing.assert_close(got_one, expected_one, rtol=1e-9, atol=1e-9)

@@ -30,17 +30,18 @@ def _walk(parts: list[Trajectory], n_step: int, stream: int, start: tuple[int, i
     total, discount, ahead = 0.0, 1.0, n_step
     for i, t in steps[steps.index(start) :]:
         part = parts[i]
+        if part.alive[t, c, n]:
+            allowed = part.action_masks[t, c, n]  # the last that is known, until the agent is seen again
         if (i, t) != start and part.alive[t, c, n] and part.acting[t, c, n]:
             ahead -= 1
             if ahead == 0:
                 return stream, *taken, total, discount, part.observations[t, c, n], part.action_masks[t, c, n]
         total += discount * float(part.rewards[t, c, n])
         discount *= GAMMA
-        everything = np.ones(part.action_masks.shape[-1], np.bool_)
         if part.terminated[t, c, n]:
-            return stream, *taken, total, 0.0, np.zeros(part.observations.shape[-1]), everything
+            return stream, *taken, total, 0.0, np.zeros(part.observations.shape[-1]), allowed
         if part.truncated[t, c, n]:
-            return stream, *taken, total, discount, part.final_observations[t, c, n], everything
+            return stream, *taken, total, discount, part.final_observations[t, c, n], allowed
     return None
 
 
@@ -90,8 +91,8 @@ def test_transitions_are_those_of_a_walk_along_each_stream(
 ) -> None:
     """Over three iterations, with agents absent, idle, truncated and terminated, singly and together."""
     parts = [fabricate(SPEC, 7, 4, seed=i, absent=0.3, idle=idle, ends=0.1, leaves=0.05) for i in range(3)]
-    maker = TransitionBuilder(SPEC, GAMMA, n_step)
-    made = [maker.transitions(part) for part in parts]
+    builder = TransitionBuilder(SPEC, GAMMA, n_step)
+    made = [builder.transitions(part) for part in parts]
     expected = _all_walks(parts, n_step)
     assert len(expected) > 30
     assert any(row[4] == 0 for row in expected)
@@ -130,9 +131,9 @@ def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabrica
     """At the last observation; transitions of agents absent then are dropped, and none stays open."""
     spec = replace(SPEC, snapshots=False)
     made = fabricate(spec, 6, 5, seed=2, absent=0.3, idle=0.5, ends=0.0)
-    maker = TransitionBuilder(spec, GAMMA, 1)
-    transitions = maker.transitions(made)
-    assert maker.state_dict() == {}
+    builder = TransitionBuilder(spec, GAMMA, 1)
+    transitions = builder.transitions(made)
+    assert builder.state_dict() == {}
     walked = _all_walks([made], 1)
     assert len(transitions) > len(walked)
     copies, agents = np.divmod(transitions.streams, 3)
@@ -147,14 +148,24 @@ def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabrica
 
 def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:
     parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
-    maker, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
-    maker.transitions(parts[0])
-    state = maker.state_dict()
+    builder, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
+    builder.transitions(parts[0])
+    state = builder.state_dict()
     assert len(state["streams"]) > 3
     other.load_state_dict(state)
-    continued, restored = maker.transitions(parts[1]), other.transitions(parts[1])
+    continued, restored = builder.transitions(parts[1]), other.transitions(parts[1])
     for name in Transitions.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(restored, name), getattr(continued, name))
+
+
+def test_a_state_stored_before_masks_were_kept_is_restored(fabricate: Fabricate) -> None:
+    parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
+    builder, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
+    builder.transitions(parts[0])
+    other.load_state_dict({name: value for name, value in builder.state_dict().items() if name != "masks"})
+    continued, restored = builder.transitions(parts[1]), other.transitions(parts[1])
+    np.testing.assert_array_equal(restored.returns, continued.returns)
+    assert (restored.next_masks >= continued.next_masks).all()
 
 
 def test_box_actions_are_stored_with_all_components(fabricate: Fabricate) -> None:
@@ -163,3 +174,26 @@ def test_box_actions_are_stored_with_all_components(fabricate: Fabricate) -> Non
     transitions = TransitionBuilder(spec, GAMMA, 1).transitions(made)
     assert transitions.actions.shape == (len(transitions), 2)
     assert transitions.next_masks.shape == (len(transitions), 0)
+
+
+@pytest.mark.parametrize("away", [0, 2, 7])
+def test_what_was_never_allowed_is_not_allowed_at_a_time_limit_either(
+    fabricate: Fabricate, away: int
+) -> None:
+    """Nor for an agent that has been away for some steps as its stream is cut, since an earlier iteration
+    perhaps."""
+    parts = [fabricate(SPEC, 5, 3, seed=i, ends=0.0) for i in range(2)]
+    for part in parts:
+        part.action_masks[..., 1], part.action_masks[..., 0] = False, True
+        part.actions[:] = 0
+    parts[1].truncated[-1] = True
+    for i, part in enumerate(parts):
+        still_there = np.arange(5 * i, 5 * i + 6) < 10 - away
+        part.alive[:] &= still_there[:, None, None]
+        part.acting[:] = part.alive[:-1]
+        part.action_masks[~part.alive] = True  # rows of agents not alive may hold anything
+    builder = TransitionBuilder(SPEC, GAMMA, 1)
+    made = [builder.transitions(part) for part in parts]
+    assert len(made[0]) + len(made[1]) == 9 * (10 - away)
+    assert made[1].discounts.min() == pytest.approx(GAMMA ** (away + 1))
+    assert not any(part.next_masks[:, 1].any() for part in made)

@@ -218,6 +218,10 @@ class Naive:
             return each[n].astype(np.float64)
         # Whose values differ, though one network gives them all, are shown who they are by what they see.
         own = [each[n]] if not self.team else []
+        # Agents that left before the step, or terminated by it, are no part of what is left to value.
+        for i in np.flatnonzero(over):
+            if made.terminated[t, c, i] or not made.alive[t, c, i]:
+                each[i] = np.zeros(self.spec.observation_size)
         if self.spec.state_size:
             state: Array = (made.final_states[t, c] if over.all() else made.states[at, c]).astype(np.float64)
             return np.concatenate([state, *own])

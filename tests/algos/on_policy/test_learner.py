@@ -248,7 +248,10 @@ def test_poisoned_rows_without_experience_change_nothing(
         assert np.isfinite(value).all(), name
 
 
-@pytest.mark.parametrize("spec", [DISCRETE, BOX, replace(DISCRETE, shared_reward=True)])
+@pytest.mark.parametrize(
+    "spec",
+    [DISCRETE, BOX, replace(DISCRETE, shared_reward=True), replace(DISCRETE, shared_in_groups=True)],
+)
 @pytest.mark.parametrize("config", [IPPO, IA2C, ITRPO, MAACKTR], ids=lambda config: config.name)
 def test_unused_slots_change_nothing(
     fabricate: Fabricate,
@@ -261,7 +264,7 @@ def test_unused_slots_change_nothing(
     one that trims none. One agent appears after the last step, when the others have left: the team's value
     there depends on that agent only."""
     shared = replace(config, policies="shared")
-    roomy = replace(spec, agents=tuple("abcdefghi"), groups=())
+    roomy = replace(spec, agents=tuple("abcdefghi"), groups=tuple("xyxxyyzxz"))
     tight, wide = OnPolicyLearner(shared, spec, (1, 2), "cpu"), OnPolicyLearner(shared, roomy, (1, 2), "cpu")
     monkeypatch.setattr(tight, "_drop_unused_slots", lambda trajectory: trajectory)
     for iteration, last in ((1, 4), (2, 2), (3, 0), (4, 3)):
@@ -553,7 +556,9 @@ def test_a_central_critic_bootstraps_from_the_team_when_one_agent_is_truncated(
     final = _final_values(learner, made)
     after, alive = made.observations[3:4].copy(), made.alive[3:4].copy()
     after[:, :, 1], alive[:, :, 1] = 0.5, True
-    expected = _values(learner, CriticBatch(zero_where_absent(after, alive), made.states[3:4], alive, None))
+    expected = _values(
+        learner, CriticBatch(zero_where_absent(after, alive), made.states[3:4], alive, alive, None)
+    )
     np.testing.assert_allclose(final[2, :, 1], expected[0, :, 1], rtol=1e-12)
 
 
@@ -564,7 +569,7 @@ def test_an_agent_absent_when_truncated_bootstraps_from_its_final_observation(fa
     made.truncated[3] = True
     learner = OnPolicyLearner(IPPO, DISCRETE, (1,), "cpu")
     everyone = np.ones((1, 1, 4), np.bool_)
-    at_end = CriticBatch(made.final_observations[3:], made.final_states[3:], everyone, None)
+    at_end = CriticBatch(made.final_observations[3:], made.final_states[3:], everyone, everyone, None)
     np.testing.assert_allclose(_final_values(learner, made)[3], _values(learner, at_end)[0], rtol=1e-12)
 
 

@@ -158,7 +158,7 @@ def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(al
     settings: dict[str, Any] = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
     iterations = 10
     if UPDATE[algorithm] == "a2c":
-        settings, iterations = {**settings, "lr": 5e-3, "epochs": 4}, 30
+        settings, iterations = {**settings, "lr": 5e-3, "epochs": 4}, 40
     if UPDATE[algorithm] == "kfac":
         settings |= NATURAL_LR
     if algorithm in IN_TURNS:

@@ -122,7 +122,10 @@ def _state_size(spec: EnvSpec) -> int:
 
 def _state(batch: CriticBatch, has_state: bool) -> NDArray[np.float32]:
     """Return states (M, C, S), or concatenated observations (M, C, N x D) without a state."""
-    return batch.states if has_state else batch.observations.reshape(*batch.observations.shape[:2], -1)
+    if has_state:
+        return batch.states
+    joint = zero_where_absent(batch.observations, batch.in_joint)
+    return joint.reshape(*joint.shape[:2], -1)
 
 
 def _per_viewpoint(features: NDArray[np.float32], viewpoints: int) -> NDArray[np.float32]:
@@ -145,7 +148,7 @@ def others_actions(batch: CriticBatch, space: ActionSpace) -> NDArray[np.float32
             chosen = np.clip(batch.actions, low, high).astype(np.float32)
         case _:
             raise TypeError(f"actions of {space} are not encoded")
-    chosen = zero_where_absent(chosen, batch.present)
+    chosen = zero_where_absent(chosen, batch.in_joint)
     agents = chosen.shape[2]
     blocks = np.repeat(chosen[:, :, None], agents, axis=2)
     blocks[:, :, range(agents), range(agents)] = 0

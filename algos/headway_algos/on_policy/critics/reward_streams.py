@@ -72,12 +72,20 @@ def lambda_advantages(
     truncations = Truncations.of(trajectory, replicas)
     final_values = np.zeros(streams.rewards.shape)
     if len(truncations):
-        final_values = truncations.put(
-            value_of(CriticBatch.after_truncations(trajectory, truncations)), final_values.shape
-        )
+        batch = CriticBatch.after_truncations(trajectory, truncations)
+        final = value_of(batch)
+        if view.team and not view.single:
+            # A team's return continues for agents that are gone, but no critic is trained on what they
+            # observe.
+            of_teammates, known = with_teammates_values(final, batch.in_joint)
+            final = np.where(known, of_teammates, final)
+        final_values = truncations.put(final, final_values.shape)
     present = streams.present
     if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
-        values, present = with_teammates_values(values, present, () if spec.shared_reward else spec.groups)
+        # Trailing slots that were never alive may have been left out of the trajectory.
+        teams = () if spec.shared_reward else spec.groups[: present.shape[2]]
+        values[-1], awaiting = with_teammates_values(values[-1], present[-1], teams)
+        present = np.concatenate([present[:-1], awaiting[None]])
     advantages = generalised_advantages(
         streams.rewards, values, final_values, streams.terminated, streams.truncated, present,
         config.gamma, config.gae_lambda,

@@ -74,6 +74,8 @@ class Moment:
     observations: Array
     state: Array
     present: NDArray[np.bool_]
+    joint: NDArray[np.bool_]
+    """Whose observations and actions stand in the joint input: not those of agents that are gone."""
     masks: NDArray[np.bool_]
     actions: NDArray[Any]
 
@@ -129,7 +131,8 @@ class Loops:
         k = 0 if self.one_network else self.policy_of[n]
         p = self.r * (1 if self.one_network else self.policies) + k
         counterfactual = self.config.critic == "counterfactual"
-        seen = list(moment.state) if self.spec.state_size else list(moment.observations.ravel())
+        joint = np.where(moment.joint[:, None], moment.observations, 0)
+        seen = list(moment.state) if self.spec.state_size else list(joint.ravel())
         if counterfactual or not self.spec.shared_reward:
             seen += list(moment.observations[n])
         row = np.array(seen)
@@ -138,7 +141,7 @@ class Loops:
             mean, variance = self._tensor(moments.mean, p)[0], self._tensor(moments.variance, p)[0]
             row = np.clip((row - mean) / np.sqrt(variance + 1e-8), -10, 10)
         for other in range(self.spec.num_agents):
-            known = other != n and moment.present[other]
+            known = other != n and moment.joint[other]
             block = self.encoded(moment.actions[other])
             row = np.append(row, block if known else np.zeros(len(block)))
         if counterfactual:
@@ -168,19 +171,21 @@ class Loops:
 
 def _moment(made: Trajectory, t: int, c: int, ended: NDArray[np.bool_] | None = None) -> Moment:
     """Step t of copy c; with `ended`, what came after step t - 1, where the streams of those agents ended."""
-    present = made.alive[t, c].copy()
+    present, joint = made.alive[t, c].copy(), made.alive[t, c].copy()
     observations, state = made.observations[t, c].astype(np.float64), made.states[t, c]
     masks = made.action_masks[t, c].copy() if len(made.action_masks) else np.ones((4, 3), bool)
     if ended is not None:
         present = present | ended
+        joint[ended] = made.alive[t - 1, c, ended] & ~made.terminated[t - 1, c, ended]
         observations[ended] = made.final_observations[t - 1, c, ended]
         if len(made.action_masks):
-            masks[ended] = made.action_masks[t - 1, c, ended]
-            masks[ended & ~made.alive[t - 1, c]] = True
+            for n in np.flatnonzero(ended):
+                known = made.action_masks[:t, c, n][made.alive[:t, c, n]]
+                masks[n] = known[-1] if len(known) else True
         state = made.final_states[t - 1, c] if ended.all() else state
     observations[~present], masks[~present] = 0, True
     actions = made.actions[t, c] if t < len(made.actions) and ended is None else np.zeros(4)
-    return Moment(observations, state.astype(np.float64), present, masks, actions)
+    return Moment(observations, state.astype(np.float64), present, joint, masks, actions)
 
 
 def _lambda_return(
@@ -240,6 +245,9 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
             if (made.truncated[t, c] & ~made.terminated[t, c]).any():
                 moment = loops.draw(_moment(made, t + 1, c, ended[t, c]), draw((agents, *size)))
                 final[t, c] = [ahead(moment, n) for n in range(agents)]
+                if spec.shared_reward and moment.joint.any():
+                    # Agents that are gone await what their teammates do.
+                    final[t, c, ~moment.joint] = final[t, c, moment.joint].mean()
     taken = made.actions if counterfactual else np.zeros((steps, copies, agents), np.int64)
     over, cut = made.terminated, made.truncated & ~made.terminated
     if spec.shared_reward:

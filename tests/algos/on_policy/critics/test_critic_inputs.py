@@ -111,7 +111,9 @@ def test_actions_are_sampled_as_by_workers(fabricate: Fabricate, spec: EnvSpec) 
     def repeated(array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - as it came
         return None if array is None else np.repeat(array, many, axis=0)
 
-    scene = CriticBatch(*(repeated(a) for a in (one.observations, one.states, one.present, one.masks)))
+    scene = CriticBatch(
+        *(repeated(a) for a in (one.observations, one.states, one.present, one.in_joint, one.masks))
+    )
     random = [generator(seed, "test") for seed in (1, 2)]
     drawn = learner.behaviour.with_drawn_actions(scene, random).actions
     assert drawn is not None
