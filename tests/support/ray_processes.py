@@ -1,5 +1,6 @@
 """What of Ray runs on this machine, so that tests can see that nothing of theirs stays."""
 
+import os
 import re
 
 import psutil
@@ -8,11 +9,13 @@ _RAYS = re.compile(r"ray::|/ray/(core|_private|dashboard|autoscaler)/")
 
 
 def ray_processes() -> set[psutil.Process]:
-    """Daemons and workers of all clusters."""
+    """Daemons and workers of all clusters that tests of this process have started."""
     found = set()
     for process in psutil.process_iter():
         try:
-            if process.status() != psutil.STATUS_ZOMBIE and _RAYS.search(" ".join(process.cmdline())):
+            if process.status() == psutil.STATUS_ZOMBIE or not _RAYS.search(" ".join(process.cmdline())):
+                continue
+            if process.environ().get("HEADWAY_TESTS") == os.environ["HEADWAY_TESTS"]:
                 found.add(process)
         except psutil.Error:
             continue

@@ -6,10 +6,12 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 from ray_processes import assert_gone, ray_processes
 
@@ -94,26 +96,36 @@ def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@needs_ray
-def test_a_killed_session_leaves_nothing_and_goes_on_to_the_curves_of_processes(
-    by_processes: Path, tmp_path: Path
-) -> None:
-    before = ray_processes()
-    with _started("run", *LONG, "backend=ray", folder=tmp_path) as process:
-        _until_kept(process, tmp_path)
+@dataclass(frozen=True)
+class Killed:
+    """A session on a local cluster that was killed."""
+
+    folder: Path
+    before: set[psutil.Process]
+    """Ray's processes before it."""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
+    killed = Killed(tmp_path_factory.mktemp("killed"), ray_processes())
+    with _started("run", *LONG, "backend=ray", folder=killed.folder) as process:
+        _until_kept(process, killed.folder)
         process.kill()
         process.communicate(timeout=PATIENCE_S)
-    assert_gone(before)
-    killed = _runs(tmp_path)
-    assert 0 < _kept(tmp_path) < 40
-    with _started("resume", *(row.run_id for row in killed.values()), folder=tmp_path) as process:
+    return killed
+
+
+@needs_ray
+def test_a_killed_session_goes_on_to_the_curves_of_processes(killed: Killed, by_processes: Path) -> None:
+    runs = _runs(killed.folder)
+    assert 0 < _kept(killed.folder) < 40
+    with _started("resume", *(row.run_id for row in runs.values()), folder=killed.folder) as process:
         _, told = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, told
     assert "(raylet)" not in told
-    ended, expected = _runs(tmp_path), _runs(by_processes)
+    ended, expected = _runs(killed.folder), _runs(by_processes)
     assert [row.status for row in ended.values()] == ["FINISHED"]
     assert _tables(ended[3]) == _tables(expected[3])
-    assert_gone(before)
 
 
 @needs_ray
@@ -164,6 +176,12 @@ def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     assert row.status == "KILLED"
     assert latest_iteration(Path(row.directory, CHECKPOINTS)) == row.iterations
     assert_gone(before)
+
+
+@needs_ray
+def test_a_killed_session_leaves_no_process(killed: Killed) -> None:
+    """Ray's agents take a minute, in which the tests before this one run."""
+    assert_gone(killed.before)
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
