@@ -7,6 +7,13 @@ from pathlib import Path
 
 import chromium
 import pytest
+from warm_training import WarmContext
+
+
+@pytest.fixture(autouse=True)
+def _warm_training_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sessions in the test process start their training processes warm."""
+    monkeypatch.setattr("headway_launch.runner.training_process.get_context", lambda method: WarmContext())
 
 
 @pytest.fixture(scope="session")

@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
+from covering import pairwise
 from numpy.typing import NDArray
 
 from headway.config.schema import build
@@ -31,6 +33,7 @@ from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 pytestmark = pytest.mark.slow
 
 ITERATIONS, SEEDS, COPIES = 2, (3, 8), 2
+POLICIES = ("independent", "shared", "groups")
 SMALL: Mapping[str, Any] = {
     "model": {"hidden": [8]}, "epochs": 2, "minibatches": 2, "kl_bound": 0.1,
     "learning_starts": 1, "batch_size": 8, "updates": 3,
@@ -50,19 +53,23 @@ class Task:
     """T: longer than an episode of the toys, so that trajectories contain episode ends."""
     seeds: tuple[int, ...] = SEEDS
     copies: int = COPIES
+    groups: int = 0
+    """Groups of agents that the environment names."""
+    box: bool = False
+    """Actions are Box."""
 
 
 SPREAD = {"N": 2, "max_cycles": 8}
 TASKS = {
     **{name: Task(name) for name in env_entries()},
-    "bus": Task("bus", steps=30),  # the first buses have left the depot and reached stops
-    "bus_published": Task("bus_published", {"scenario": "line"}),
+    "bus": Task("bus", steps=30, groups=1),  # the first buses have left the depot and reached stops
+    "bus_published": Task("bus_published", {"scenario": "line"}, groups=1),
     # The first automated vehicles enter within 100 steps; a process holds one copy.
-    "intersection": Task("intersection", {"slots": 5, "horizon": 100}, 110, seeds=(3,), copies=1),
-    "tracking": Task("tracking", {"steps": 8}),
+    "intersection": Task("intersection", {"slots": 5, "horizon": 100}, 110, seeds=(3,), copies=1, box=True),
+    "tracking": Task("tracking", {"steps": 8}, box=True),
     "trivial": Task("trivial", {"agents": 3, "steps": 8}),
     "spread": Task("mpe2.simple_spread_v3", SPREAD),
-    "spread, Box": Task("mpe2.simple_spread_v3", {**SPREAD, "continuous_actions": True}),
+    "spread, Box": Task("mpe2.simple_spread_v3", {**SPREAD, "continuous_actions": True}, box=True),
 }
 
 
@@ -94,15 +101,20 @@ def configured(algorithm: str, policies: str, **more: Any) -> Any:  # noqa: ANN4
     return build(record, {key: value for key, value in wanted.items() if key in keys})
 
 
-def refused(algorithm: str, policies: str, spec: EnvSpec) -> bool:
-    """Return whether an algorithm must refuse an environment: the table of refusals, stated independently."""
+def refused(algorithm: str, policies: str, task: str) -> bool:
+    """Return whether an algorithm must refuse a task: the table of refusals, stated independently."""
+    box, groups = TASKS[task].box, TASKS[task].groups
     return (
-        (algorithm in ("coma", "madqn") and isinstance(spec.action_space, Box))
-        or (algorithm == "ddpg" and not isinstance(spec.action_space, Box))
+        (algorithm in ("coma", "madqn") and box)
+        or (algorithm == "ddpg" and not box)
         or (algorithm in ("happo", "hatrpo") and policies == "shared")
-        or (algorithm in ("happo", "hatrpo") and policies == "groups" and len(set(spec.groups)) == 1)
-        or (policies == "groups" and not spec.groups)
+        or (algorithm in ("happo", "hatrpo") and policies == "groups" and groups == 1)
+        or (policies == "groups" and groups == 0)
     )
+
+
+def trainable(task: str, algorithm: str, policies: str) -> bool:
+    return not refused(algorithm, policies, task)
 
 
 def policy_of_agents(policies: str, spec: EnvSpec) -> NDArray[np.int64]:
@@ -171,19 +183,28 @@ def seeds_of(task: str, entry: AlgoEntry) -> tuple[int, ...]:
     return TASKS[task].seeds if entry.contributor is None else TASKS[task].seeds[:1]
 
 
-@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-@pytest.mark.parametrize("algorithm", algo_entries())
 @pytest.mark.parametrize("task", TASKS)
-def test_it_trains_or_is_refused(task: str, algorithm: str, policies: str) -> None:
-    spec, entry, config = prepared(task).spec, algo_entry(algorithm), configured(algorithm, policies)
-    reason = entry.refuses(config, spec)
-    assert (reason is not None) == refused(algorithm, policies, spec), reason
-    if reason is not None:
-        assert "\n" not in reason
-        ungrouped = policies == "groups" and reason.startswith(f"{spec.name} names no groups")
-        assert reason.startswith(f"{algorithm} ") or ungrouped
-        return
-    assert_trains(task, entry, config, policies)
+def test_what_cannot_train_says_why_not(task: str) -> None:
+    """Every algorithm with each way to share policies."""
+    spec = prepared(task).spec
+    assert (isinstance(spec.action_space, Box), len(set(spec.groups))) == (
+        TASKS[task].box,
+        TASKS[task].groups,
+    )
+    for algorithm, policies in product(algo_entries(), POLICIES):
+        reason = algo_entry(algorithm).refuses(configured(algorithm, policies), spec)
+        assert (reason is not None) == refused(algorithm, policies, task), reason
+        if reason is not None:
+            assert "\n" not in reason
+            ungrouped = policies == "groups" and reason.startswith(f"{spec.name} names no groups")
+            assert reason.startswith(f"{algorithm} ") or ungrouped
+
+
+@pytest.mark.parametrize(
+    ("task", "algorithm", "policies"), pairwise(TASKS, algo_entries(), POLICIES, where=trainable)
+)
+def test_what_is_not_refused_trains(task: str, algorithm: str, policies: str) -> None:
+    assert_trains(task, algo_entry(algorithm), configured(algorithm, policies), policies)
 
 
 def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) -> None:
@@ -208,16 +229,22 @@ REPLAYING = [name for name in algo_entries() if not hasattr(algo_entry(name).con
 WITH_CORES = [name for name in algo_entries() if name not in (*REPLAYING, "maacktr")]
 
 
-@pytest.mark.parametrize("policies", ["independent", "shared"])
-@pytest.mark.parametrize("algorithm", WITH_CORES)
+@pytest.mark.parametrize(
+    ("task", "algorithm", "policies"),
+    pairwise(["visitors", "tracking"], WITH_CORES, ["independent", "shared"], where=trainable),
+)
+def test_what_is_not_refused_trains_with_a_gru(task: str, algorithm: str, policies: str) -> None:
+    entry, config = algo_entry(algorithm), configured(algorithm, policies, **RECURRENT)
+    assert entry.refuses(config, prepared(task).spec) is None
+    assert_trains(task, entry, config, policies)
+
+
 @pytest.mark.parametrize("task", ["visitors", "tracking"])
-def test_it_trains_with_a_gru_or_is_refused(task: str, algorithm: str, policies: str) -> None:
-    """The same combinations are refused as without one."""
-    spec, entry = prepared(task).spec, algo_entry(algorithm)
-    config = configured(algorithm, policies, **RECURRENT)
-    assert (entry.refuses(config, spec) is not None) == refused(algorithm, policies, spec)
-    if not refused(algorithm, policies, spec):
-        assert_trains(task, entry, config, policies)
+def test_the_same_combinations_are_refused_with_a_gru(task: str) -> None:
+    for algorithm, policies in product(WITH_CORES, ["independent", "shared"]):
+        config = configured(algorithm, policies, **RECURRENT)
+        reason = algo_entry(algorithm).refuses(config, prepared(task).spec)
+        assert (reason is not None) == refused(algorithm, policies, task)
 
 
 def test_kfac_is_refused_for_recurrent_networks() -> None:

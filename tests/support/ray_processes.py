@@ -1,5 +1,6 @@
 """Ray's processes on this machine, so that tests can check that none of theirs is left."""
 
+import os
 import re
 
 import psutil
@@ -8,11 +9,13 @@ _RAYS = re.compile(r"ray::|/ray/(core|_private|dashboard|autoscaler)/")
 
 
 def ray_processes() -> set[psutil.Process]:
-    """Return the daemons and workers of all clusters on this machine."""
+    """Return the daemons and workers of all clusters that tests of this process have started."""
     found = set()
     for process in psutil.process_iter():
         try:
-            if process.status() != psutil.STATUS_ZOMBIE and _RAYS.search(" ".join(process.cmdline())):
+            if process.status() == psutil.STATUS_ZOMBIE or not _RAYS.search(" ".join(process.cmdline())):
+                continue
+            if process.environ().get("HEADWAY_TESTS") == os.environ["HEADWAY_TESTS"]:
                 found.add(process)
         except psutil.Error:
             continue

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import torch
+from covering import pairwise
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, RecurrentPolicy, generator
@@ -74,9 +75,10 @@ def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray
     return by_agent
 
 
-@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("replicas", [1, 3])
+@pytest.mark.parametrize(
+    ("policies", "precision", "replicas"),
+    pairwise(["independent", "shared", "groups"], ["float32", "float64"], [1, 3]),
+)
 def test_greedy_actions_and_log_probabilities_equal_torch(
     policies: Policies, precision: str, replicas: int
 ) -> None:

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from covering import pairwise
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations
@@ -94,10 +95,10 @@ def _alive(copies: int, count: int) -> NDArray[np.bool_]:
     return alive.reshape(copies, SLOTS)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("greedy", [False, True])
-@pytest.mark.parametrize("count", [0, 1, COPIES * SLOTS // MIN_SLOTS_PER_AGENT])
+@pytest.mark.parametrize(
+    ("kind", "precision", "greedy", "count"),
+    pairwise(KINDS, ["float32", "float64"], [False, True], [0, 1, COPIES * SLOTS // MIN_SLOTS_PER_AGENT]),
+)
 def test_live_agents_act_as_if_every_slot_were_computed(
     kind: str, precision: Precision, greedy: bool, count: int
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import torch
+from covering import pairwise
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, generator
@@ -204,9 +205,9 @@ def test_greedy_actions_are_the_mode() -> None:
     np.testing.assert_array_equal(greedy, np.argmax(every, axis=0))
 
 
-@pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-@pytest.mark.parametrize("copies", [1, COPIES])
+@pytest.mark.parametrize(
+    ("space", "policies", "copies"), pairwise(SPACES, ["independent", "shared", "groups"], [1, COPIES])
+)
 def test_rows_of_absent_agents_affect_no_other_and_stay_unchanged(
     space: str, policies: Policies, copies: int
 ) -> None:

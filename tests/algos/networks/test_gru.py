@@ -359,28 +359,6 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 
 
 @every_case
-def test_a_seed_trains_the_same_alone_and_in_a_stack(
-    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
-) -> None:
-    seeds = (3, 5)
-    stacked = OnPolicyLearner(config, spec, seeds, "cpu")
-    alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in seeds]
-    for iteration in (1, 2):
-        parts = [
-            made(fabricate, spec, 10 * iteration + r, absent=absent, idle=0.2)
-            for r, absent in enumerate((0.1, 0.7))
-        ]
-        stacked.update(_joined(parts), iteration, 0.0)
-        for learner, part in zip(alone, parts, strict=True):
-            learner.update(part, iteration, 0.0)
-    together = _tensors(stacked.state_dict())
-    for r, learner in enumerate(alone):
-        for name, array in _tensors(learner.state_dict()).items():
-            share = np.split(together[name], len(seeds))[r]
-            np.testing.assert_allclose(share, array, rtol=1e-8, atol=1e-8, err_msg=name)
-
-
-@every_case
 def test_rows_of_absent_agents_change_nothing(
     fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
 ) -> None:

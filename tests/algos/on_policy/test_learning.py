@@ -170,35 +170,6 @@ def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(al
     assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
 
 
-@pytest.mark.parametrize(
-    ("env", "algorithm"),
-    [
-        *(("visitors", name) for name in [*ALGORITHMS, "madqn"]),
-        *(("tracking", name) for name in [*CONTINUOUS, "ddpg"]),
-    ],
-)
-def test_a_seed_sees_and_learns_the_same_alone_and_among_others(env: str, algorithm: str) -> None:
-    settings: dict[str, Any] = {"precision": "float64", "gamma": 0.9}
-    if algorithm not in ON_POLICY:
-        settings |= {"learning_starts": 10, "updates": 5, "batch_size": 16}
-    among, learner = _begun(env, {}, algorithm, settings, (3, 5, 7), (2, 20))
-    alone, single = _begun(env, {}, algorithm, settings, (5,), (2, 20))
-    for iteration in range(1, 4):
-        among.collect(iteration, learner.acting_parameters())
-        alone.collect(iteration, single.acting_parameters())
-        part = among.trajectory.of_copies(2, 2)
-        np.testing.assert_array_equal(part.observations[0], alone.trajectory.observations[0])
-        np.testing.assert_allclose(part.actions, alone.trajectory.actions, rtol=1e-5, atol=1e-6)
-        np.testing.assert_allclose(part.rewards, alone.trajectory.rewards, rtol=1e-4, atol=1e-5)
-        learner.update(among.trajectory, iteration, 0.0)
-        single.update(alone.trajectory, iteration, 0.0)
-        if iteration == 1:
-            for name, array in single.acting_parameters().items():
-                policies = len(array)
-                mine = learner.acting_parameters()[name][policies : 2 * policies]
-                np.testing.assert_allclose(mine, array, rtol=1e-10, atol=1e-10, err_msg=name)
-
-
 RECALL: dict[str, tuple[dict[str, Any], int]] = {
     "ippo": ({"minibatches": 4, "lr": 1e-2, "lr_end": 0.05}, 25),
     "ia2c": ({"minibatches": 1, "lr": 2e-2, "lr_end": 0.1}, 40),

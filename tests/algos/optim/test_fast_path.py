@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from covering import pairwise
 from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
@@ -106,23 +107,23 @@ def _state(learned: GradientUpdate | ReturnRegression) -> list[Tensor]:
 
 
 @pytest.mark.parametrize(
-    "model",
-    [CONFIG.model, replace(CONFIG.model, activation="relu"), replace(CONFIG.model, hidden=())],
-    ids=["tanh", "relu", "linear"],
+    ("space", "model", "kl_coeff"),
+    pairwise(
+        [("discrete", False), ("discrete", True), ("box", False)],
+        [CONFIG.model, replace(CONFIG.model, activation="relu"), replace(CONFIG.model, hidden=())],
+        [0.0, 0.4],
+    ),
 )
-@pytest.mark.parametrize("kl_coeff", [0.0, 0.4])
-@pytest.mark.parametrize(("space", "masked"), [("discrete", False), ("discrete", True), ("box", False)])
 def test_compiled_policy_updates_equal_torch(
-    space: str,
-    masked: bool,
+    space: tuple[str, bool],
     kl_coeff: float,
     model: ModelConfig,
     by_torch: pytest.MonkeyPatch,
 ) -> None:
     config = replace(CONFIG, kl_coeff=kl_coeff, model=model)
-    theirs, their_info = Case(config, space, masked, (0, 1, 2)).improve()
+    theirs, their_info = Case(config, *space, (0, 1, 2)).improve()
     by_torch.undo()
-    ours, info = Case(config, space, masked, (0, 1, 2)).improve()
+    ours, info = Case(config, *space, (0, 1, 2)).improve()
     for mine, its in zip(_state(ours), _state(theirs), strict=True):
         torch.testing.assert_close(mine, its, rtol=2e-4, atol=2e-6)
     assert 0.05 < float(info["clip_fraction"].mean()) < 0.95

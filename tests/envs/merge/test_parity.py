@@ -3,6 +3,7 @@
 import sys
 
 import pytest
+from covering import pairwise
 
 pytest.importorskip(
     "highway_env", reason="the oracle highway-env is not installed: pip install 'headway[dev]'"
@@ -14,9 +15,7 @@ from tests.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare, run
 DRIVERS = {"highway-env": False, "study": True}
 
 
-@pytest.mark.parametrize("drivers", DRIVERS)
-@pytest.mark.parametrize("play", PLAYS)
-@pytest.mark.parametrize("ramp_lanes", [1, 2])
+@pytest.mark.parametrize(("drivers", "play", "ramp_lanes"), pairwise(DRIVERS, PLAYS, [1, 2]))
 def test_every_step_equals_highway_envs(ramp_lanes: int, play: str, drivers: str) -> None:
     """Positions to 1e-9, lanes, masks and crashes exactly; every trial here has lane changes."""
     trial = Trial(ramp_lanes, density=3, play=play, seed=4, eager=DRIVERS[drivers], steps=80)

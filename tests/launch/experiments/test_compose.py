@@ -2,6 +2,7 @@ import json
 from functools import cache
 
 import pytest
+from covering import pairwise
 
 from headway.config.experiment import ExperimentConfig
 from headway.config.schema import describe
@@ -305,9 +306,12 @@ def test_the_papers_preset_has_values_for_its_nine_algorithms(algorithm: str) ->
     experiment.prepare()
 
 
-@pytest.mark.parametrize("env", ["merge", "merge_two_lane"])
-@pytest.mark.parametrize("preset", ["merge_paper", "merge_tuned"])
-@pytest.mark.parametrize("algorithm", ["mappo", "ippo", "maacktr", "madqn"])
+@pytest.mark.parametrize(
+    ("env", "preset", "algorithm"),
+    pairwise(
+        ["merge", "merge_two_lane"], ["merge_paper", "merge_tuned"], ["mappo", "ippo", "maacktr", "madqn"]
+    ),
+)
 def test_the_merging_study_has_values_for_its_algorithms(algorithm: str, preset: str, env: str) -> None:
     experiment = compose(["experiment=merge_study", f"algo={algorithm}", f"preset={preset}", f"env={env}"])
     experiment.prepare()

@@ -131,7 +131,14 @@ def test_the_estimate_explains_stacks_and_the_place_of_measurement(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout=short", "env_steps=1e6", "energy=off"]
-    words += ["backend=ray", "backend.stack=3", "evaluation.episodes=1", f"store.root={tmp_path / 'runs'}"]
+    words += [
+        "backend=ray",
+        "backend.workers=1",
+        "backend.parallel=1",
+        "backend.stack=3",
+        "evaluation.episodes=1",
+    ]
+    words += [f"store.root={tmp_path / 'runs'}"]
     assert run([*words, "--dry-run"]) == 0
     shown = capsys.readouterr().out
     assert "5 runs in 2 trainings: each trains a stack of up to 3 seeds (backend.stack)" in shown

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from covering import pairwise
 from scipy import stats as scipy_stats
 
 from headway.stats import (
@@ -109,9 +110,9 @@ def test_paired_difference_is_the_t_interval() -> None:
     assert paired_difference([1, 2, 3], [0, 1, 2.1]).excludes_zero
 
 
-@pytest.mark.parametrize("days", [10, 200])
-@pytest.mark.parametrize("seeds", [2, 3, 5, 10])
-@pytest.mark.parametrize("effects", [(1, 0), (1, 1), (1, 3), (0, 1)], ids="seed {0[0]}, day {0[1]}".format)
+@pytest.mark.parametrize(
+    ("effects", "seeds", "days"), pairwise([(1, 0), (1, 1), (1, 3), (0, 1)], [2, 3, 5, 10], [10, 200])
+)
 def test_intervals_over_seeds_and_episodes_cover_the_truth(
     effects: tuple[float, float], seeds: int, days: int
 ) -> None:

@@ -355,8 +355,11 @@ def test_four_sessions_can_open_a_new_store_together(tmp_path: Path) -> None:
     assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1, 2, 3]
     client = _mlflow(tmp_path)
     assert len(client.search_experiments()) == 2
-    # Four runs and one parent for their common cell.
-    assert len(client.search_runs(["1"])) == 5
+    # One parent for the cell that all four share, and each curve once.
+    found = client.search_runs(["1"])
+    assert len(found) == 5
+    points = sorted(len(client.get_metric_history(run.info.run_id, "train/reward")) for run in found)
+    assert points == [0, 1, 1, 1, 1]
 
 
 _KILLED = """

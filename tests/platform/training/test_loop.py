@@ -135,20 +135,6 @@ def test_worker_processes_change_nothing(whole: Log, tmp_path: Path, workers: in
     assert logs_of(job) == [whole]
 
 
-def test_other_seeds_in_other_processes_change_nothing(whole: Log, tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
-    jobs = [job_of(tmp_path, seeds=(seed,), backend="process") for seed in (5, 6)]
-    processes = [context.Process(target=train_quietly, args=(job,)) for job in jobs]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join(60)
-        assert process.exitcode == 0
-    logs = [log_of(tmp_path / str(seed)) for seed in (5, 6)]
-    assert logs[0] == whole
-    assert logs[1]["curve"] != whole["curve"]
-
-
 def test_other_seeds_in_the_same_stack_change_nothing(whole: Log, tmp_path: Path) -> None:
     job = job_of(tmp_path, seeds=(4, 5, 6), backend="process")
     trained(job)

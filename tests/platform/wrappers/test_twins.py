@@ -23,11 +23,14 @@ CLIP = {"name": "clip_reward_v0", "lower_bound": -0.1, "upper_bound": 0.4}
 SCALE = {"name": "scale_reward_v0", "scale": 0.3}
 
 CASES: dict[str, tuple[str, list[Any]]] = {
-    **{f"stack {name}": (name, [STACK]) for name in ENTRIES},
-    **{f"stack repeating {name}": (name, [STACK_REPEATING]) for name in ENTRIES},
-    **{f"indicator {name}": (name, ["agent_indicator_v0"]) for name in ENTRIES},
-    **{f"clip {name}": (name, [CLIP]) for name in ENTRIES},
-    **{f"scale {name}": (name, [SCALE]) for name in ENTRIES},
+    # Each wrapper alone, then each on every environment, one behind the other.
+    "stack": ("tracking", [STACK]),
+    "stack repeating visitors": ("visitors", [STACK_REPEATING]),
+    "indicator": ("trivial", ["agent_indicator_v0"]),
+    "clip": ("visitors", [CLIP]),
+    "scale": ("matrix", [SCALE]),
+    **{f"chain {name}": (name, [STACK, "agent_indicator_v0", SCALE, CLIP]) for name in ENTRIES},
+    **{f"chain repeating {name}": (name, ["agent_indicator_v0", STACK_REPEATING]) for name in ENTRIES},
     "normalise trivial": ("trivial", [NORMALISE]),
     "normalise bus": ("bus", [NORMALISE]),
     "types visitors": ("visitors", [{"name": "agent_indicator_v0", "type_only": True}]),
@@ -47,11 +50,14 @@ CASES: dict[str, tuple[str, list[Any]]] = {
     "all visitors": ("visitors", [STACK, STACK_REPEATING, "agent_indicator_v0", SCALE, CLIP]),
 }
 
+SHORT: dict[str, dict[str, Any]] = {"intersection": {"horizon": 300}, "bus_published": {"scenario": "line"}}
+"""Arguments of environments whose episodes are long."""
+
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_batched_form_equals_supersuit(case: str) -> None:
     name, wrappers = CASES[case]
-    wrapped = prepared(name, ENTRIES[name], wrappers)
+    wrapped = prepared(name, ENTRIES[name], wrappers, **SHORT.get(name, {}))
     assert wrapped.parallel is None
     assert wrapped.notices == ()
     assert_same_game(wrapped.batch(1), through_supersuit(wrapped, ENTRIES[name], wrappers))

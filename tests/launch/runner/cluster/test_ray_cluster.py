@@ -6,10 +6,12 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 from ray_processes import assert_gone, ray_processes
 
@@ -94,7 +96,16 @@ def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@needs_ray
+@dataclass(frozen=True)
+class Killed:
+    """A session on a local cluster that was killed."""
+
+    folder: Path
+    before: set[psutil.Process]
+    """Ray's processes before it."""
+
+
+@pytest.fixture(scope="module")
 def test_a_killed_session_leaves_nothing_and_resumes_to_the_curves_of_processes(
     by_processes: Path, tmp_path: Path
 ) -> None:
@@ -113,7 +124,6 @@ def test_a_killed_session_leaves_nothing_and_resumes_to_the_curves_of_processes(
     ended, expected = _runs(tmp_path), _runs(by_processes)
     assert [row.status for row in ended.values()] == ["FINISHED"]
     assert _tables(ended[3]) == _tables(expected[3])
-    assert_gone(before)
 
 
 @needs_ray
@@ -165,6 +175,12 @@ def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     assert row.status == "KILLED"
     assert latest_iteration(Path(row.directory, CHECKPOINTS)) == row.iterations
     assert_gone(before)
+
+
+@needs_ray
+def test_a_killed_session_leaves_no_process(killed: Killed) -> None:
+    """Ray's agents take a minute, in which the tests before this one run."""
+    assert_gone(killed.before)
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
