@@ -185,7 +185,7 @@ def minibatches(
     with rows in it.
 
     Each network shuffles its own selected rows (P, B) with its own generator and cuts them into `parts` equal
-    minibatches, so that its updates do not depend on its stack. A piece holds at most `piece_samples` samples
+    minibatches, so that their rows do not depend on its stack. A piece holds at most `piece_samples` samples
     of all networks together; None: a minibatch is one piece. Padding repeats a selected row of the same
     network, if it has any.
     """

@@ -11,14 +11,14 @@ from torch import Tensor
 from headway_algos.batches.layout import Piece
 
 Learn = Callable[[Piece], Tensor]
-"""Adds the gradients of a piece of a minibatch; returns its shares of the I reported numbers, (I, P)."""
+"""Adds the gradients of a piece of a minibatch; returns its shares of the I metrics, (I, P)."""
 
 
 class Optimiser(Protocol):
     """Steps P networks along the gradients of a minibatch."""
 
     def begin(self) -> None:
-        """Forget the gradients of the minibatch before."""
+        """Clear the gradients of the previous minibatch."""
         ...
 
     def step(self, active: NDArray[np.bool_]) -> Tensor:

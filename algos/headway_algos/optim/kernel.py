@@ -577,10 +577,10 @@ def learn_returns(
                     signals[len(form) % 2, a, t] = _ZERO
                 output = taken[r] if chosen else 0
                 difference = held[top + output, t] - targets[r]
-                error, slope = difference * difference, 2 * difference * share
+                error, derivative = difference * difference, 2 * difference * share
                 if error > most:
-                    error, slope = most, 0.0
-                signals[len(form) % 2, output, t] = slope
+                    error, derivative = most, 0.0
+                signals[len(form) % 2, output, t] = derivative
                 losses[p] += share * error
             _backward(values[p], form, relu, held, signals, gradient[p], n)
 
@@ -623,9 +623,9 @@ def adam(
         step = values.dtype.type(lr / (1 - decays[0] ** count))
         scale = values.dtype.type(math.sqrt(1 - decays[1] ** count))
         for i in range(len(v)):
-            slope = g[i] * share
-            m[i] = first * m[i] + (one - first) * slope
-            s[i] = second * s[i] + (one - second) * slope * slope
+            clipped = g[i] * share
+            m[i] = first * m[i] + (one - first) * clipped
+            s[i] = second * s[i] + (one - second) * clipped * clipped
             v[i] -= step * m[i] / (math.sqrt(s[i]) / scale + least)
         counts[p] = count
 

@@ -88,7 +88,8 @@ class Camera:
 class IntersectionRenderer:
     """Renderer of the intersection; implements `headway.contracts.Renderer`."""
 
-    def __init__(self) -> None:
+    def __init__(self, prepared: object) -> None:
+        """`prepared` is passed to every renderer; all intersections are drawn alike."""
         self._camera: Camera | None = None
         self._last: NDArray[np.uint8] | None = None
 

@@ -66,7 +66,7 @@ class Section:
 
 
 def figure(value: float | None, digits: int = _DIGITS) -> str:
-    """Format a number to four significant digits with thousands separators; a dash if it is unknown."""
+    """Format a number to `digits` significant digits, whole parts in full; a dash if it is unknown."""
     if value is None or not math.isfinite(value):
         return MISSING
     if value == int(value) and abs(value) < 1e15:

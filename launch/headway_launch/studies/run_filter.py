@@ -19,6 +19,7 @@ Value = str | int | float | None
 
 _CONDITION = re.compile(r"\s*(?P<field>[\w./]+)\s*(?P<sign><=|>=|!=|==|=|<|>)\s*(?P<value>.*?)\s*")
 _AND = re.compile(r"\s+and\s+|\s*&&\s*")
+_OR = re.compile(r"\s+or\s+|\|\|")
 _SIGNS: dict[str, Callable[[float | str, float | str], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
     "=": operator.eq, "==": operator.eq, "!=": operator.ne,
@@ -57,6 +58,10 @@ def parse_conditions(texts: Sequence[str]) -> list[Condition]:
     """Return the conditions of `--where`, to be met together. Raises HeadwayError for an invalid one."""
     conditions = []
     for text in (part for whole in texts for part in _AND.split(whole)):
+        if _OR.search(text):
+            raise HeadwayError(
+                f"--where {text!r}: conditions are joined by 'and' only; list runs once for each"
+            )
         found = _CONDITION.fullmatch(text)
         if found is None or not found["value"]:
             raise HeadwayError(f"--where {text!r} is not a condition; {_FORMS}")

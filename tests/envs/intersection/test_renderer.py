@@ -77,4 +77,4 @@ def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> N
 
 def test_another_environment_is_a_type_error() -> None:
     with pytest.raises(TypeError, match="needs an IntersectionBatchedEnv, not object"):
-        IntersectionRenderer().render(object(), at_end=False)
+        IntersectionRenderer(None).render(object(), at_end=False)

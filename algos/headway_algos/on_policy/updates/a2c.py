@@ -11,7 +11,10 @@ from headway_algos.on_policy.updates.policy_loss import Minibatch
 
 @dataclass(frozen=True)
 class A2C:
-    """The policy gradient with an entropy bonus, -log pi(u|o) A - entropy_coeff H; see `PolicyLoss`."""
+    """The policy gradient with an entropy bonus, -log pi(u|o) A - entropy_coeff H; see `PolicyLoss`.
+
+    `compiled_losses` selects kernels with the same gradients on a CPU: change both.
+    """
 
     entropy_coeff: float
 

@@ -1,4 +1,4 @@
-"""Which losses have a compiled form, for multilayer perceptrons in float32 on a CPU."""
+"""Selection of the compiled kernel for a loss: multilayer perceptrons in float32 on a CPU."""
 
 from torch import Tensor
 
@@ -21,16 +21,16 @@ def compiled_loss(
     old: tuple[Tensor | None, Tensor | None],
     kl_coeff: Tensor,
 ) -> Learn | None:
-    """Return what adds a loss's gradients and reports its numbers, or None if autograd has to.
+    """Return the compiled gradients of a loss, or None if only autograd has them.
 
     `old` are the network outputs (P, B, A) and log standard deviations (P, A, 1) of the policies that acted;
     the outputs are None without a KL penalty.
     """
-    if isinstance(loss, PPO):
+    if type(loss) is PPO:  # a subclass is another loss
         return policy_gradients(
             actor, optimiser, rows, advantages, old, kl_coeff, loss.entropy_coeff, loss.clip
         )
-    if isinstance(loss, A2C):
+    if type(loss) is A2C:
         learn = policy_gradients(actor, optimiser, rows, advantages, old, kl_coeff, loss.entropy_coeff, None)
         return None if learn is None else lambda piece: learn(piece)[1:2]
     return None

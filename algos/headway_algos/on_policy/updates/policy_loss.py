@@ -10,7 +10,7 @@ from headway_algos.networks.distributions import Distribution
 
 @dataclass(frozen=True)
 class Minibatch:
-    """Rows that P policies learn from at once, B each."""
+    """Rows that a policy loss needs, B for each of P policies."""
 
     actions: Tensor
     """(P, B) of Discrete actions, (P, B, A) of Box ones."""
@@ -21,17 +21,16 @@ class Minibatch:
 
 
 class PolicyLoss(Protocol):
-    """What `GradientUpdate` descends."""
+    """Loss of a policy by row: minimised by `GradientUpdate`, differentiated by `KFAC` and `TRPO`."""
 
     @property
     def reports(self) -> tuple[str, ...]:
-        """Names of the numbers that are reported beside the loss."""
+        """Names of the metrics that the loss returns."""
         ...
 
     def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of each row (P, B), and the reported numbers by name, (P, B) each.
+        """Return the loss of each row and the metrics by name, (P, B) each.
 
-        `new` are the distributions of the policies as they are now, at the rows of the minibatch. What is
-        minimised, and reported, is the mean over a policy's rows.
+        `new` are the current action distributions at these rows. Callers take means over each policy's rows.
         """
         ...

@@ -15,6 +15,7 @@ class PPO:
     """The clipped surrogate with an entropy bonus; see `PolicyLoss`.
 
     With r = pi(u|o) / pi_old(u|o): -min(r A, clip(r, 1 - clip, 1 + clip) A) - entropy_coeff H(pi(.|o)).
+    `compiled_losses` selects kernels with the same gradients on a CPU: change both.
     """
 
     clip: float
