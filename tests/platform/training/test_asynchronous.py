@@ -44,8 +44,6 @@ from headway.training.modes import AsynchronousMode
 from headway_algos.config import ModelConfig
 from headway_algos.registry import ENTRIES
 
-pytestmark = pytest.mark.slow
-
 MEBIBYTE = 2**20
 
 
@@ -95,6 +93,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return _log(_job("a3c", tmp_path_factory.mktemp("whole")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("toy", "core", "backend"),
     [("visitors", "none", "process"), ("visitors", "gru", "serial"), ("tracking", "none", "serial")],
@@ -110,6 +109,7 @@ def test_one_worker_alone_is_synchronous_a2c_of_the_same_batches(
     assert _staleness(alone) == [(0.0, 0.0)] * 6
 
 
+@pytest.mark.slow
 def test_workers_in_turns_give_the_same_on_every_backend_and_again(whole: Log, tmp_path: Path) -> None:
     assert _log(_job("a3c", tmp_path / "again")) == whole
     assert _log(_job("a3c", tmp_path / "process", backend="process")) == whole
@@ -122,6 +122,7 @@ def test_gradients_of_workers_in_turns_are_as_stale_as_there_are_others(whole: L
     assert _without_staleness(four) != _without_staleness(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", ["none", "gru"])
 @pytest.mark.parametrize("stop", [1, 4])
 def test_stopped_and_resumed_equals_never_stopped(
@@ -134,6 +135,7 @@ def test_stopped_and_resumed_equals_never_stopped(
     assert logs_of(job) == [undisturbed]
 
 
+@pytest.mark.slow
 def test_processes_go_on_where_the_serial_backend_stopped(whole: Log, tmp_path: Path) -> None:
     trained(_job("a3c", tmp_path), stop_after=3)
     assert _log(_job("a3c", tmp_path, backend="process", resume=True)) == whole
@@ -153,6 +155,7 @@ def _faulty(folder: Path, fault: Fault, times: int = 1) -> tuple[type[FaultyVisi
     return FaultyVisitors, FaultConfig(fault, str(folder), at=41, copies=2, times=times)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_mid_rollout_leaves_no_trace_in_the_curve(whole: Log, tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, env=_faulty(tmp_path, "kill"), backend="process")
     (notice,) = _notices(trained(job))
@@ -161,6 +164,7 @@ def test_a_worker_killed_in_mid_rollout_leaves_no_trace_in_the_curve(whole: Log,
     assert logs_of(job) == [whole]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "kind", "line"),
     [
@@ -184,6 +188,7 @@ def test_what_cannot_go_on_ends_in_one_line_and_leaves_no_worker(
     assert not any(psutil.pid_exists(process_id) for process_id in started.process_ids[1:])
 
 
+@pytest.mark.slow
 def test_what_goes_on_as_gradients_come_says_that_it_is_not_the_run_it_would_have_been(
     tmp_path: Path,
 ) -> None:
@@ -195,6 +200,7 @@ def test_what_goes_on_as_gradients_come_says_that_it_is_not_the_run_it_would_hav
     assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
 
 
+@pytest.mark.slow
 def test_a_process_holds_no_more_copies_than_the_environment_allows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,6 +274,7 @@ def test_workers_fill_trajectories_of_their_own_copies_with_what_these_always_do
             assert getattr(contributors.workers[worker].trajectory, each.name).flags.c_contiguous
 
 
+@pytest.mark.slow
 def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, "arrival")
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
@@ -288,6 +295,7 @@ def test_no_one_waits_for_a_worker_that_hangs_and_workers_stay_small(tmp_path: P
     assert max(threads) <= 3  # its own, and the one that ends it with its parent
 
 
+@pytest.mark.slow
 def test_a_rollout_under_way_is_on_the_account_and_nobody_waits_for_it_in_the_end(tmp_path: Path) -> None:
     """A whole one takes 8 CPU seconds."""
     job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
@@ -485,6 +493,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_killed_parent_leaves_no_process(tmp_path: Path) -> None:
     here = Path(__file__).parent
     support = here.parents[1] / "support"

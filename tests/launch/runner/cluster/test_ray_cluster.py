@@ -25,8 +25,6 @@ from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CoreShares, gpus_of, share_cores
 
-pytestmark = pytest.mark.cluster
-
 needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
 )
@@ -115,6 +113,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
     return killed
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_a_killed_session_goes_on_to_the_curves_of_processes(killed: Killed, by_processes: Path) -> None:
     runs = _runs(killed.folder)
@@ -128,6 +127,7 @@ def test_a_killed_session_goes_on_to_the_curves_of_processes(killed: Killed, by_
     assert _tables(ended[3]) == _tables(expected[3])
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
     by_processes: Path, tmp_path: Path
@@ -159,6 +159,7 @@ def test_a_sweep_places_runs_on_the_cluster_and_one_that_is_lost_goes_on(
     assert_gone(before)
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     """The key reaches the whole group of processes, Ray's too."""
@@ -178,6 +179,7 @@ def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     assert_gone(before)
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_a_killed_session_leaves_no_process(killed: Killed) -> None:
     """Ray's agents take a minute, in which the tests before this one run."""
@@ -197,6 +199,7 @@ def test_without_ray_nothing_starts(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.parametrize("words", [("run",), ("sweep",)])
 def test_an_address_without_a_cluster_starts_nothing(

@@ -16,8 +16,6 @@ from headway.config.experiment import BackendConfig
 from headway.contracts import HeadwayError
 from headway.rollout.workers import ray_cluster
 
-pytestmark = pytest.mark.cluster
-
 
 def _refusal(address: str) -> str:
     with pytest.raises(HeadwayError) as refusal:
@@ -39,6 +37,7 @@ def test_an_address_without_a_cluster_is_told_in_one_line(monkeypatch: pytest.Mo
     assert "no Ray cluster answers" in _refusal("auto")
 
 
+@pytest.mark.cluster
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_workers_find_the_modules_that_are_found_here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -60,6 +59,7 @@ def test_workers_find_the_modules_that_are_found_here(
         ray_cluster.disconnect()
 
 
+@pytest.mark.cluster
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_a_cluster_that_asks_for_a_token_says_so(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch

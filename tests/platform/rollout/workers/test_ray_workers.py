@@ -40,8 +40,6 @@ from headway.rollout.workers.usage import usable_cores
 from headway.rollout.workers.worker import Contribute
 from headway.rollout.workers.worker_pool import WorkerFailedError
 
-pytestmark = pytest.mark.cluster
-
 SUPPORT = str(Path(__file__).parents[3] / "support")
 without_ray = importlib.util.find_spec("ray") is None
 needs_ray = pytest.mark.skipif(without_ray, reason='Ray is not installed: pip install "headway[ray]"')
@@ -65,6 +63,7 @@ def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -
         return iterations_of(collector, parameters_of(plan), 1, 3)
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 @pytest.mark.parametrize(("toy", "core"), [("visitors", "none"), ("tracking", "gru")])
@@ -91,6 +90,7 @@ def test_actors_give_what_processes_give_bit_for_bit(toy: str, core: str) -> Non
     assert_same(*gone_on)
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_actors_may_each_hold_one_seed_of_a_stack() -> None:
@@ -106,6 +106,7 @@ def test_actors_may_each_hold_one_seed_of_a_stack() -> None:
     assert_same(given[0][1], given[1][1])
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_actors_use_the_parameters_of_the_moment_and_do_not_change_between_episodes() -> None:
@@ -119,6 +120,7 @@ def test_actors_use_the_parameters_of_the_moment_and_do_not_change_between_episo
     assert_same(*taken)
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_evaluation_has_an_actor_of_its_own_where_a_process_may_hold_few_copies() -> None:
@@ -139,6 +141,7 @@ def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
     return plan_of(FaultyVisitors, FaultConfig(fault, str(folder), at=30, copies=2, times=times))
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 @pytest.mark.parametrize(
@@ -161,6 +164,7 @@ def test_an_actor_that_fails_leaves_no_trace_in_the_data(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_an_actor_that_fails_again_ends_the_run_in_one_line(tmp_path: Path) -> None:
@@ -197,6 +201,7 @@ def test_what_ray_says_of_a_lost_actor_becomes_a_part_of_a_line(said: str, reaso
     assert reason_of(ObjectLostError(said)) == reason
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_what_the_user_can_mend_is_told_at_once(tmp_path: Path) -> None:
@@ -206,6 +211,7 @@ def test_what_the_user_can_mend_is_told_at_once(tmp_path: Path) -> None:
     assert notices == []
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_contributors_are_actors_too() -> None:
@@ -229,6 +235,7 @@ def test_contributors_are_actors_too() -> None:
                 np.testing.assert_array_equal(actor[name], array, err_msg=name)
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_a_script_s_own_environment_reaches_the_actors(local: str, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
@@ -258,6 +265,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_a_worker_with_other_versions_is_refused() -> None:
@@ -275,6 +283,7 @@ def test_a_worker_with_other_versions_is_refused() -> None:
         actors.dismiss([])
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_a_worker_without_a_place_waits_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
