@@ -11,8 +11,8 @@ PIP_ARGS ?=
 STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
 SOURCES := platform envs algos launch tests
-# Side by side, one file of tests in one process; ARGS="-n 0" tests in this one, where a debugger works.
-PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
+# Side by side, one file of tests in one process, long files first (tests/conftest.py); ARGS="-n 0" tests in this one, where a debugger works.
+PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiment sweep test check lint format types benchmarks notebooks browse clean

@@ -6,8 +6,6 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-pytestmark = pytest.mark.slow
-
 PROJECT = Path(__file__).resolve().parents[2]
 PICTURES = {
     "a_study_from_start_to_finish": 2,  # learning curves, performance profiles
@@ -26,6 +24,7 @@ def test_all_notebooks_are_named_here() -> None:
     assert {path.stem for path in (PROJECT / "notebooks").glob("*.ipynb")} == set(PICTURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_notebook_runs_and_shows_its_pictures(
     name: str, store: Path, monkeypatch: pytest.MonkeyPatch

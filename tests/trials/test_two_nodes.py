@@ -14,8 +14,6 @@ from tests.trials import hosts, two_nodes
 from tests.trials.hosts import two_hosts
 from tests.trials.two_nodes import SMALL, STUDY, TURNS, trial
 
-pytestmark = pytest.mark.cluster
-
 SWEEP = (
     *SMALL,
     f"study={STUDY}",
@@ -47,6 +45,7 @@ def namespaces() -> None:
         pytest.skip(reason)
 
 
+@pytest.mark.cluster
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 @pytest.mark.usefixtures("namespaces")
 def test_a_study_with_a_killed_or_cut_off_node_equals_that_on_one_machine(
@@ -62,6 +61,7 @@ def test_a_study_with_a_killed_or_cut_off_node_equals_that_on_one_machine(
     assert "headway-" not in _list()
 
 
+@pytest.mark.cluster
 @pytest.mark.usefixtures("namespaces")
 def test_processes_end_with_their_host_and_hosts_of_killed_processes_are_removed(tmp_path: Path) -> None:
     told = tmp_path / "told"

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import torch
+from covering import pairwise
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -372,14 +373,19 @@ def test_rows_of_absent_agents_change_nothing(
         np.testing.assert_array_equal(array, expected[name], err_msg=name)
 
 
-@every_case
-@pytest.mark.parametrize("shared_until", [0.0, 0.5])
-def test_training_resumed_from_a_state_is_exact(
-    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec, shared_until: float
-) -> None:
-    """Bit for bit, what critics remember included, also across the parting of shared policies."""
-    if shared_until and (config.order == "sequential" or config.policies == "shared"):
-        pytest.skip("refused by the configuration")
+def _splits(case: str) -> bool:
+    """Return whether policies can be shared first and split later."""
+    config = CASES[case][0]
+    return config.order != "sequential" and config.policies != "shared"
+
+
+@pytest.mark.parametrize(
+    ("shared_until", "case"),
+    pairwise([0.0, 0.5], CASES, where=lambda until, case: not until or _splits(case)),
+)
+def test_training_resumed_from_a_state_is_exact(fabricate: Fabricate, shared_until: float, case: str) -> None:
+    """Bit for bit, hidden states of critics included, also across the split of shared policies."""
+    config, spec = CASES[case]
     config = replace(config, shared_until=shared_until)
     first, second = (ENTRIES["custom"].learner(config, spec, (3, 5), "cpu") for _ in range(2))
     tracks = [_joined([made(fabricate, spec, 7 * i + r, absent=0.2) for r in range(2)]) for i in range(4)]

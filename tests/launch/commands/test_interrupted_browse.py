@@ -18,8 +18,6 @@ from headway_launch.commands.main import run as run_command
 from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.training_process import TrainingProcess
 
-pytestmark = pytest.mark.slow
-
 TINY = (
     "env=trivial",
     "algo=ippo",
@@ -45,12 +43,14 @@ def _unheard(*arguments: str, folder: Path) -> int:
         os.close(its)
 
 
+@pytest.mark.slow
 def test_a_session_without_listeners_trains_to_its_end(tmp_path: Path) -> None:
     assert _unheard("run", *TINY, "evaluation.rules=[optimal]", folder=tmp_path) == 0
     assert [row.status for row in RunIndex(tmp_path / "runs").rows()] == ["FINISHED"]
     assert _unheard("runs", folder=tmp_path) == 0
 
 
+@pytest.mark.slow
 def test_a_session_that_fails_unheard_has_not_succeeded(tmp_path: Path) -> None:
     assert _unheard("run", *TINY, "algo.lrr=1", folder=tmp_path) == 2
     assert _unheard("run", "--help", folder=tmp_path) == 0
@@ -79,6 +79,7 @@ def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
     assert "traceback.txt" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_pages_that_never_answer_are_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,8 +15,6 @@ from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
-pytestmark = pytest.mark.slow
-
 TINY = (
     "env=trivial",
     "algo=ippo",
@@ -48,6 +46,7 @@ def _end_as_killed(directory: str, status: str = "KILLED") -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | {"status": status}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["serial", "process"])
 def test_one_of_several_seeds_goes_on_alone(
     backend: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -68,6 +67,7 @@ def test_one_of_several_seeds_goes_on_alone(
     assert again["cpu_seconds"] > summary["cpu_seconds"] > 0
 
 
+@pytest.mark.slow
 def test_what_a_killed_session_used_is_still_counted() -> None:
     assert run(["run", *TINY, "backend=serial"]) == 0
     directory = Path(_runs()[0].directory)

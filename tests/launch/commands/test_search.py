@@ -13,8 +13,6 @@ from headway_launch.commands import search
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import Runner
 
-pytestmark = pytest.mark.slow
-
 HEADWAY = str(Path(sys.executable).with_name("headway"))
 
 
@@ -29,6 +27,7 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess
     return root, _headway("search", "toy_matrix", *small)
 
 
+@pytest.mark.slow
 def test_a_search_names_one_winner_a_cell(searched: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     _, done = searched
     assert done.returncode == 0, done.stderr
@@ -40,6 +39,7 @@ def test_a_search_names_one_winner_a_cell(searched: tuple[Path, subprocess.Compl
     assert [row[3] for row in rows] == words
 
 
+@pytest.mark.slow
 def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
     searched: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
@@ -52,6 +52,7 @@ def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
     assert len(RunIndex(root).rows("search_toy_matrix")) == 2
 
 
+@pytest.mark.slow
 def test_a_study_is_drawn(searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
     root, _ = searched
     picture = tmp_path / "curves.png"
@@ -60,6 +61,7 @@ def test_a_study_is_drawn(searched: tuple[Path, subprocess.CompletedProcess[str]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_cells_and_rules_are_compared_on_the_same_days(
     searched: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
@@ -79,6 +81,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(
     assert "1 seed: the interval is over episodes" in done.stderr
 
 
+@pytest.mark.slow
 def test_no_winner_is_named_while_another_session_trains_a_seed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -122,6 +125,7 @@ def test_a_broken_search_is_one_line(
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -137,6 +141,7 @@ def test_a_wrong_search_is_one_line(words: tuple[str, ...], line: str) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_wrong_words_for_a_plot_are_one_line(
     searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:

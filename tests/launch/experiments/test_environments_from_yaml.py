@@ -17,8 +17,6 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment, compose, resolve
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
-pytestmark = pytest.mark.slow
-
 SPREAD = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.args.N=3")
 STACK = "env.wrappers=[{name: frame_stack_v1, stack_size: 2}, clip_reward_v0]"
 TINY = (
@@ -175,6 +173,7 @@ def test_training_arguments_reach_the_training_environment_only(monkeypatch: pyt
         assert cell_parameters(again) == cell_parameters(experiment)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [
@@ -198,6 +197,7 @@ def test_a_pettingzoo_environment_trains_with_a_random_rule(
     assert "rule random" in shown
 
 
+@pytest.mark.slow
 def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
     """Everything sent to the workers can be pickled."""
     tiny = [word for word in TINY if word != "backend=serial"]
@@ -208,6 +208,7 @@ def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
     assert [row.status for row in _runs()] == ["FINISHED"] * 3
 
 
+@pytest.mark.slow
 def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -220,6 +221,7 @@ def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
     ]
 
 
+@pytest.mark.slow
 def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +248,7 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     assert "rule random" in shown
 
 
+@pytest.mark.slow
 def test_cells_with_different_training_environments_are_compared(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,6 +275,7 @@ def test_cells_with_different_training_environments_are_compared(
     assert "holds several environments" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -298,6 +302,7 @@ def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
         assert "evaluation.rules" not in line
 
 
+@pytest.mark.slow
 def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["run", "env=trivial", *TINY]) == 0
     capsys.readouterr()
@@ -316,6 +321,7 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
         assert line in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["evaluate", "compare", "resume"])
 def test_a_checkpoint_with_other_observations_prints_one_line(
     command: str, capsys: pytest.CaptureFixture[str]

@@ -23,8 +23,6 @@ from headway.store.index import RunIndex, RunRow
 from headway_launch.runner.runner import Runner
 from headway_launch.runner.scheduler import StopRequests
 
-pytestmark = pytest.mark.slow
-
 TINY = (
     "env=trivial",
     "algo=ippo",
@@ -107,6 +105,7 @@ def runs(folder: Path) -> list[RunRow]:
     return RunIndex(folder / "runs").rows()
 
 
+@pytest.mark.slow
 def test_a_run_ends_with_a_table_and_is_in_the_store(tmp_path: Path) -> None:
     done = once(
         "run",
@@ -140,6 +139,7 @@ def test_the_share_of_the_store_is_printed_for_long_trainings(
     assert capsys.readouterr().err.startswith("the store: ") == printed
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_everything_and_resume_continues(tmp_path: Path) -> None:
     # Seed 1 waits for seed 0, so one run never starts.
     with headway(
@@ -165,6 +165,7 @@ def test_ctrl_c_keeps_everything_and_resume_continues(tmp_path: Path) -> None:
     assert again[0].iterations > first[0].iterations
 
 
+@pytest.mark.slow
 def test_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
     with headway("run", *TINY, *LONG, "backend.workers=2", "rollout.block=2", folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
@@ -177,6 +178,7 @@ def test_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
     assert [row.status for row in runs(tmp_path)] == ["KILLED"]
 
 
+@pytest.mark.slow
 def test_a_lost_training_process_prints_one_line_and_the_others_continue(tmp_path: Path) -> None:
     with headway(
         "run", *TINY, "env_steps=4e4", "backend=serial", "seed=0,1", "backend.parallel=2", folder=tmp_path
@@ -197,6 +199,7 @@ def test_bad_input_starts_nothing(tmp_path: Path, override: str) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_kills_at_once_and_the_run_can_be_resumed(tmp_path: Path) -> None:
     with headway("run", *TINY, *LONG, "rollout.steps=200000", "backend=serial", folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
@@ -213,6 +216,7 @@ def test_a_second_ctrl_c_kills_at_once_and_the_run_can_be_resumed(tmp_path: Path
     assert run.status == "KILLED"
 
 
+@pytest.mark.slow
 def test_a_doubled_signal_is_one_request_and_the_checkpoint_is_kept(tmp_path: Path) -> None:
     with headway("run", *TINY, *LONG, "rollout.steps=4000", "backend=serial", folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
@@ -246,6 +250,7 @@ def test_after_the_announcement_only_ctrl_c_is_a_second_request(monkeypatch: pyt
         assert requests.count == 2
 
 
+@pytest.mark.slow
 def test_the_table_shows_what_is_stored_of_a_killed_run(tmp_path: Path) -> None:
     often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
     with headway("run", *TINY, *LONG, *often, folder=tmp_path) as running:

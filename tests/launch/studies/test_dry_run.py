@@ -17,8 +17,6 @@ from headway_launch.runner.jobs import CellPlan, CoreShares
 from headway_launch.runner.training_process import TrainingProcess, Work
 from headway_launch.studies.dry_run import makespan, spans
 
-pytestmark = pytest.mark.slow
-
 PACE = Pace(
     start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
     kwh=1e-6, kg_co2=1e-7,
@@ -47,6 +45,7 @@ def test_the_cost_of_a_job_is_start_iterations_and_evaluations() -> None:
     assert replace(PACE, kwh=None).estimate(config, 0).kwh is None
 
 
+@pytest.mark.slow
 def test_a_dry_run_lists_estimates_and_keeps_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -83,6 +82,7 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert all(usage.uses_gpu for usage in finished)
 
 
+@pytest.mark.slow
 def test_cells_share_the_processes_that_measure_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +114,7 @@ def test_cells_share_the_processes_that_measure_them(
     assert len({pace.cpu_start_s for pace in paces.values()}) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
 def test_run_and_search_have_a_dry_run(
     words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -127,6 +128,7 @@ def test_run_and_search_have_a_dry_run(
     assert not root.exists()
 
 
+@pytest.mark.slow
 def test_the_estimate_explains_stacks_and_the_place_of_measurement(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

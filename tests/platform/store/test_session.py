@@ -345,6 +345,7 @@ sys.exit(str(notices) if notices or not rows else 0)
 """
 
 
+@pytest.mark.slow
 def test_four_sessions_can_open_a_new_store_together(tmp_path: Path) -> None:
     moment, here = str(time.time() + 1.5), str(Path(__file__).parent)
     commands = [

@@ -44,8 +44,6 @@ from headway.training.modes import AsynchronousMode
 from headway_algos.config import ModelConfig
 from headway_algos.registry import ENTRIES
 
-pytestmark = pytest.mark.slow
-
 MEBIBYTE = 2**20
 
 
@@ -95,6 +93,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return _log(_job("a3c", tmp_path_factory.mktemp("whole")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("toy", "core", "backend"),
     [("visitors", "none", "process"), ("visitors", "gru", "serial"), ("tracking", "none", "serial")],
@@ -110,6 +109,7 @@ def test_a_single_worker_equals_synchronous_a2c_on_the_same_batches(
     assert _staleness(alone) == [(0.0, 0.0)] * 6
 
 
+@pytest.mark.slow
 def test_workers_in_turns_give_the_same_log_on_every_backend_and_in_a_rerun(
     whole: Log, tmp_path: Path
 ) -> None:
@@ -124,6 +124,7 @@ def test_the_staleness_of_workers_in_turns_is_the_number_of_other_workers(whole:
     assert _without_staleness(four) != _without_staleness(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", ["none", "gru"])
 @pytest.mark.parametrize("stop", [1, 4])
 def test_stopped_and_resumed_equals_never_stopped(
@@ -136,6 +137,7 @@ def test_stopped_and_resumed_equals_never_stopped(
     assert logs_of(job) == [undisturbed]
 
 
+@pytest.mark.slow
 def test_the_process_backend_resumes_a_checkpoint_of_the_serial_backend(whole: Log, tmp_path: Path) -> None:
     trained(_job("a3c", tmp_path), stop_after=3)
     assert _log(_job("a3c", tmp_path, backend="process", resume=True)) == whole
@@ -155,6 +157,7 @@ def _faulty(folder: Path, fault: Fault, times: int = 1) -> tuple[type[FaultyVisi
     return FaultyVisitors, FaultConfig(fault, str(folder), at=41, copies=2, times=times)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_mid_rollout_does_not_change_the_curve(whole: Log, tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, env=_faulty(tmp_path, "kill"), backend="process")
     (notice,) = _notices(trained(job))
@@ -163,6 +166,7 @@ def test_a_worker_killed_in_mid_rollout_does_not_change_the_curve(whole: Log, tm
     assert logs_of(job) == [whole]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "kind", "line"),
     [
@@ -186,6 +190,7 @@ def test_a_run_that_cannot_continue_ends_in_one_line_and_leaves_no_worker(
     assert not any(psutil.pid_exists(process_id) for process_id in started.process_ids[1:])
 
 
+@pytest.mark.slow
 def test_a_resumed_run_in_order_of_arrival_notifies_that_its_curve_differs(tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, "arrival", backend="process")
     trained(job, stop_after=3)
@@ -195,6 +200,7 @@ def test_a_resumed_run_in_order_of_arrival_notifies_that_its_curve_differs(tmp_p
     assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
 
 
+@pytest.mark.slow
 def test_a_process_holds_no_more_copies_than_the_environment_allows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,6 +276,7 @@ def test_workers_sample_the_same_as_the_serial_collector_on_their_copies(tmp_pat
             assert getattr(contributors.workers[worker].trajectory, each.name).flags.c_contiguous
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_delays_no_other_and_workers_stay_small(tmp_path: Path) -> None:
     job = _job("a3c", tmp_path, "arrival")
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
@@ -290,6 +297,7 @@ def test_a_worker_that_hangs_delays_no_other_and_workers_stay_small(tmp_path: Pa
     assert max(threads) <= 3  # the worker's own, and the one that ends it with its parent
 
 
+@pytest.mark.slow
 def test_usage_includes_rollouts_in_progress_and_closing_does_not_wait_for_them(tmp_path: Path) -> None:
     """A complete rollout takes 8 CPU seconds."""
     job = _job("a3c", tmp_path, "arrival", env=(TediousVisitors, VISITORS))
@@ -487,6 +495,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_killed_parent_leaves_no_process(tmp_path: Path) -> None:
     here = Path(__file__).parent
     support = here.parents[1] / "support"

@@ -14,8 +14,6 @@ from headway.wrappers.listed import listed_wrappers
 from headway.wrappers.parallel import bounds_of
 from headway_envs.registry import ENTRIES
 
-pytestmark = pytest.mark.slow
-
 STACK = {"name": "frame_stack_v1", "stack_size": 3}
 STACK_REPEATING = {"name": "frame_stack_v2", "stack_size": 3}
 NORMALISE = {"name": "normalize_obs_v0", "env_min": -1.0, "env_max": 2.0}
@@ -54,6 +52,7 @@ SHORT: dict[str, dict[str, Any]] = {"intersection": {"horizon": 300}, "bus_publi
 """Arguments of environments whose episodes are long."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_batched_form_equals_supersuit(case: str) -> None:
     name, wrappers = CASES[case]
@@ -79,6 +78,7 @@ def test_a_batched_form_has_supersuit_s_bounds(case: str) -> None:
     assert wrapped.batch(2).spec.observation_size == len(bounds.low)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize("case", ["all visitors", "all bus", "stack repeating visitors"])
 def test_a_wrapped_batch_keeps_the_contract(case: str, check: str) -> None:

@@ -25,8 +25,6 @@ from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CoreShares, gpus_of, share_cores
 
-pytestmark = pytest.mark.cluster
-
 needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
 )
@@ -106,26 +104,30 @@ class Killed:
 
 
 @pytest.fixture(scope="module")
-def test_a_killed_session_leaves_nothing_and_resumes_to_the_curves_of_processes(
-    by_processes: Path, tmp_path: Path
-) -> None:
-    before = ray_processes()
-    with _started("run", *LONG, "backend=ray", folder=tmp_path) as process:
-        _until_kept(process, tmp_path)
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
+    killed = Killed(tmp_path_factory.mktemp("killed"), ray_processes())
+    with _started("run", *LONG, "backend=ray", folder=killed.folder) as process:
+        _until_kept(process, killed.folder)
         process.kill()
         process.communicate(timeout=PATIENCE_S)
-    assert_gone(before)
-    killed = _runs(tmp_path)
-    assert 0 < _kept(tmp_path) < 40
-    with _started("resume", *(row.run_id for row in killed.values()), folder=tmp_path) as process:
-        _, shown = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, shown
-    assert "(raylet)" not in shown
-    ended, expected = _runs(tmp_path), _runs(by_processes)
+    return killed
+
+
+@pytest.mark.cluster
+@needs_ray
+def test_a_killed_session_resumes_to_the_curves_of_processes(killed: Killed, by_processes: Path) -> None:
+    runs = _runs(killed.folder)
+    assert 0 < _kept(killed.folder) < 40
+    with _started("resume", *(row.run_id for row in runs.values()), folder=killed.folder) as process:
+        _, told = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, told
+    assert "(raylet)" not in told
+    ended, expected = _runs(killed.folder), _runs(by_processes)
     assert [row.status for row in ended.values()] == ["FINISHED"]
     assert _tables(ended[3]) == _tables(expected[3])
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(
     by_processes: Path, tmp_path: Path
@@ -158,6 +160,7 @@ def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(
     assert_gone(before)
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     """The signal reaches the whole process group, including Ray's processes."""
@@ -177,6 +180,7 @@ def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
     assert_gone(before)
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_a_killed_session_leaves_no_process(killed: Killed) -> None:
     """Ray's agents take a minute, in which the tests before this one run."""
@@ -196,6 +200,7 @@ def test_without_ray_nothing_starts(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.parametrize("words", [("run",), ("sweep",)])
 def test_an_address_without_a_cluster_starts_nothing(

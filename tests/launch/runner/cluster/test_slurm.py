@@ -11,8 +11,6 @@ from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_nodes import wait_for_nodes
 
-pytestmark = pytest.mark.cluster
-
 SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..6")
 
 

@@ -16,8 +16,6 @@ from headway.config.experiment import BackendConfig
 from headway.contracts import HeadwayError
 from headway.rollout.workers import ray_cluster
 
-pytestmark = pytest.mark.cluster
-
 
 def _refusal(address: str) -> str:
     with pytest.raises(HeadwayError) as refusal:
@@ -39,6 +37,7 @@ def test_an_address_without_a_cluster_is_refused_in_one_line(monkeypatch: pytest
     assert "no Ray cluster answers" in _refusal("auto")
 
 
+@pytest.mark.cluster
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_workers_import_the_same_modules_as_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -60,6 +59,7 @@ def test_workers_import_the_same_modules_as_this_process(
         ray_cluster.disconnect()
 
 
+@pytest.mark.cluster
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_a_cluster_that_requires_a_token_is_refused_with_the_setting(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch

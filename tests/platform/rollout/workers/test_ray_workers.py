@@ -40,8 +40,6 @@ from headway.rollout.workers.usage import usable_cores
 from headway.rollout.workers.worker import Contribute
 from headway.rollout.workers.worker_pool import WorkerFailedError
 
-pytestmark = pytest.mark.cluster
-
 SUPPORT = str(Path(__file__).parents[3] / "support")
 without_ray = importlib.util.find_spec("ray") is None
 needs_ray = pytest.mark.skipif(without_ray, reason='Ray is not installed: pip install "headway[ray]"')
@@ -65,6 +63,7 @@ def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -
         return iterations_of(collector, parameters_of(plan), 1, 3)
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 @pytest.mark.parametrize(("toy", "core"), [("visitors", "none"), ("tracking", "gru")])
@@ -91,6 +90,7 @@ def test_ray_workers_equal_processes_bit_for_bit(toy: str, core: str) -> None:
     assert_same(*continued)
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_ray_workers_may_each_hold_one_seed_of_a_stack() -> None:
@@ -106,6 +106,7 @@ def test_ray_workers_may_each_hold_one_seed_of_a_stack() -> None:
     assert_same(given[0][1], given[1][1])
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_ray_workers_use_the_parameters_of_the_iteration() -> None:
@@ -119,6 +120,7 @@ def test_ray_workers_use_the_parameters_of_the_iteration() -> None:
     assert_same(*taken)
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_evaluation_has_a_separate_ray_worker_if_copies_per_process_are_limited() -> None:
@@ -139,6 +141,7 @@ def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
     return plan_of(FaultyVisitors, FaultConfig(fault, str(folder), at=30, copies=2, times=times))
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 @pytest.mark.parametrize(
@@ -161,6 +164,7 @@ def test_a_ray_worker_that_fails_does_not_change_the_data(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_a_ray_worker_that_fails_twice_ends_the_run_in_one_line(tmp_path: Path) -> None:
@@ -197,6 +201,7 @@ def test_ray_s_message_about_a_lost_actor_becomes_a_short_reason(message: str, r
     assert reason_of(ObjectLostError(message)) == reason
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) -> None:
@@ -206,6 +211,7 @@ def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) 
     assert notices == []
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_contributors_run_in_ray_workers_too() -> None:
@@ -229,6 +235,7 @@ def test_contributors_run_in_ray_workers_too() -> None:
                 np.testing.assert_array_equal(actor[name], array, err_msg=name)
 
 
+@pytest.mark.cluster
 @needs_ray
 def test_an_environment_defined_in_a_script_reaches_the_ray_workers(local: str, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
@@ -258,6 +265,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_a_worker_with_other_versions_is_refused() -> None:
@@ -275,6 +283,7 @@ def test_a_worker_with_other_versions_is_refused() -> None:
         launcher.dismiss([])
 
 
+@pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_a_worker_without_free_cpus_waits_with_a_notice(monkeypatch: pytest.MonkeyPatch) -> None:

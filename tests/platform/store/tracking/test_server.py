@@ -22,8 +22,6 @@ from headway.store.checkpoint import save_checkpoint
 from headway.store.tracking import thread
 from headway.store.tracking.client import Tracker, database_uri, require_answer
 
-pytestmark = pytest.mark.slow
-
 ITERATIONS = 40
 PATIENCE_S = 300.0
 
@@ -136,6 +134,7 @@ def expected(last: int) -> list[tuple[int, float]]:
     return [(100 * iteration, float(iteration)) for iteration in range(1, last + 1)]
 
 
+@pytest.mark.slow
 def test_a_server_that_reconnects_receives_everything_once(
     line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +178,7 @@ def _points_of(line: Line, study: str, run_id: str) -> list[tuple[int, float]]:
     return []
 
 
+@pytest.mark.slow
 def test_the_next_session_sends_what_an_unreachable_server_missed(line: Line, tmp_path: Path) -> None:
     config = StoreConfig(root=str(tmp_path), tracking_uri=line.uri)
     store = SessionStore.open(config)
