@@ -42,7 +42,7 @@ def drop_stale_cache(folder: Path) -> None:
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel function inline, without array allocation (see
+    """Compile a kernel function to be inlined into its callers, without array allocation (see
     `headway.contracts.numba_setup.compiled_with`).
 
     Without numba's reference counting of the many arrays passed through a kernel it runs several times as

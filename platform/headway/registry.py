@@ -64,7 +64,7 @@ def env_entry(name: str) -> EnvEntry:
 
 
 def is_module_path(name: str) -> bool:
-    """Return whether `name` is a module path: it has a dot and no package registers it."""
+    """Return whether `name` is a module path: it contains a dot and is not a registered environment."""
     return "." in name and name not in env_entries()
 
 

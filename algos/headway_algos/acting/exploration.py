@@ -168,7 +168,7 @@ class OrnsteinUhlenbeckPolicy(RecurrentActing):
         hidden_states: NDArray[Any] | None,
         noise: NDArray[np.float64] | None,
     ) -> ActingResult:
-        """Implement `MaskedActingPolicy.act_on_all_slots`. Greedy acting leaves x unchanged.
+        """Implement `MaskedActingPolicy.act_on_all_slots`. Greedy acting leaves the noise state x unchanged.
 
         Log-probabilities are 0, since a deterministic policy has no density.
         """

@@ -80,7 +80,11 @@ class StackedKFAC:
         self.pieces.clear()
 
     def include(self, linear: LinearisedMLP, score: Tensor, information: Information, weight: Tensor) -> None:
-        """Add a piece of the batch at the current parameters (see `KroneckerFactors.include`)."""
+        """Add a piece of the batch, linearised at the current parameters.
+
+        `score`, `weight`: see `KroneckerFactors.include`. `information`: Fisher product of the outputs, used
+        with `kfac_length: exact` only.
+        """
         self.factors.include(linear, score, weight)
         if self.exact:
             self.pieces.append((linear, information, weight))

@@ -23,8 +23,10 @@ def acceleration(speed: Floats, lead_speed: Floats, gap: Floats) -> Floats:
 def next_speeds(
     speed: Floats, lead_speed: Floats, gap: Floats, noise: float, draw: np.random.Generator
 ) -> Floats:
-    """Return the speeds (V,) after one step, with Gaussian noise of sd `noise` x sqrt(step) on
-    acceleration."""
+    """Return the speeds (V,), m/s, one step later.
+
+    Gaussian noise with standard deviation `noise` sqrt(STEP_S) is added to the accelerations.
+    """
     accelerations = acceleration(speed, lead_speed, gap)
     accelerations += np.sqrt(STEP_S) * noise * draw.standard_normal(len(speed))
     return np.maximum(speed + accelerations * STEP_S, 0.0)

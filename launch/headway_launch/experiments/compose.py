@@ -241,7 +241,7 @@ def configs_folder() -> Path:
 
 
 def groups() -> dict[str, tuple[str, ...]]:
-    """Return the groups of configuration files, each with its options."""
+    """Return the options of each group of configuration files (`env`, `algo`, ...)."""
     folders = sorted(folder for folder in configs_folder().iterdir() if folder.is_dir())
     return {
         folder.name: tuple(

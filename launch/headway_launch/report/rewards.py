@@ -138,9 +138,9 @@ def interquartile_section(data: StudyData) -> Section:
     """Return the section with interquartile means, their intervals, and differences to the best rule."""
     body: list[Part] = [
         "The interquartile mean discards the best and the worst quarter of the seeds, so that a single "
-        "lucky or failed seed does not decide the result. A controller is called better or worse than the "
-        f"best rule only if the interval excludes 0 with at least {SEEDS_FOR_A_CLAIM} training seeds; with "
-        "fewer seeds no claim is made.",
+        "lucky or failed seed does not decide the result. A learner is called better or worse than the best "
+        f"rule only if the interval excludes 0 with at least {SEEDS_FOR_A_CLAIM} training seeds; with fewer "
+        "seeds no claim is made. Rules need no seeds: their interval is over episodes.",
         _interquartile_table(data),
         *_unequal_budgets(data),
         *([data.few_seeds_note] if data.few_seeds_note else []),

@@ -303,10 +303,10 @@ def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> 
     if not os.access(root, os.W_OK | os.X_OK):
         raise HeadwayError(f"store.root: {root} cannot be written; set store.root to another folder")
     seeds = sum(len(job.seeds) for job in jobs)
-    # Experience is deleted when its job ends, so only parallel jobs count.
-    experience = sum(sorted((_experience_bytes(job) for job in jobs), reverse=True)[:parallel])
+    # Replay buffers are deleted when their job ends, so only parallel jobs count.
+    replay = sum(sorted((_replay_bytes(job) for job in jobs), reverse=True)[:parallel])
     free = shutil.disk_usage(root).free
-    needed = _FREE_BYTES + seeds * _FREE_BYTES_PER_SEED + experience
+    needed = _FREE_BYTES + seeds * _FREE_BYTES_PER_SEED + replay
     if free < needed:
         raise HeadwayError(
             f"only {free / 2**20:,.0f} MiB are free for the store in {root}, and {seeds} seeds need about "
@@ -314,8 +314,8 @@ def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> 
         )
 
 
-def _experience_bytes(job: PlannedJob) -> int:
-    """Return the bytes of experience kept beside the checkpoints of a job that exist at once."""
+def _replay_bytes(job: PlannedJob) -> int:
+    """Return the bytes of the replay buffers that a job keeps beside its checkpoints, at most at once."""
     experiment = job.experiment
     each = experiment.algo.replay_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
     return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each

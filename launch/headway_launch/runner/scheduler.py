@@ -68,7 +68,8 @@ class Training(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether the process was lost together with its machine and can be restarted elsewhere."""
+        """Whether Ray lost the process, for example with its machine, so that it can restart from a
+        checkpoint."""
         ...
 
     @property

@@ -98,7 +98,7 @@ def in_order(rows: Sequence["RunRow"], keys: str) -> list["RunRow"]:
 
 
 def value_of(row: "RunRow", field: str) -> Value:
-    """Return a field of a run, or one of its parameters; None if it is not known."""
+    """Return a column of a run or, if `field` has a dot, one of its parameters; None if unknown or NaN."""
     if "." not in field:
         value: Value = getattr(row, field)
         return None if isinstance(value, float) and math.isnan(value) else value

@@ -82,7 +82,10 @@ def sync_folder(folder: Path) -> None:
 
 
 def remove_partial(folder: Path, prefix: str) -> None:
-    """Remove partly written files whose names begin with `prefix`. Call it only from their single writer."""
+    """Remove the partly written files in `folder` whose names begin with `prefix`.
+
+    Only the process that writes these files may call this.
+    """
     for leftover in folder.glob(f".{prefix}*{_PARTIAL}"):
         leftover.unlink(missing_ok=True)
 

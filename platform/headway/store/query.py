@@ -131,12 +131,15 @@ class RunSelection:
         return self._frame(rows)
 
     def provenance(self) -> "pd.DataFrame":
-        """One row per run: package versions, git revision and hardware."""
+        """Return one row per run: package versions, git revision and hardware."""
         return self._frame([RunRecord.read(Path(row.directory)).tags for row in self.rows])
 
     def curves(self, metrics: Sequence[str] | None = None) -> "pd.DataFrame":
-        """One row per point of a learning curve: `iteration`, `env_steps`, `wall_s` and metrics `group/name`.
-        `metrics`: those to read, if the run has them; rows without any of them are left out. None: all."""
+        """Return one row per point of a learning curve: `iteration`, `env_steps`, `wall_s` and the metrics.
+
+        `metrics`: columns `group/name` to read, ignored where a run lacks them; rows with none of them are
+        dropped. None: all columns.
+        """
         found = self._logs(
             "curve", None if metrics is None else ("iteration", "env_steps", "wall_s", *metrics)
         )

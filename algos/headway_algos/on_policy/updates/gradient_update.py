@@ -65,7 +65,7 @@ class GradientUpdate:
             info["kl"] = _mean_kl(self.actor, rows, old, self.config)
             info["kl_coeff"] = self.kl_coeff
             has_rows = torch.from_numpy(rows.selected.any(axis=1)).to(self.layout.device)
-            new = adapted(self.kl_coeff, info["kl"], self.config.kl_target)
+            new = adapted_kl_coeff(self.kl_coeff, info["kl"], self.config.kl_target)
             self.kl_coeff = torch.where(has_rows, new, self.kl_coeff)
         return info
 
@@ -114,10 +114,11 @@ class GradientUpdate:
             self.kl_coeff = state["kl_coeff"].to(self.layout.device)
 
 
-def adapted(kl_coeff: Tensor, kl: Tensor, target: float) -> Tensor:
-    """Return the KL coefficients (P,) of the next improvement, given the mean KL (P,) of this one.
+def adapted_kl_coeff(kl_coeff: Tensor, kl: Tensor, target: float) -> Tensor:
+    """Return the KL coefficients (P,) for the next update, given the mean KL (P,) of this one.
 
-    Section 4 of Schulman et al. 2017, with RLlib's factors.
+    Times 1.5 above 2 `target`, times 0.5 below `target` / 2: section 4 of Schulman et al. 2017, with RLlib's
+    factors.
     """
     kl_coeff = torch.where(kl > 2 * target, kl_coeff * 1.5, kl_coeff)
     return torch.where(kl < target / 2, kl_coeff * 0.5, kl_coeff)

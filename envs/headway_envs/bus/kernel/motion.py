@@ -193,7 +193,7 @@ def leave_for_service(net: Network, k: Record, world: World, c: int, n: int, tim
 
 @compiled
 def apply_action(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> None:
-    """Apply the latched action at a decision event."""
+    """Apply the action chosen for slot `n` of copy `c` at its decision event: depart, hold or get service."""
     slot = world.slots[c, n]
     if action == MOVE or (action == SERVICE_CENTER and not is_serviceable(k, world, c, n)):
         if slot.phase == TERMINAL:

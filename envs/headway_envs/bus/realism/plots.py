@@ -51,8 +51,11 @@ def draw_time_space(
 def draw_load_profile(
     axes: "Axes", days: Mapping[str, pd.DataFrame], pattern: int, expected: "pd.Series[float] | None" = None
 ) -> None:
-    """Draw the mean number of passengers aboard at departure from each call of a pattern, for each of `days`
-    (name: calls); for the first also the band of the middle 80%. `expected`, by seq0, is a dashed line."""
+    """Plot the mean number of passengers aboard at departure, by call of a pattern.
+
+    One line per entry of `days` (name -> calls), and for the first also the band from the 10th to the 90th
+    percentile. `expected`, indexed by `seq0`, is dashed.
+    """
     for number, (name, calls) in enumerate(days.items()):
         loads = calls[calls["pattern"] == pattern].groupby("seq0")["load"]
         mean = loads.mean().dropna()

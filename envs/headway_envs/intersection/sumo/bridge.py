@@ -255,6 +255,7 @@ class SumoBridge:
             set_speed(ids[row], _SUMO_CONTROL)
 
     def place(self, row: int) -> tuple[float, float]:
-        """Return the last position of the front of the vehicle in a row, (x, y) in m from the centre."""
+        """Return where the front of the vehicle in roster row `row` was last read, (x, y) in m from the
+        centre."""
         traffic = self.roster.traffic
         return self.network.place(int(traffic.link[row]), float(traffic.position[row]))

@@ -35,7 +35,7 @@ _WAIT_S = 1.0
 
 
 class TrainingHost:
-    """The Ray actor that trains on a node of the cluster."""
+    """Ray worker that runs one training process on a node of the cluster."""
 
     def __init__(self) -> None:
         self.events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()

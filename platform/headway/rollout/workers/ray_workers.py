@@ -111,7 +111,7 @@ def _versions() -> list[tuple[str, str]]:
 
 
 class RayRolloutWorker:
-    """The Ray actor class: a rollout worker that receives commands as remote calls."""
+    """A rollout worker on a Ray cluster, which receives commands as remote calls."""
 
     def __init__(self, setup: bytes) -> None:
         self.setup: Setup = pickle.loads(setup)
@@ -235,7 +235,7 @@ class RaySamplingTransport(RayLauncher):
 
 
 class RayConnection:
-    """A Ray actor's handle and the reference to its last answer."""
+    """A Ray worker's handle and the reference to its last answer."""
 
     def __init__(self, launcher: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
         self.launcher, self.shard, self.actor = launcher, shard, actor

@@ -126,7 +126,7 @@ class Tracker:
         self._metrics(child, metrics)
 
     def sent_steps(self, child: str) -> dict[str, frozenset[int]]:
-        """Return the steps that MLflow already has, per metric."""
+        """Return, by metric, the steps that MLflow already has of the run `child`."""
         metrics = self._ask("get_run", child).data.metrics
         return {
             metric: frozenset(int(entry.step) for entry in self._ask("get_metric_history", child, metric))
